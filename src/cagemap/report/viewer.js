@@ -288,26 +288,24 @@
   // What both are coloured by.
   const legend = root.querySelector('.legend');
   const images = new Map();
-  function picture(id) {
-    if (!images.has(id)) {
-      const texture = new THREE.Texture(document.getElementById(id));
-      Object.assign(texture, {colorSpace: THREE.NoColorSpace, generateMipmaps: true, anisotropy: 8});
-      texture.minFilter = THREE.LinearMipmapLinearFilter;
-      texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-      texture.needsUpdate = true;
-      images.set(id, texture);
-    }
-    return images.get(id);
+  async function picture(id) {  // of an image of its own: one in a closed fold may have no size
+    const image = new Image();
+    image.src = document.getElementById(id).src;
+    await image.decode();
+    const texture = new THREE.Texture(image);
+    Object.assign(texture, {colorSpace: THREE.NoColorSpace, generateMipmaps: true, anisotropy: 8});
+    texture.minFilter = THREE.LinearMipmapLinearFilter;
+    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+    texture.needsUpdate = true;
+    images.set(id, texture);
   }
   function showLook(number) {
     const look = scene.looks[number];
     for (const side of Object.values(sides)) {
       const own = look[side.name], uniforms = side.material.uniforms;
       if (typeof own === 'string') {
-        const image = document.getElementById(own);
         uniforms.look.value = LOOKS.picture;
-        if (image.complete) uniforms.picture.value = picture(own);
-        else image.addEventListener('load', () => { uniforms.picture.value = picture(own); changed(); }, {once: true});
+        uniforms.picture.value = images.get(own);
       } else {
         uniforms.look.value = LOOKS[look.kind];
         const tint = side.tints[number] ?? (look.kind === 'own' ? side.keyed : null);
@@ -446,6 +444,8 @@
   }));
   canvas.addEventListener('webglcontextlost', () => document.documentElement.classList.remove('turns'));
 
+  const worn = scene.looks.flatMap(look => SIDES.map(name => look[name])).filter(own => typeof own === 'string');
+  await Promise.all(worn.map(picture));
   document.documentElement.classList.add('turns');
   new ResizeObserver(layout).observe(canvas);
   layout();

@@ -1,0 +1,237 @@
+"""What turns on a page: the arrays come back, marks are where the trouble is, and the page stays small."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from examples.shapes import icosahedron
+
+from cagemap.maps.hypotheses.confidence import TWO, Confidence, Reading
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import Plain
+from cagemap.operators.coarse_levels import refined
+from cagemap.pictures import Z_UP
+from cagemap.report import (
+    CarriedShape,
+    Passenger,
+    Pose,
+    Rides,
+    Weights,
+    build_page,
+    draw_gallery,
+    draw_rides,
+    report_models,
+    write_report,
+)
+from cagemap.report.marks import SOURCE, TARGET, find_marks, with_marks
+from cagemap.report.models import pack
+from cagemap.report.page import MAX_TEXTURE_BYTES, encoded_texture
+from cagemap.report.seen import seen
+from cagemap.report.shown import reached, shown_surface, shown_surfaces
+from cagemap.report.verdicts import explain, overall, sentence
+from cagemap.spectral import BasisConfig, Surface
+from cagemap.subdivision import refine
+
+from example_result import identity_result
+
+
+@pytest.fixture(scope="module")
+def result() -> MatchResult:
+    return identity_result()
+
+
+def unpacked(described: dict[str, Any], content: bytes) -> np.ndarray:
+    """What `viewer.js` reads."""
+    kind, count, columns = described["kind"], described["count"], described["columns"]
+    size = np.dtype(kind).itemsize
+    planes = np.frombuffer(content, np.uint8, count * size, described["at"]).reshape(size, count)
+    values = np.ascontiguousarray(planes.T).view(np.dtype(kind).newbyteorder("<")).reshape(-1, columns)
+    if kind == "uint8":
+        return values / 255
+    whole = np.cumsum(values.astype(np.int64), axis=0)
+    return whole if "step" not in described else ((whole + 32768) % 65536 - 32768) * described["step"]
+
+
+def opened(models: Any, result: MatchResult) -> tuple[dict[str, Any], bytes]:
+    described, arrays = pack(models, result)
+    assert "<" not in described
+    return json.loads(described), zlib.decompress(base64.b64decode(arrays))
+
+
+def test_arrays_come_back_to_the_last_of_16_bits(result: MatchResult) -> None:
+    rng = np.random.default_rng(0)
+    texture = rng.integers(0, 255, (64, 64, 3), np.uint8)
+    models = report_models(result, seen(result), texture=texture, baked=texture)
+    described, content = opened(models, result)
+    for name, shown in ((SOURCE, models.source), (TARGET, models.target)):
+        said = described["sides"][name]
+        positions = unpacked(said["positions"], content)
+        np.testing.assert_allclose(positions, shown.positions, atol=1 / 65000)
+        assert np.linalg.norm(positions, axis=1).max() < 1.0001
+        copies, drawn = unpacked(said["copies"], content)[:, 0], unpacked(said["triangles"], content).reshape(-1, 3)
+        vertices = np.r_[np.arange(len(positions)), copies]
+        np.testing.assert_array_equal(vertices[drawn], shown.triangles)
+        np.testing.assert_allclose(unpacked(said["uvs"], content)[drawn], shown.corner_uvs, atol=1 / 30000)
+    # Every vertex maps to itself: its place on the source is that of the source's vertex.
+    source = described["sides"][SOURCE]
+    linear = np.array(source["places_of_positions"])
+    places = unpacked(source["positions"], content) @ linear[:9].reshape(3, 3).T + linear[9:]
+    np.testing.assert_allclose(places, unpacked(described["sides"][TARGET]["places"], content), atol=2e-4)
+    assert places.min() > -1e-3
+    assert places.max() < 1.001
+
+
+def test_first_look_is_the_texture_else_materials_else_the_checker(result: MatchResult) -> None:
+    models = report_models(result, seen(result))
+    assert [look.name for look in models.looks] == ["Materials", "Checker", "Places", "Problems"]
+    described, content = opened(models, result)
+    colors = unpacked(described["sides"][SOURCE]["key_colors"], content)
+    assert len(np.unique(colors.round(2), axis=0)) == 2  # red and grey, and nothing between them
+    bare = replace(result.source.control, face_materials=None, material_colors=None)
+    plain = replace(result, source=result.source.with_control(bare))
+    assert report_models(plain, seen(plain)).looks[0].name == "Checker"
+
+
+def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchResult) -> None:
+    control, source = result.target.control, result.source.control
+    ones = [np.ones((mesh.n_vertices, 1)) for mesh in (source, control)]
+    moved = [np.tile([0.0, size, 0.0], (8, 1)) for size in (0.5, 1.0)]
+    rides = Rides(
+        wrapped=control.with_positions(source.positions),
+        weights=Weights(*ones),
+        shapes=(CarriedShape("smile", *moved),),
+        poses=(Pose("sit", source.positions + moved[0], control.positions + moved[1]),),
+    )
+    n = len(result.target.vertices)
+    masked = replace(result, masks=Masks(np.linspace(0, 1, n), None))
+    models = report_models(masked, seen(masked), rides=rides)
+    assert [look.name for look in models.looks][-2:] == ["Masks", "Weights"]
+    wrapped, smile, sit = models.shapes
+    assert wrapped.source is None
+    np.testing.assert_allclose(wrapped.target, models.source.positions, atol=1e-6)  # one cage, so one surface
+    for shape in (smile, sit):  # the same move on both, of which one is twice as large
+        np.testing.assert_allclose(shape.target - models.target.positions, shape.source - models.source.positions)
+    described, _ = opened(models, masked)
+    assert [shape["name"] for shape in described["shapes"]] == ["Wrapped", "smile", "sit"]
+
+
+def test_large_surfaces_are_shown_by_vertices_of_their_own(result: MatchResult) -> None:
+    shown = shown_surface(result.target, np.eye(3), most=30)
+    assert len(shown.vertices) == 26  # level 1 of a cube
+    assert shown.corner_uvs is not None
+    finest = np.asarray(result.target.refinement.finest.positions)
+    np.testing.assert_allclose(shown.positions * shown.radius + shown.centre, finest[shown.vertices])
+    scan = identity_plain(4)
+    few = shown_surface(scan.target, np.eye(3), most=600)
+    assert 300 <= len(few.vertices) <= 750
+    assert few.corner_uvs is None
+    assert report_models(scan, seen(scan), most=600).looks[0].name == "Checker"
+
+
+def identity_plain(level: int) -> MatchResult:
+    """A dense mesh onto itself, taken as it is."""
+    dense = refine(icosahedron(), level).finest
+    mesh = ControlMesh.from_faces(dense.positions, dense.faces, name="scan.obj")
+    surfaces = [Surface(refined(mesh, 0, Plain()), BasisConfig(count=5)) for _ in range(2)]
+    base = identity_result(level)
+    places = [surface.finest_triangles for surface in surfaces]
+    point_map = PointMap.from_vertices(*places, np.arange(places[0].n))
+    quality = replace(base.quality, trust=np.ones(places[0].n))
+    return replace(base, target=surfaces[0], source=surfaces[1], point_map=point_map, quality=quality)
+
+
+def test_troubles_are_marked_where_they_are(result: MatchResult) -> None:
+    views = seen(result)
+    target, source = shown_surfaces(result, views)
+    everything = reached(result, source)
+    assert everything.all()
+    assert find_marks(result, target, source, everything) == ()
+    # A corner that is not trusted, and the opposite one of the source that nothing comes to.
+    positions = np.asarray(result.target.refinement.finest.positions)
+    away = [np.linalg.norm(positions - positions[vertex], axis=1) for vertex in (0, 6)]
+    torn = replace(result, quality=replace(result.quality, trust=np.where(away[0] < 0.7, 0.0, 1.0)))
+    first, second = find_marks(torn, target, source, away[1] > 0.7)
+    assert (first.side, second.side) == (TARGET, SOURCE)
+    assert "stretched strongly" in first.text
+    assert "nothing from here arrives" in second.text
+    assert away[0][first.vertex] < 0.7
+    assert away[1][second.vertex] < 0.7
+    assert (first.number, second.number) == (1, 2)
+
+
+def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:
+    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
+    places = result.point_map.images.positions[:8]
+    answers = (Reading("one", 1e-4, places), Reading("another", 1.1e-4, -places))
+    unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, 1.0, 1.1, answers, 5))
+    unsure = replace(unsure, quality=replace(result.quality, landmark_errors=np.zeros(3)))
+    models = report_models(unsure, seen(unsure))
+    assert [(mark.number, mark.side, mark.vertex) for mark in models.marks] == [
+        (1, TARGET, 5),
+        (2, TARGET, 5),
+        (2, SOURCE, 5),
+    ]
+    page = build_page(unsure, draw_gallery(unsure, size=(30, 20)), (), models)
+    assert "at mark 1 decides" in page
+    assert "away from its mark" in page
+    shown = page.split("<script")[0]
+    assert "vertex" not in shown.split("Look here")[1].split("</ul>")[0]
+    assert with_marks("1 % is folded over, worst at (1, -2.5, 3) of the target's file", ()) == "1 % is folded over"
+
+
+def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
+    poor = explain({"flipped_area": 0.12, "coverage": 0.9})
+    assert sentence(poor, overall(poor, [])) == "Do not use this map as it is: 12.00 % of the target is folded over."
+    fair = explain({"flipped_area": 0.001, "coverage": 0.85})
+    assert sentence(fair, "fair") == (
+        "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
+    )
+    assert sentence([], "fair", marked=False) == "The map is usable; read the remarks below."
+
+
+def test_models_with_z_up_stand_upright(result: MatchResult) -> None:
+    lying = result.target.control.with_positions(result.target.control.positions @ np.diag([1.0, 1.0, 3.0]))
+    tall = identity_result(controls=(lying, lying))
+    shown, _ = shown_surfaces(tall, seen(tall, Z_UP, "as asked"))
+    extent = np.ptp(shown.positions, axis=0)
+    assert extent[1] > 2 * max(extent[0], extent[2])
+
+
+def test_textures_become_small_enough_for_a_page() -> None:
+    noise = np.random.default_rng(0).random((2048, 2048, 3))
+    texture = encoded_texture("t", "noise", noise)
+    assert len(texture.content) <= MAX_TEXTURE_BYTES
+    assert texture.size[0] < 2048
+
+
+def test_passengers_and_poses_are_sections_of_the_page(result: MatchResult) -> None:
+    control, source = result.target.control, result.source.control
+    hats = [mesh.with_positions(mesh.positions * 0.3 + [0, 1.0, 0]) for mesh in (source, control)]
+    rides = Rides(passengers=(Passenger("hat", *hats),), poses=(Pose("stand", source.positions, control.positions),))
+    panels = draw_rides(result, rides, (40, 30))
+    assert [(panel.title, len(panel.pictures)) for panel in panels] == [("Passengers", 4), ("Poses", 2)]
+    page = build_page(result, draw_gallery(result, size=(30, 20)), panels)
+    assert "<summary>Passengers" in page
+    assert "on the target: hat" in page
+    # The hat has a colour of its own.
+    assert np.ptp(panels[0].pictures[0][0].reshape(-1, 3).astype(int), axis=1).max() > 60
+
+
+def test_a_page_with_models_asks_nothing_of_other_machines(result: MatchResult, tmp_path: Any) -> None:
+    write_report(tmp_path / "r.html", result, texture=np.zeros((8, 8, 3), np.uint8), size=(40, 30))
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert len(page.encode()) < 1_000_000
+    assert 'id="source-texture"' in page
+    assert not re.search(r'(?:src|href)="(?!data:)', page)
+    assert not re.search(r"@import|fetch\(|XMLHttpRequest\(\)\.open", page.split('id="models-data"')[0])
