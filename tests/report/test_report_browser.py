@@ -83,8 +83,8 @@ def test_keys_drags_and_buttons_turn_both_together(browser: Any) -> None:
 
     turned = look(browser)
     assert np.abs(turned[0] - turned[1]).mean() < 15
-    ActionChains(browser).drag_and_drop_by_offset(canvas, 120, 40).perform()
-    until(lambda: np.abs(look(browser) - turned).mean() > 2)
+    ActionChains(browser).drag_and_drop_by_offset(canvas, 50, 30).perform()
+    until(lambda: np.abs(look(browser) - turned).mean() > 0.5)
     browser.find_element("xpath", "//button[.='Reset']").click()
     until(lambda: np.abs(look(browser) - first).mean() < 1)
 

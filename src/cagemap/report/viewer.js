@@ -166,7 +166,13 @@
   const controls = new THREE.OrbitControls(camera, canvas);
   Object.assign(controls, {enableDamping: true, dampingFactor: 0.12, enableZoom: false, minDistance: 0.4, maxDistance: 14});
   const VIEWS = {start: [35, 12], front: [0, 4], side: [90, 4], back: [180, 4]};
-  let fit = 4.2;
+  // What must fit in while both turn about the vertical.
+  let fit = 4.2, tall = 0.1, wide = 0.1;
+  for (const {rest} of Object.values(sides))
+    for (let i = 0; i < rest.length; i += 3) {
+      tall = Math.max(tall, Math.abs(rest[i + 1]));
+      wide = Math.max(wide, Math.hypot(rest[i], rest[i + 2]));
+    }
 
   function lookFrom(azimuth, elevation, at = [0, 0, 0], distance = fit) {
     const [a, e] = [azimuth * Math.PI / 180, elevation * Math.PI / 180];
@@ -185,7 +191,8 @@
     SIDES.forEach((name, i) => { sides[name].box = {x: stacked ? 0 : i * w, y: stacked ? i * h : 0, w, h}; });
     camera.aspect = w / h;
     const before = fit;
-    fit = 0.92 / Math.sin(14 * Math.PI / 180) / Math.min(1, 0.92 * w / h);
+    const tangent = Math.tan(14 * Math.PI / 180);
+    fit = Math.max(tall / 0.9, wide / 0.95 / camera.aspect) / tangent + 0.4 * wide;
     camera.position.sub(controls.target).multiplyScalar(fit / before).add(controls.target);
     camera.updateProjectionMatrix();
     root.classList.toggle('stacked', stacked);
@@ -229,6 +236,9 @@
     if (slow >= 3 && renderer.getPixelRatio() > 0.5) { slow = 0; resolution(Math.max(0.5, renderer.getPixelRatio() / 1.5)); }
     if (renderer.getPixelRatio() < ratio) still = setTimeout(() => resolution(ratio), 250);
     if (moving) changed();
+    hidden.clear();
+    clearTimeout(settled);
+    if (pins.length) settled = setTimeout(occluded, 150);
   }
   controls.addEventListener('change', changed);
 
@@ -270,9 +280,23 @@
         + (camera.position.z - place[2]) * nz > 0;
       const inside = x > box.x && x < box.x + box.w && y > box.y && y < box.y + box.h;
       pin.style.transform = `translate(${x}px, ${y}px) translate(-50%, -50%)`;
-      pin.classList.toggle('behind', !facing);
+      pin.classList.toggle('behind', !facing || hidden.has(pin));
       pin.hidden = !inside || shape !== 0;
     }
+  }
+
+  // Once all is still, pins behind other parts of their model are found.
+  const hidden = new Set(), toPin = new THREE.Raycaster();
+  let settled = 0;
+  function occluded() {
+    hidden.clear();
+    for (const {side, place, pin} of pins) {
+      const at = new THREE.Vector3(...place), away = at.distanceTo(camera.position);
+      toPin.set(camera.position, at.sub(camera.position).normalize());
+      toPin.far = away - 0.03;
+      if (toPin.intersectObject(sides[side].mesh).length) hidden.add(pin);
+    }
+    labels();
   }
 
   // Turn to a place so that it faces the eye, and come closer.
