@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 import threading
+from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from cagemap.cli.console import set_verbosity, tolerate_odd_names
+from cagemap.cli.console import say, set_verbosity, tolerate_odd_names
 from cagemap.errors import CagemapError, ParameterError, explained
 from cagemap.numerics.process import set_up_process
 
+# What `cagemap --help` writes, as text: typer and all requests cost 0.2 s. A test compares; it says how to renew it.
+HELP = Path(__file__).with_name("help.txt")
 WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
 
 
@@ -62,6 +66,9 @@ def main() -> None:
 
 def _run() -> None:
     try:
+        if sys.argv[1:] in (["--help"], ["-h"]) and shutil.get_terminal_size().columns >= 80:
+            say(HELP.read_text(encoding="utf-8").rstrip("\n"), always=True)
+            raise SystemExit(0)
         from cagemap.cli.app import app  # here, so that Ctrl-C while commands are loaded is no traceback
 
         _require_words(sys.argv[1:])

@@ -8,8 +8,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from pydantic import Field, TypeAdapter, ValidationError
-
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.text import require_file
 from cagemap.tasks.requests.options import Option
@@ -30,7 +28,7 @@ class Setting:
     field : str
         Of the request.
     kind : type
-        With its bounds, as pydantic knows them.
+        Without its bounds, which are the option's.
     option : Option
         Its words; its names are those that it had as an option of its own.
     """
@@ -49,10 +47,16 @@ def settings_of(request: type) -> dict[str, Setting]:
         kind, *said = get_args(hints[field.name]) if get_origin(hints[field.name]) is Annotated else (None,)
         option = next((one for one in said if isinstance(one, Option) and one.setting), None)
         if option is not None and field.name != _PARAMETERS:
-            bounded = kind if option.min is None else Annotated[kind, Field(ge=option.min)]
             name = setting_name(field.name)
-            found[name] = Setting(name, field.name, bounded, option)
+            found[name] = Setting(name, field.name, kind, option)
     return found
+
+
+def bounded(setting: Setting) -> Any:
+    """A setting's type with its bounds, as pydantic knows them."""
+    from pydantic import Field
+
+    return setting.kind if setting.option.min is None else Annotated[setting.kind, Field(ge=setting.option.min)]
 
 
 def setting_name(field: str) -> str:
@@ -86,6 +90,10 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     FormatError
         If a file cannot be read.
     """
+    if not words:
+        return {}
+    from pydantic import TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
+
     known = settings_of(request)
     found: dict[str, Any] = {}
     parameters: dict[str, str] = {}
@@ -101,7 +109,9 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
         setting = known[name]
         several = get_origin(setting.kind) is tuple
         try:
-            made = TypeAdapter(setting.kind).validate_python((value,) if several and isinstance(value, str) else value)
+            made = TypeAdapter(bounded(setting)).validate_python(
+                (value,) if several and isinstance(value, str) else value
+            )
         except ValidationError as error:
             raise ParameterError(f"--set {name}: {error.errors()[0]['msg']}, got '{value}'.") from None
         found[setting.field] = (*found.get(setting.field, ()), *made) if several else made
