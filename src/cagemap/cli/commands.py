@@ -80,10 +80,10 @@ def wrap(request: WrapRequest, stages: Stages) -> Outcome:
 @asks(ReportRequest)
 @in_stages
 def report(request: ReportRequest, stages: Stages) -> Outcome:
-    """Write one HTML page: pictures, and quality in plain words.
+    """Write one HTML page: both models turning, and a verdict in words.
 
-    Both surfaces in the same views, the map as colours, what was made with it. The page needs nothing beside it: mail
-    it, print it.
+    Models coloured by the map, marks where to look, what was made with it. The page needs no other file or network:
+    mail it, print it.
     """
     from cagemap.tasks.report import run_report
 

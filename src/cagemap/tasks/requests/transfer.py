@@ -45,7 +45,7 @@ class TransferRequest:
     ] = False
     filter: Annotated[
         str,
-        Option(help="Reading of enlarged images: smooth, linear, or nearest for labels."),
+        Option(help="Sampling of enlarged images: smooth, linear, or nearest for labels."),
         OneOf(("smooth", "linear", "nearest")),
     ] = "smooth"
     attribute: Annotated[
