@@ -71,6 +71,7 @@ def screenshot(page: Path, width: int, height: int, scale: float) -> Image:
         picture = Path(folder) / "page.png"
         size = f"--window-size={width},{height}", f"--force-device-scale-factor={scale}"
         command = ["chromium", "--headless=new", "--no-sandbox", "--hide-scrollbars", *size, f"--screenshot={picture}"]
+        command += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--virtual-time-budget=10000"]
         subprocess.run([*command, page.resolve().as_uri()], check=True, capture_output=True)
         return read_image(picture).pixels[..., :3]
 
@@ -125,7 +126,7 @@ def main(folder: Path) -> None:
     save("tutorial_weights", draw(pony, weights_of(folder / "pony_weights.csv", source)), draw(deer, carried))
     wrapped = refine(read_mesh(folder / "deer_as_pony.obj"), 3)
     save("tutorial_wrap", draw_wired(target.refinement), draw_wired(wrapped), draw(pony))
-    save("tutorial_report", screenshot(folder / "report.html", 1100, 760, 0.8))
+    save("tutorial_report", screenshot(folder / "report.html", 1180, 720, 0.8))
 
 
 def _landmarks(result: MatchResult) -> tuple[tuple[Surface, CagePoints], ...]:
