@@ -4,7 +4,8 @@
   const canvas = root.querySelector('canvas');
   const scene = JSON.parse(document.getElementById('models').textContent);
   const SIDES = ['source', 'target'];
-  const FRAME_BUDGET = 30;  // milliseconds; slower machines get fewer pixels while the models move
+  const FRAME_BUDGET = 33;  // milliseconds; slower machines get fewer triangles, then fewer pixels, while models move
+  const CELLS = 44;  // of the grid that makes triangles fewer, along the unit ball
 
   let renderer;
   try {
@@ -199,7 +200,7 @@
     resolution(ratio);
   }
 
-  let ratio = Math.min(window.devicePixelRatio || 1, 2), lowest = ratio;
+  const ratio = Math.min(window.devicePixelRatio || 1, 2);
   function resolution(value) {
     const {clientWidth: width, clientHeight: height} = canvas;
     renderer.setPixelRatio(value);
@@ -219,8 +220,10 @@
     labels();
   }
 
-  // Frames are drawn only when something has changed; slow ones with fewer pixels until all is still.
-  let waiting = false, still = 0, slow = 0, last = 0;
+  const hidden = new Set();  // pins
+
+  // Frames are drawn only when something has changed. Slow machines draw fewer triangles and pixels while models move.
+  let waiting = false, turned = false, still = 0, slow = 0, last = 0, weak = false, coarse = false;
   function changed() {
     if (waiting) return;
     waiting = true;
@@ -228,19 +231,78 @@
   }
   function frame(now) {
     waiting = false;
-    const moving = controls.update();
+    const moving = controls.update() || turned;
+    turned = false;
+    if (moving && weak && !coarse) {
+      detail(true);
+      resolution(ratio / 1.5);
+    }
     draw();
-    if (last && moving && now - last > FRAME_BUDGET && now - last < 1000) slow++; else slow = 0;
+    slow = last && moving && now - last > FRAME_BUDGET && now - last < 2000 ? slow + 1 : 0;
     last = moving ? now : 0;
-    clearTimeout(still);
-    if (slow >= 3 && renderer.getPixelRatio() > 0.5) { slow = 0; resolution(Math.max(0.5, renderer.getPixelRatio() / 1.5)); }
-    if (renderer.getPixelRatio() < ratio) still = setTimeout(() => resolution(ratio), 250);
-    if (moving) changed();
+    if (slow >= 3 && !weak) {
+      weak = true;
+      controls.enableDamping = false;
+    }
     hidden.clear();
-    clearTimeout(settled);
-    if (pins.length) settled = setTimeout(occluded, 150);
+    clearTimeout(still);
+    still = setTimeout(rest, 200);
   }
-  controls.addEventListener('change', changed);
+  function rest() {
+    if (waiting) return;
+    if (coarse) {
+      detail(false);
+      resolution(ratio);
+    } else occluded();
+  }
+
+  // Vertices of one cell of a grid become one place, with a copy for each part of the texture.
+  function thinned({geometry, triangles}) {
+    const p = geometry.getAttribute('position').array, uv = geometry.getAttribute('uv').array;
+    const places = new Map(), copies = new Map(), of = new Uint32Array(p.length / 3), own = [], first = [], kept = [];
+    const cell = value => Math.floor((value + 2) * CELLS / 2) & 255, part = value => Math.round(value * 6) & 15;
+    for (let i = 0; i < of.length; i++) {
+      const at = (cell(p[3 * i]) << 16) | (cell(p[3 * i + 1]) << 8) | cell(p[3 * i + 2]);
+      const key = at * 256 + part(uv[2 * i]) * 16 + part(uv[2 * i + 1]);
+      if (!places.has(at)) places.set(at, i);
+      if (!copies.has(key)) {
+        copies.set(key, own.length);
+        own.push(i);
+        first.push(places.get(at));
+      }
+      of[i] = copies.get(key);
+    }
+    for (let t = 0; t < triangles.length; t += 3) {
+      const [a, b, c] = [of[triangles[t]], of[triangles[t + 1]], of[triangles[t + 2]]];
+      if (first[a] !== first[b] && first[b] !== first[c] && first[c] !== first[a]) kept.push(a, b, c);
+    }
+    const small = new THREE.BufferGeometry();
+    small.setIndex(new THREE.BufferAttribute(new Uint32Array(kept), 1));
+    for (const [name, {array, itemSize, normalized}] of Object.entries(geometry.attributes)) {
+      const from = name === 'uv' || name === 'tint' ? own : first, values = new array.constructor(itemSize * own.length);
+      from.forEach((v, i) => { for (let c = 0; c < itemSize; c++) values[itemSize * i + c] = array[itemSize * v + c]; });
+      small.setAttribute(name, new THREE.BufferAttribute(values, itemSize, normalized));
+    }
+    return small;
+  }
+  function detail(low) {
+    if (coarse === low) return;
+    coarse = low;
+    for (const side of Object.values(sides)) {
+      if (low) side.thin ??= thinned(side);
+      side.mesh.geometry = low ? side.thin : side.geometry;
+    }
+  }
+  function renewed() {  // another look or shape
+    for (const side of Object.values(sides)) {
+      side.mesh.geometry = side.geometry;
+      side.thin?.dispose();
+      side.thin = null;
+    }
+    coarse = false;
+    resolution(ratio);
+  }
+  controls.addEventListener('change', () => { turned = true; changed(); });
 
   // Numbers on the models.
   const layer = root.querySelector('.layer'), v = new THREE.Vector3();
@@ -286,8 +348,7 @@
   }
 
   // Once all is still, pins behind other parts of their model are found.
-  const hidden = new Set(), toPin = new THREE.Raycaster();
-  let settled = 0;
+  const toPin = new THREE.Raycaster();
   function occluded() {
     hidden.clear();
     for (const {side, place, pin} of pins) {
@@ -337,7 +398,7 @@
       }
     }
     legend.textContent = look.legend;
-    changed();
+    renewed();
   }
   root.querySelectorAll('input[name=look]').forEach(input =>
     input.addEventListener('change', () => showLook(Number(input.value))));
@@ -353,9 +414,9 @@
       geometry.getAttribute('position').copyArray(spread(positions, 3, copies, n)).needsUpdate = true;
       geometry.getAttribute('normal').copyArray(spread(normals(positions, triangles, copies, n), 3, copies, n)).needsUpdate = true;
       geometry.computeBoundingSphere();
-      dotsShown();
     }
-    changed();
+    dotsShown();
+    renewed();
   }
   moved.addEventListener?.('change', () => showShape(Number(moved.value)));
 
@@ -451,12 +512,13 @@
   canvas.addEventListener('keydown', event => {
     if (event.ctrlKey || event.metaKey || event.altKey || !KEYS[event.key]) return;
     event.preventDefault();
+    root.classList.remove('pointed');
     KEYS[event.key]();
   });
   // The wheel scrolls the page until the models are clicked.
   canvas.addEventListener('focus', () => { controls.enableZoom = true; });
   canvas.addEventListener('blur', () => { controls.enableZoom = false; });
-  canvas.addEventListener('pointerdown', () => canvas.focus());
+  canvas.addEventListener('pointerdown', () => { root.classList.add('pointed'); canvas.focus(); });
   root.querySelectorAll('button[data-view]').forEach(button =>
     button.addEventListener('click', () => lookFrom(...VIEWS[button.dataset.view])));
   document.querySelectorAll('button[data-mark]').forEach(button => button.addEventListener('click', () => {
@@ -478,14 +540,20 @@
   dotted && dotsShown();
 
   // For tests and the curious: the mean time of a frame while the models turn, in milliseconds.
-  root.frameTime = (frames = 30) => {
-    const gl = renderer.getContext(), pixel = new Uint8Array(4), begin = performance.now();
-    for (let i = 0; i < frames; i++) {
+  root.frameTime = (frames = 30, low = false) => {
+    const gl = renderer.getContext(), pixel = new Uint8Array(4);
+    detail(low);
+    const once = () => {
       turn(2 * Math.PI / frames, 0);
       draw();
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);  // waits until all is drawn
-    }
-    return (performance.now() - begin) / frames;
+    };
+    once();
+    const begin = performance.now();
+    for (let i = 0; i < frames; i++) once();
+    const time = (performance.now() - begin) / frames;
+    detail(false);
+    return {time, triangles: renderer.info.render.triangles};
   };
   root.dataset.ready = 'yes';
 })();
