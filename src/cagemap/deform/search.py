@@ -27,7 +27,7 @@ def search(problem: Problem, progress: Progress = silent) -> tuple[Placement, ..
     posed otherwise, limbs may be turned (`multi_start`). Elsewhere no joint needs the soft stage, and the stiff one
     spreads the strain more evenly.
     """
-    progress("functional map")
+    progress("first alignment")
     elastic, graph = problem.prepared.elastic, problem.shape.rest.graph
     config, stiff = elastic.search, problem.stiff
     # The start from the landmarks is another one in the stiff stage: differentials are smoothed over its length.
