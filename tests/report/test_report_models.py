@@ -182,6 +182,7 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
         (2, TARGET, 5),
         (2, SOURCE, 5),
     ]
+    assert models.looks[-1].name == "Other answer"
     page = build_page(unsure, draw_gallery(unsure, size=(30, 20)), (), models)
     assert "at mark 1 decides" in page
     assert "away from its mark" in page

@@ -12,7 +12,9 @@ import cagemap
 SOURCE = Path(cagemap.__file__).parent
 SHOWN = ("cli", "report", "studio")
 STAGES = {"progress", "stages", "tell"}
-INNER = re.compile(r"hypothes|projection|coarse fit|\breading\b(?! the)|\breadings\b|suspects", re.IGNORECASE)
+INNER = re.compile(
+    r"hypothes|projection|coarse fit|\breading\b(?! the)|\breadings\b|suspect|anisotrop|stretch energy", re.IGNORECASE
+)
 
 
 def texts(tree: ast.Module) -> Iterator[str]:

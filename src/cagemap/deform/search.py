@@ -38,7 +38,7 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
         Places on the source of the coarse shape's vertices, instead of the spectral map. It alone counts where there
         are fewer than two landmarks.
     """
-    progress("functional map")
+    progress("first alignment")
     elastic, graph = problem.prepared.elastic, problem.shape.rest.graph
     config, stiff = elastic.search, problem.stiff
     # The start from the landmarks is another one in the stiff stage: differentials are smoothed over its length.

@@ -30,7 +30,7 @@ _COLUMNS = (
     ("folded %", "flipped_area", 100.0, "{:.2f}"),
     ("covered %", "coverage", 100.0, "{:.1f}"),
     ("landmarks missed %", "landmark_error_mean", 100.0, "{:.2f}"),
-    ("stretch energy", "dirichlet", 1.0, "{:.2f}"),
+    ("stretch", "dirichlet", 1.0, "{:.2f}"),
     ("trusted %", "trusted_area", 100.0, "{:.1f}"),
 )
 

@@ -164,15 +164,21 @@ def _mask_jobs(result: MatchResult) -> list[_Job]:
     return [(view, skins[0], skins[1], False) for view in (FRONT, BACK)]
 
 
-def _answer_jobs(result: MatchResult) -> list[_Job]:
-    """The runner-up as colours and its distance from the map; nothing where the answer is sure or none is known."""
+def runner_up_image(result: MatchResult) -> FloatArray | None:
+    """(n1, 3) where the next best answer puts every target vertex; None where the answer is sure or none is known."""
     others = result.runner_up_images
     if result.confidence is None or result.confidence.verdict == SURE or not len(others):
+        return None
+    refinement, found = result.target.refinement, result.image()
+    return np.asarray(found + refinement.prolong(others[0] - found[: others.shape[1]], 0, refinement.n_levels))
+
+
+def _answer_jobs(result: MatchResult) -> list[_Job]:
+    """The runner-up as colours and its distance from the map; nothing where the answer is sure or none is known."""
+    image, vertices = runner_up_image(result), result.source.vertices
+    if image is None:
         return []
-    refinement, vertices = result.target.refinement, result.source.vertices
-    found = result.image()
-    moved = refinement.prolong(others[0] - found[: others.shape[1]], 0, refinement.n_levels)
-    image, apart = found + moved, np.linalg.norm(moved, axis=1) * result.source.scale
+    apart = np.linalg.norm(image - result.image(), axis=1) * result.source.scale
     skins = [
         Skin(vertex_colors=colors)
         for colors in (

@@ -8,8 +8,8 @@ import numpy as np
 
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures import distinct_colors, sample_texture, scalar_colors, to_display
-from cagemap.report.figures import Pixels, for_display
+from cagemap.pictures import distinct_colors, position_colors, sample_texture, scalar_colors, to_display
+from cagemap.report.figures import Pixels, for_display, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
 from cagemap.report.rig_panels import NOTHING, Rides, refined_wrap
@@ -76,6 +76,15 @@ def report_models(
             kind="doubt",
         ),
     ]
+    other = runner_up_image(result)
+    if other is not None:
+        shown = [
+            position_colors(places, result.source.vertices)
+            for places in (result.source.vertices[source.vertices], other[target.vertices])
+        ]
+        looks.append(
+            Look("Other answer", "As Places, of the next best answer: is it the right one?", shown[0], shown[1])
+        )
     if result.masks.any:
         own, joint = result.masks.of_source(len(result.source.vertices)), result.masks.joint(result.point_map)
         shown = [scalar_colors(values, 0.0, 1.0) for values in (own[source.vertices], joint[target.vertices])]

@@ -29,7 +29,7 @@ from cagemap.report.verdicts import explain, overall, sentence
 # Of one texture, as JPEG: two of them leave room for the models in a page of 5 MB.
 MAX_TEXTURE_BYTES = 700_000
 
-_STYLE, _VIEWER, _THREE = "style.css", "viewer.js", "three/three.min.js"
+_STYLE, _SCRIPTS = "style.css", ("three/three.min.js", "arrays.js", "viewer.js")
 _QUALITY = 90  # of JPEG pictures
 
 
@@ -130,7 +130,7 @@ def _scripts(models: Models, result: MatchResult) -> str:
     return (
         f'<script type="application/json" id="models">{described}</script>\n'
         f'<script type="text/plain" id="models-data">{arrays}</script>\n'
-        f"<script>\n{_resource(_THREE)}</script>\n<script>\n{_resource(_VIEWER)}</script>\n"
+        + "".join(f"<script>\n{_resource(name)}</script>\n" for name in _SCRIPTS)
     )
 
 

@@ -131,17 +131,16 @@ _FIGURES: list[_Figure] = [
     ),
     (
         lambda q: _get(q, "dirichlet"),
-        "Stretch energy",
+        "Stretch",
         "{:.2f}".format,
-        "1 for a map that keeps all lengths; pairs of different proportions lie higher. Beside equal pairs, lower is "
-        "smoother.",
+        "1 for a map that keeps all lengths; models of different proportions have more. Lower is smoother.",
         2.0,
         10.0,
-        "it stretches strongly (stretch energy {})",
+        "it stretches strongly ({}; 1 keeps all lengths)",
     ),
     (
         lambda q: _get(q, "aspect_ratio_percentiles", "50"),
-        "Typical anisotropy",
+        "Typical distortion",
         lambda x: f"{x:.2f} : 1",
         "How much longer than wide a small circle becomes, in the middle half of the surface.",
         2.0,

@@ -190,7 +190,7 @@ def checked_map(
         note = f"{count} landmark pairs are too few to tell a wrong one; {FEWEST_JUDGED} or more are checked"
         found, ends = elastic_map(problem, progress)
         return found, LandmarkCheck(notes=(note,)), ends
-    progress("landmark distances")
+    progress("compare landmarks")
     distances = _distances(problem)
     accused, notes = accused_pairs(problem, distances), list[str]()
     if accused is None:
@@ -199,7 +199,7 @@ def checked_map(
     if left_out and grown_together(pair):
         left_out, notes = set(), [kept_note(accused, names, GROWN)]
     if left_out:
-        progress("map without suspect landmarks")
+        progress("map without doubtful landmarks")
         trusted = problem.without(left_out)
         costs = coarse_map_cost(problem), coarse_map_cost(trusted)
         if costs[0] < max(SLIP[evidence] for evidence in accused.values()) * costs[1]:
@@ -210,7 +210,7 @@ def checked_map(
         left_out -= confirmed
         trusted = problem.without(left_out)
         current, ends = elastic_map(trusted, progress)
-    progress("landmark strain")
+    progress("test landmarks on the map")
     kept = np.setdiff1d(np.arange(count), list(left_out))
     energy, places = strain(trusted, current)
     strains = np.zeros(count)
