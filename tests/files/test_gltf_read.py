@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -347,3 +348,9 @@ def test_draco(shared_data: Path) -> None:
         np.testing.assert_allclose(one.mesh.positions.max(axis=0), other.mesh.positions.max(axis=0), atol=1e-4)
         assert list(one.shapes) == list(other.shapes)
     assert "KHR_draco" not in json.dumps(read_document(place / "foreign" / "mh_male_young_draco.glb").json)
+
+
+def test_draco_without_its_library(monkeypatch: pytest.MonkeyPatch, shared_data: Path) -> None:
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    with pytest.raises(FormatError, match=r"cagemap\[draco\].*gltf-transform"):
+        read_document(shared_data / "characters" / "foreign" / "mh_male_young_draco.glb")
