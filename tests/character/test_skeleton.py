@@ -77,3 +77,13 @@ def test_axes_along_bones_stay_along_bones() -> None:
         np.testing.assert_allclose(carried.bind[joint, 1, :3], along / np.linalg.norm(along), atol=1e-12)
         np.testing.assert_allclose(np.linalg.det(carried.bind[joint, :3, :3]), 1, atol=1e-12)
     np.testing.assert_allclose(to_world(carried.local, carried.parents), carried.bind, atol=1e-12)
+
+
+def test_rigs_of_one_frame_keep_it() -> None:
+    still, other = (
+        body_moved(*STILL),
+        body_moved(1.0, np.array([(1.4, 0.3, 0.0), (0.0, 0.8, 0.2), (0.0, 0.0, 1.0)]), np.zeros(3)),
+    )
+    carried = carry_rig(replace(other, images=still.images), person(one_frame=True))
+    assert np.abs(carried.heads - person().heads).max() > 0.05
+    np.testing.assert_array_equal(carried.bind[:, :3, :3], np.tile(np.eye(3), (len(carried.names), 1, 1)))
