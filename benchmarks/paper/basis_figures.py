@@ -34,7 +34,7 @@ def figure_3() -> Drawn:
         axes[0, level].imshow(picture(mesh.positions, triangles, np.full((mesh.n_vertices, 3), 0.75)))
         axes[0, level].set_title(f"level {level}: {mesh.n_vertices:,} vertices")
         axes[0, level].axis("off")
-        axes[1, level].spy(stiffness, markersize=0.05)
+        axes[1, level].spy(stiffness, markersize=0.05, rasterized=True)  # a dot an entry: no vectors
         axes[1, level].set_xticks([])
         axes[1, level].set_yticks([])
         sizes.append(stiffness.nnz / stiffness.shape[0])
@@ -62,7 +62,7 @@ def figure_4() -> Drawn:
     figure, axis = plt.subplots(figsize=(5, 3.5))
     for name, curve in curves.items():
         axis.plot(np.arange(1, 201), curve, label=name)
-    axis.set(xlabel="eigenvectors k", ylabel="mean error / norm", ylim=(0.4, 1.0))
+    axis.set(xlabel="number of eigenvectors k", ylabel="mean error / norm of the function", ylim=(0.4, 1.0))
     axis.legend()
     exact, prolonged = curves.values()
     gap = exact - prolonged
@@ -117,8 +117,10 @@ def figure_6() -> Drawn:
         axes[3].plot(np.arange(260, 300), ratio[259:299])
     axes[0].legend()
     axes[2].legend()
-    for axis, title in zip(axes, ("eigenvalues (unit area)", "", "ratios", ""), strict=True):
-        axis.set_title(title)
+    for axis, title in zip(axes, ("eigenvalues", "their end", "ratios", "their end"), strict=True):
+        axis.set(title=title, xlabel="number of the eigenvalue")
+    axes[0].set_ylabel("eigenvalue of unit area")
+    axes[2].set_ylabel("finer / coarser level")
     said = "; ".join(
         f"level {level + 1} / {level}: {ratio[99]:.3f}, {ratio[199]:.3f}, {ratio[298]:.3f}"
         for level, ratio in enumerate(ratios)
@@ -173,8 +175,9 @@ def figure_8() -> Drawn:
         ratio = ours / theirs
         for quantile, style in ((0.0, ":"), (0.05, "--"), (0.5, "-"), (0.95, "--"), (1.0, ":")):
             axis.semilogx(times, np.quantile(ratio, quantile, axis=0), style, color="C0")
-        axis.set(title=f"{name}, {schedule}", xlabel="t", ylim=(0.9, 1.1))
+        axis.set(title=f"{name}, {schedule}", xlabel="time t of unit area", ylim=(0.9, 1.1))
         axis.axhspan(0.98, 1.02, color="0.9")
+        axes[0].set_ylabel("heat kernel signature, ours / exact")
         away = abs(ratio - 1)
         beyond.append(100 * float(np.mean(away[:, 0] > 0.02)))
         first.append(float(away[:, 0].max()))

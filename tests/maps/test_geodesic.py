@@ -69,3 +69,22 @@ def test_truth_of_some_vertices_is_enough(sphere_map: PointMap) -> None:
     other = PointMap.from_vertices(*[TriangleSurface.from_faces(np.eye(3), np.array([[0, 1, 2]]))] * 2, np.arange(3))
     with pytest.raises(ParameterError, match="truth: expected points of TriangleSurface"):
         cagemap.geodesic_error(sphere_map, other)
+
+
+def test_distances_of_another_library(sphere_map: PointMap) -> None:
+    """Angles, which are exact on a sphere, from each true vertex."""
+    places = sphere_map.source.positions
+    radius = np.linalg.norm(places[0])
+    asked: list[int] = []
+
+    def angles(vertex: int) -> np.ndarray:
+        asked.append(vertex)
+        return radius * np.arccos(np.clip(places @ places[vertex] / radius**2, -1, 1))
+
+    truth = np.arange(sphere_map.target.n)[::-1]
+    found = cagemap.geodesic_error(sphere_map, truth, [3, 40], distances=angles)
+    images = sphere_map.nearest_vertices()[[3, 40]]
+    np.testing.assert_allclose(found, [angles(truth[3])[images[0]], angles(truth[40])[images[1]]])
+    assert sorted(asked[:2]) == sorted(truth[[3, 40]].tolist())
+    with pytest.raises(ParameterError, match=r"distances: expected \(\d+,\) from vertex"):
+        cagemap.geodesic_error(sphere_map, truth, [3], distances=lambda vertex: angles(vertex)[:5])

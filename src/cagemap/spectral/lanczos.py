@@ -12,9 +12,13 @@ from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization, Precision
 from cagemap.numerics.products import multiply
+from cagemap.numerics.threads import in_threads, parts
 from cagemap.spectral.config import SOLVER
 
 Block = NDArray[Any]  # (n, q), float64 or float32
+
+# Rows that a thread takes at a time.
+ROWS = 65_536
 
 
 def orthonormal_block(
@@ -132,10 +136,10 @@ def shift_invert_lanczos(
         # The recurrence couples a block to itself and the one before; what rounding leaves along older ones goes last.
         recent = slice(max(0, size - 2 * width), size)
         coefficients = np.zeros((size, width), dtype)
-        coefficients[recent] = mass_used[:, recent].T @ image
-        image -= used[:, recent] @ coefficients[recent]
-        correction = mass_used.T @ image
-        image -= used @ correction
+        coefficients[recent] = _products(mass_used[:, recent], image)
+        _subtract(image, used[:, recent], coefficients[recent])
+        correction = _products(mass_used, image)
+        _subtract(image, used, correction)
         coefficients += correction
         projected[:size, size - width : size] = coefficients
         block, mass_block, factor = orthonormal_block(image.astype(np.float64, copy=False), mass, rng, used, mass_used)
@@ -149,7 +153,7 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                return values[order], used @ rotation[:, chosen[order]].astype(dtype)
+                return values[order], _combined(used, rotation[:, chosen[order]].astype(dtype))
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(
@@ -158,3 +162,23 @@ def shift_invert_lanczos(
             )
         basis[:, size : size + width], mass_basis[:, size : size + width] = block, mass_block
         size += width
+
+
+def _products(basis: Block, block: Block) -> Block:
+    """(m, b) Q^T X of blocks with the same rows, some rows in each thread; one sum, whatever the threads."""
+    shares = in_threads(lambda part: basis[part].T @ block[part], parts(len(block), ROWS))
+    return np.asarray(sum(shares[1:], shares[0]))
+
+
+def _subtract(block: Block, basis: Block, coefficients: Block) -> None:
+    """X - Q C in place, some rows in each thread."""
+
+    def subtract(part: slice) -> None:
+        block[part] -= basis[part] @ coefficients
+
+    in_threads(subtract, parts(len(block), ROWS))
+
+
+def _combined(basis: Block, coefficients: Block) -> Block:
+    """(n, b) Q C, some rows in each thread."""
+    return np.vstack(in_threads(lambda part: basis[part] @ coefficients, parts(len(basis), ROWS)))

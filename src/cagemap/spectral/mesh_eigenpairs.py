@@ -12,10 +12,11 @@ from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import one_blas_thread, parts
+from cagemap.numerics.threads import in_threads, one_blas_thread, parts
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.config import SOLVER
 from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
+from cagemap.spectral.lanczos import ROWS
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -86,7 +87,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     mass = sparse.csr_array(sparse.diags_array(areas))
     # The iteration may be in single precision; the polishing below takes its rounding away.
     found = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
-    values, vectors = np.array(found.values), np.array(found.vectors, dtype=np.float64)
+    values, vectors = np.array(found.values), np.array(found.vectors, dtype=np.float64, order="C")
     shift = -4.0 * np.pi / float(areas.sum())
     shifted = None
     for _ in range(MAX_ITERATIONS):
@@ -97,9 +98,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
         for part in parts(k, COLUMNS):
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
-        # In ascending order every vector loses what inverse iteration has amplified in it of those below.
-        triangle = linalg.cholesky(vectors.T @ (areas[:, None] * vectors))
-        vectors = np.ascontiguousarray(linalg.solve_triangular(triangle, vectors.T, trans="T", overwrite_b=True).T)
+        _orthonormalise(vectors, areas)
         for part in parts(k, COLUMNS):
             some = vectors[:, part]
             values[part] = np.einsum("ij,ij->j", some, multiply(weights, some))
@@ -109,6 +108,21 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
     )
+
+
+def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
+    """M-orthonormal vectors (n, k) in place: in order, each loses what it has of those before it.
+
+    Inverse iteration has amplified the lower ones in each.
+    """
+    rows = parts(len(vectors), ROWS)
+    shares = in_threads(lambda part: vectors[part].T @ (areas[part, None] * vectors[part]), rows)
+    turn = linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0]))))
+
+    def orthonormalise(part: slice) -> None:
+        vectors[part] = vectors[part] @ turn
+
+    in_threads(orthonormalise, rows)
 
 
 def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
