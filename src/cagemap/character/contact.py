@@ -1,0 +1,155 @@
+"""Contact of a carried passenger with the body: what was outside stays outside, and the body stays below."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.character.body_frames import BodyFrames, neighbor_means
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import normalized, row_lengths
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """Numbers of `push_out`; lengths in units of sqrt(area). What was tried: docs/lab/passengers.md."""
+
+    share: float = 0.5  # least share of its height over the source that a point keeps over the target
+    reach: float = 0.03  # passenger and body further apart than this do not touch
+    above: float = 0.5  # least cosine of the body's normal with the way to the passenger above it
+    facing: float = 0.3  # least cosine of the body's normal with that of the anchor
+    rounds: int = 12
+    spreading: int = 4  # rounds in which a push spreads to neighbouring vertices
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """What touches what: vertices over the body, and vertices of the body below the passenger.
+
+    Attributes
+    ----------
+    outside : (k,) int64
+        Passenger vertices over the source.
+    ways : (k, 3) float64
+        Unit directions away from the target at them.
+    floors : (k,) float64
+        Least heights over the target.
+    covered : (c,) int64
+        Vertices of the target's body that the passenger covers.
+    corners, barycentric : (c, 3)
+        Point of the passenger over each.
+    gaps : (c,) float64
+        Least heights of these points over them.
+    """
+
+    outside: IndexArray
+    ways: FloatArray
+    floors: FloatArray
+    covered: IndexArray
+    corners: IndexArray
+    barycentric: FloatArray
+    gaps: FloatArray
+
+    @classmethod
+    def find(
+        cls,
+        frames: BodyFrames,
+        points: FloatArray,
+        triangles: IndexArray,
+        normals: FloatArray,
+        linear: FloatArray,
+        config: ContactConfig = ContactConfig(),
+    ) -> Contact:
+        """Contact on the source.
+
+        Parameters
+        ----------
+        frames : BodyFrames
+        points : (n, 3) float64
+            Vertices of the passenger in the source's unit.
+        triangles : (t, 3) int64
+        normals : (n, 3) float64
+            Of the source at their closest points.
+        linear : (n, 3, 3) float64
+            Affine maps from source to target around them.
+        config : ContactConfig
+        """
+        heights, _, _ = _heights(frames.point_map.source, points, normals, config)
+        outside = np.flatnonzero((heights > 0) & (heights < config.reach))
+        ways = normalized(np.einsum("nd,nde->ne", normals, linear))[outside]
+        images, upward = frames.point_map.images.positions, frames.source_normals
+        low, high = points.min(axis=0) - config.reach, points.max(axis=0) + config.reach
+        body = np.flatnonzero(((images > low) & (images < high)).all(axis=1))
+        triangle, barycentric, distance = closest_points(
+            build_tree(points, triangles), images[body], within=config.reach
+        )
+        corners = triangles[triangle]
+        over = np.einsum("nc,ncd->nd", barycentric, points[corners]) - images[body]
+        gaps = np.einsum("nd,nd->n", over, upward[body])
+        kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.above * distance))
+        return cls(
+            outside, ways, config.share * heights[outside],
+            body[kept], corners[kept], barycentric[kept], config.share * gaps[kept],
+        )  # fmt: skip
+
+
+def push_out(
+    target: TriangleSurface,
+    contact: Contact,
+    places: FloatArray,
+    triangles: IndexArray,
+    config: ContactConfig = ContactConfig(),
+) -> FloatArray:
+    """Places (n, 3) in the target's unit, moved away from its body until all are as high as the contact asks for.
+
+    A push spreads to the passenger's vertices around, and fades with each step.
+    """
+    below, upward = target.positions[contact.covered], target.vertex_normals[contact.covered]
+    squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
+    means, guess = neighbor_means(triangles, len(places)), None
+    for _ in range(config.rounds):
+        heights, feet_normals, guess = _heights(target, places[contact.outside], contact.ways, config, guess)
+        own = np.maximum(contact.floors - heights, 0.0)  # not where nothing is near: heights are infinite
+        over = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - below
+        lacking = np.maximum(contact.gaps - np.einsum("nd,nd->n", over, upward), 0.0)
+        rows = np.flatnonzero(lacking)
+        if not len(rows) and not own.any():
+            break
+        shares = contact.barycentric[rows] / squared[rows, None]
+        moves = (lacking[rows, None] * shares)[:, :, None] * upward[rows, None]
+        corners, weights = contact.corners[rows].ravel(), contact.barycentric[rows].ravel()
+        total = np.bincount(corners, weights, minlength=len(places))[:, None]
+        push = grouped_sums(corners, weights[:, None] * moves.reshape(-1, 3), len(places)) / np.where(total, total, 1.0)
+        push[contact.outside] = _longer(own[:, None] * feet_normals, push[contact.outside])
+        for _ in range(config.spreading):
+            push = _longer(push, means @ push)
+        places = places + push
+    return places
+
+
+def _heights(
+    surface: TriangleSurface,
+    points: FloatArray,
+    normals: FloatArray,
+    config: ContactConfig,
+    guess: IndexArray | None = None,
+) -> tuple[FloatArray, FloatArray, IndexArray]:
+    """Signed distances (m,) from the closest points that face as the normals do, normals there, and triangles.
+
+    Infinite where there is none in reach.
+    """
+    triangle, barycentric, distance = closest_points(
+        surface.tree, points, normals, minimum_cosine=config.facing, within=2.0 * config.reach, guess=guess
+    )
+    corners = surface.triangles[triangle]
+    feet = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
+    upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
+    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward, triangle
+
+
+def _longer(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(n, 3) the longer of two vectors, row by row."""
+    return np.where((row_lengths(first) >= row_lengths(second))[:, None], first, second)

@@ -1,0 +1,110 @@
+"""Passengers: clothes, shoes, eyes, teeth, hair and props that follow a body along a finished map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.character.body_frames import BodyFrames
+from cagemap.character.contact import Contact, push_out
+from cagemap.character.passenger_pieces import KINDS, Kind, find_pieces, keep_shape
+from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.rotations import nearest_rotations
+from cagemap.surface.triangles import fan_triangles
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedPassenger:
+    """A passenger where it belongs on the target.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+        In the target's file units.
+    linear : (n, 3, 3) float64
+        How offsets (as rows) change around every vertex: a rotation times a scale, in file units.
+    """
+
+    positions: FloatArray
+    linear: FloatArray
+
+    def carry_offsets(self, offsets: FloatArray) -> FloatArray:
+        """Offsets (n, 3) of a shape of the passenger, turned and scaled as its surroundings are."""
+        if np.shape(offsets) != self.positions.shape:
+            raise ParameterError(f"expected offsets {self.positions.shape}, one a vertex, got {np.shape(offsets)}")
+        return np.asarray(np.einsum("nd,nde->ne", offsets, self.linear))
+
+
+def carry_passenger(found: PointMap | MatchResult, mesh: ControlMesh, *, kind: Kind | None = None) -> CarriedPassenger:
+    """Carry one mesh that sits on the source's body to the target's body; see `carry_passengers`."""
+    return carry_passengers(found, [mesh], kinds=None if kind is None else {mesh.name: kind})[0]
+
+
+def carry_passengers(
+    found: PointMap | MatchResult, meshes: Sequence[ControlMesh], *, kinds: Mapping[str, Kind] | None = None
+) -> list[CarriedPassenger]:
+    """Carry meshes that sit on the source's body to the target's body.
+
+    Cloth follows the surface below it at its old distance; small compact pieces (eyeballs, buttons, teeth) and pieces
+    far away keep their shape. Points outside the source's body end outside the target's.
+
+    Parameters
+    ----------
+    found : PointMap or MatchResult
+        From the target to the source.
+    meshes : sequence of ControlMesh
+        In the file units of the source.
+    kinds : mapping of str to {'cloth', 'rigid', 'similarity'}, optional
+        By the name of a mesh: all of it follows the surface, or every connected piece keeps its shape, with the
+        whole body's change of size ('rigid') or with that of its surroundings ('similarity').
+
+    Returns
+    -------
+    list of CarriedPassenger
+        One for each mesh.
+
+    Raises
+    ------
+    ParameterError
+        If a mesh has no faces or a place that is not finite, or a kind is unknown.
+    """
+    point_map = found.point_map if isinstance(found, MatchResult) else found
+    kinds = dict(kinds or {})
+    for mesh in meshes:
+        _require_passenger(mesh)
+    for name, kind in kinds.items():
+        if kind not in KINDS:
+            raise ParameterError(f"{name}: expected cloth, rigid or similarity, got {kind!r}")
+        if name not in {mesh.name for mesh in meshes}:
+            raise ParameterError(f"{name}: expected one of the passengers, {', '.join(mesh.name for mesh in meshes)}")
+    frames = BodyFrames(point_map)
+    return [_carried(frames, mesh, kinds.get(mesh.name)) for mesh in meshes]
+
+
+def _carried(frames: BodyFrames, mesh: ControlMesh, kind: Kind | None) -> CarriedPassenger:
+    source, target = frames.point_map.source, frames.point_map.target
+    points = mesh.positions * source.scale
+    anchors = frames.anchors(points)
+    places, linear = frames.carry(points, anchors)
+    pieces = find_pieces(mesh, points, anchors.heights, kind)
+    triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
+    contact = Contact.find(frames, points, triangles, anchors.normals, linear)
+    places = push_out(target, contact, places, triangles)
+    places = keep_shape(pieces, points, places, linear)
+    turns = nearest_rotations(linear)
+    scale = np.cbrt(np.abs(np.linalg.det(linear)))[:, None, None] * (source.scale / target.scale)
+    return CarriedPassenger(places / target.scale, scale * turns)
+
+
+def _require_passenger(mesh: ControlMesh) -> None:
+    if mesh.n_faces == 0 or mesh.n_vertices == 0:
+        raise ParameterError(f"{mesh.name}: expected a passenger with faces, got none. Leave it out.")
+    if not np.isfinite(mesh.positions).all():
+        bad = np.flatnonzero(~np.isfinite(mesh.positions).all(axis=1))
+        raise ParameterError(f"{mesh.name}: expected finite positions, got others at vertices {bad[:5]}")
