@@ -132,10 +132,12 @@ class BodyFrames:
         cosines = np.einsum("nkd,nd->nk", self.source_normals[near], anchors.normals)
         weights *= np.clip((cosines - config.facing) / (1.0 - config.facing), 1e-9, 1.0)
         weights /= weights.sum(axis=1, keepdims=True)
-        frames = self.linear[near]
-        offsets = points[:, None] - point_map.images.positions[near]
-        places = point_map.target.positions[near] + np.einsum("nkd,nkde->nke", offsets, frames)
-        return np.einsum("nk,nkd->nd", weights, places), np.einsum("nk,nkde->nde", weights, frames)
+        starts = np.arange(0, near.size + 1, count)
+        mean = sparse.csr_array((weights.ravel(), near.ravel(), starts), shape=(len(points), point_map.target.n))
+        images, linear = point_map.images.positions, self.linear
+        shifts = point_map.target.positions - np.einsum("nd,nde->ne", images, linear)
+        frames = (mean @ linear.reshape(-1, 9)).reshape(-1, 3, 3)
+        return np.asarray(mean @ shifts + np.einsum("nd,nde->ne", points, frames)), frames
 
 
 def neighbor_means(corners: IndexArray, count: int) -> sparse.csr_array:

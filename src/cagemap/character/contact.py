@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.character.body_frames import BodyFrames, neighbor_means
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
@@ -21,6 +23,7 @@ class ContactConfig:
     reach: float = 0.03  # passenger and body further apart than this do not touch
     above: float = 0.5  # least cosine of the body's normal with the way to the passenger above it
     facing: float = 0.3  # least cosine of the body's normal with that of the anchor
+    tolerance: float = 1e-5
     rounds: int = 12
     spreading: int = 4  # rounds in which a push spreads to neighbouring vertices
 
@@ -58,42 +61,50 @@ class Contact:
         cls,
         frames: BodyFrames,
         points: FloatArray,
-        triangles: IndexArray,
+        meshes: Sequence[IndexArray],
         normals: FloatArray,
         linear: FloatArray,
         config: ContactConfig = ContactConfig(),
     ) -> Contact:
-        """Contact on the source.
+        """Contact on the source. Every mesh is over the body on its own, whatever lies between.
 
         Parameters
         ----------
         frames : BodyFrames
         points : (n, 3) float64
-            Vertices of the passenger in the source's unit.
-        triangles : (t, 3) int64
+            Vertices of all passengers in the source's unit.
+        meshes : sequence of (t, 3) int64
+            Triangles of each.
         normals : (n, 3) float64
             Of the source at their closest points.
         linear : (n, 3, 3) float64
             Affine maps from source to target around them.
         config : ContactConfig
         """
-        heights, _, _ = _heights(frames.point_map.source, points, normals, config)
+        heights, _ = _heights(frames.point_map.source, points, normals, config)
         outside = np.flatnonzero((heights > 0) & (heights < config.reach))
         ways = normalized(np.einsum("nd,nde->ne", normals, linear))[outside]
-        images, upward = frames.point_map.images.positions, frames.source_normals
-        low, high = points.min(axis=0) - config.reach, points.max(axis=0) + config.reach
-        body = np.flatnonzero(((images > low) & (images < high)).all(axis=1))
-        triangle, barycentric, distance = closest_points(
-            build_tree(points, triangles), images[body], within=config.reach
-        )
-        corners = triangles[triangle]
-        over = np.einsum("nc,ncd->nd", barycentric, points[corners]) - images[body]
-        gaps = np.einsum("nd,nd->n", over, upward[body])
-        kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.above * distance))
-        return cls(
-            outside, ways, config.share * heights[outside],
-            body[kept], corners[kept], barycentric[kept], config.share * gaps[kept],
-        )  # fmt: skip
+        covered = [_covered(frames, points, triangles, config) for triangles in meshes]
+        body, corners, barycentric, gaps = (np.concatenate(arrays) for arrays in zip(*covered, strict=True))
+        return cls(outside, ways, config.share * heights[outside], body, corners, barycentric, config.share * gaps)
+
+
+def _covered(
+    frames: BodyFrames, points: FloatArray, triangles: IndexArray, config: ContactConfig
+) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
+    """Vertices of the body below a mesh, corners and barycentric coordinates of the point over each, and heights."""
+    images, upward = frames.point_map.images.positions, frames.source_normals
+    used, own = np.unique(triangles, return_inverse=True)
+    own_points, own_triangles = points[used], own.reshape(-1, 3)
+    low, high = own_points.min(axis=0) - config.reach, own_points.max(axis=0) + config.reach
+    body = np.flatnonzero(((images > low) & (images < high)).all(axis=1))
+    triangle, barycentric, distance = closest_points(
+        build_tree(own_points, own_triangles), images[body], within=config.reach
+    )
+    over = np.einsum("nc,ncd->nd", barycentric, own_points[own_triangles[triangle]]) - images[body]
+    gaps = np.einsum("nd,nd->n", over, upward[body])
+    kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.above * distance))
+    return body[kept], triangles[triangle[kept]], barycentric[kept], gaps[kept]
 
 
 def push_out(
@@ -109,13 +120,17 @@ def push_out(
     """
     below, upward = target.positions[contact.covered], target.vertex_normals[contact.covered]
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
-    means, guess = neighbor_means(triangles, len(places)), None
+    means = neighbor_means(triangles, len(places))
+    moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
+    heights, upright = np.full(len(contact.outside), np.inf), np.zeros_like(contact.ways)
     for _ in range(config.rounds):
-        heights, feet_normals, guess = _heights(target, places[contact.outside], contact.ways, config, guess)
+        again = np.flatnonzero(moved[contact.outside])
+        heights[again], upright[again] = _heights(target, places[contact.outside[again]], contact.ways[again], config)
         own = np.maximum(contact.floors - heights, 0.0)  # not where nothing is near: heights are infinite
+        own[own < config.tolerance] = 0.0
         over = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - below
         lacking = np.maximum(contact.gaps - np.einsum("nd,nd->n", over, upward), 0.0)
-        rows = np.flatnonzero(lacking)
+        rows = np.flatnonzero(lacking > config.tolerance)
         if not len(rows) and not own.any():
             break
         shares = contact.barycentric[rows] / squared[rows, None]
@@ -123,10 +138,10 @@ def push_out(
         corners, weights = contact.corners[rows].ravel(), contact.barycentric[rows].ravel()
         total = np.bincount(corners, weights, minlength=len(places))[:, None]
         push = grouped_sums(corners, weights[:, None] * moves.reshape(-1, 3), len(places)) / np.where(total, total, 1.0)
-        push[contact.outside] = _longer(own[:, None] * feet_normals, push[contact.outside])
+        push[contact.outside] = _longer(own[:, None] * upright, push[contact.outside])
         for _ in range(config.spreading):
             push = _longer(push, means @ push)
-        places = places + push
+        places, moved = places + push, np.asarray(push.any(axis=1))
     return places
 
 
@@ -135,19 +150,18 @@ def _heights(
     points: FloatArray,
     normals: FloatArray,
     config: ContactConfig,
-    guess: IndexArray | None = None,
-) -> tuple[FloatArray, FloatArray, IndexArray]:
-    """Signed distances (m,) from the closest points that face as the normals do, normals there, and triangles.
+) -> tuple[FloatArray, FloatArray]:
+    """Signed distances (m,) from the closest points that face as the normals do, and the normals (m, 3) there.
 
     Infinite where there is none in reach.
     """
     triangle, barycentric, distance = closest_points(
-        surface.tree, points, normals, minimum_cosine=config.facing, within=2.0 * config.reach, guess=guess
+        surface.tree, points, normals, minimum_cosine=config.facing, within=2.0 * config.reach
     )
     corners = surface.triangles[triangle]
     feet = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
     upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
-    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward, triangle
+    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward
 
 
 def _longer(first: FloatArray, second: FloatArray) -> FloatArray:

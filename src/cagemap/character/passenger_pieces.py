@@ -91,10 +91,20 @@ def _near_pairs(centres: FloatArray, within: float) -> tuple[IndexArray, IndexAr
     return pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
 
 
-def keep_shape(pieces: Pieces, points: FloatArray, places: FloatArray, frames: FloatArray) -> FloatArray:
-    """Places (n, 3) with every firm group at the similarity of its points that comes nearest to them.
+def keep_shape(
+    pieces: Pieces, points: FloatArray, places: FloatArray, frames: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Move every firm group by the similarity of its points that comes nearest to their places.
 
     The frames (n, 3, 3) decide the rotation where a group is a point, a line or flat.
+
+    Returns
+    -------
+    places : (n, 3) float64
+    turns : (n, 3, 3) float64
+        How each vertex's surroundings turn: rotations for rows.
+    scales : (n,) float64
+        And how they change in size.
     """
     group, count = pieces.group, len(pieces.firm)
     sizes = np.bincount(group, minlength=count)[:, None]
@@ -104,9 +114,19 @@ def keep_shape(pieces: Pieces, points: FloatArray, places: FloatArray, frames: F
     spread = np.bincount(group, np.einsum("nd,nd->n", offsets, offsets), minlength=count)
     mean = grouped_sums(group, frames.reshape(-1, 9), count).reshape(-1, 3, 3) / sizes[:, :, None]
     turns = nearest_rotations(mixed + (1e-3 * spread + 1e-12)[:, None, None] * mean)
-    scale = np.ones(count)
+    scales = np.ones(count)
     if pieces.scaled:
-        own = np.einsum("gab,gab->g", turns, mixed) / np.where(spread > 0, spread, 1.0)
-        scale = np.where(spread > 0, own, np.cbrt(np.abs(np.linalg.det(mean))))
-    fitted = goals[group] + scale[group, None] * np.einsum("nd,nde->ne", offsets, turns[group])
-    return np.where(pieces.firm[group, None], fitted, places)
+        fitted = np.einsum("gab,gab->g", turns, mixed) / np.where(spread > 0, spread, 1.0)
+        scales = np.where(spread > 0, fitted, _sizes(mean))
+    firm = pieces.firm[group]
+    kept = goals[group] + scales[group, None] * np.einsum("nd,nde->ne", offsets, turns[group])
+    return (
+        np.where(firm[:, None], kept, places),
+        np.where(firm[:, None, None], turns[group], nearest_rotations(frames)),
+        np.where(firm, scales[group], _sizes(frames)),
+    )
+
+
+def _sizes(frames: FloatArray) -> FloatArray:
+    """(n,) mean factor of lengths of linear maps (n, 3, 3)."""
+    return np.asarray(np.cbrt(np.abs(np.linalg.det(frames))))

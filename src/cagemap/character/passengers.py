@@ -15,7 +15,6 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
 from cagemap.surface.triangles import fan_triangles
 
 
@@ -83,23 +82,27 @@ def carry_passengers(
             raise ParameterError(f"{name}: expected cloth, rigid or similarity, got {kind!r}")
         if name not in {mesh.name for mesh in meshes}:
             raise ParameterError(f"{name}: expected one of the passengers, {', '.join(mesh.name for mesh in meshes)}")
-    frames = BodyFrames(point_map)
-    return [_carried(frames, mesh, kinds.get(mesh.name)) for mesh in meshes]
-
-
-def _carried(frames: BodyFrames, mesh: ControlMesh, kind: Kind | None) -> CarriedPassenger:
-    source, target = frames.point_map.source, frames.point_map.target
-    points = mesh.positions * source.scale
+    if not meshes:
+        return []
+    frames, source, target = BodyFrames(point_map), point_map.source, point_map.target
+    starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
+    points = np.concatenate([mesh.positions for mesh in meshes]) * source.scale
+    triangles = [
+        fan_triangles(mesh.face_offsets, mesh.face_indices)[0] + start
+        for mesh, start in zip(meshes, starts[:-1], strict=True)
+    ]
     anchors = frames.anchors(points)
     places, linear = frames.carry(points, anchors)
-    pieces = find_pieces(mesh, points, anchors.heights, kind)
-    triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
     contact = Contact.find(frames, points, triangles, anchors.normals, linear)
-    places = push_out(target, contact, places, triangles)
-    places = keep_shape(pieces, points, places, linear)
-    turns = nearest_rotations(linear)
-    scale = np.cbrt(np.abs(np.linalg.det(linear)))[:, None, None] * (source.scale / target.scale)
-    return CarriedPassenger(places / target.scale, scale * turns)
+    places = push_out(target, contact, places, np.concatenate(triangles))
+    factor = source.scale / target.scale
+    found_all = []
+    for mesh, start in zip(meshes, starts[:-1], strict=True):
+        own = slice(start, start + mesh.n_vertices)
+        pieces = find_pieces(mesh, points[own], anchors.heights[own], kinds.get(mesh.name))
+        kept, turns, scales = keep_shape(pieces, points[own], places[own], linear[own])
+        found_all.append(CarriedPassenger(kept / target.scale, factor * scales[:, None, None] * turns))
+    return found_all
 
 
 def _require_passenger(mesh: ControlMesh) -> None:
