@@ -25,6 +25,7 @@ class ContactConfig:
     facing: float = 0.3  # least cosine of the body's normal with that of the anchor
     tolerance: float = 1e-5
     rounds: int = 12
+    halvings: int = 4  # of a push that ends in another part of the body
     spreading: int = 4  # rounds in which a push spreads to neighbouring vertices
 
 
@@ -81,7 +82,7 @@ class Contact:
             Affine maps from source to target around them.
         config : ContactConfig
         """
-        heights, _ = _heights(frames.point_map.source, points, normals, config)
+        heights, _, _ = _heights(frames.point_map.source, points, normals, config)
         outside = np.flatnonzero((heights > 0) & (heights < config.reach))
         ways = normalized(np.einsum("nd,nde->ne", normals, linear))[outside]
         covered = [_covered(frames, points, triangles, config) for triangles in meshes]
@@ -119,17 +120,23 @@ def push_out(
     A push spreads to the passenger's vertices around, and fades with each step.
     """
     below, upward = target.positions[contact.covered], target.vertex_normals[contact.covered]
+    gaps = np.minimum(contact.gaps, 0.5 * _room(target, below, upward, config))
+    _, own_upward, own_below = _heights(target, places[contact.outside], contact.ways, config)
+    floors = np.minimum(contact.floors, 0.5 * _room(target, own_below, own_upward, config))
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
     means = neighbor_means(triangles, len(places))
+    start = places
     moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
     heights, upright = np.full(len(contact.outside), np.inf), np.zeros_like(contact.ways)
     for _ in range(config.rounds):
         again = np.flatnonzero(moved[contact.outside])
-        heights[again], upright[again] = _heights(target, places[contact.outside[again]], contact.ways[again], config)
-        own = np.maximum(contact.floors - heights, 0.0)  # not where nothing is near: heights are infinite
+        heights[again], upright[again], _ = _heights(
+            target, places[contact.outside[again]], contact.ways[again], config
+        )
+        own = np.maximum(floors - heights, 0.0)  # not where nothing is near: heights are infinite
         own[own < config.tolerance] = 0.0
         over = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - below
-        lacking = np.maximum(contact.gaps - np.einsum("nd,nd->n", over, upward), 0.0)
+        lacking = np.maximum(gaps - np.einsum("nd,nd->n", over, upward), 0.0)
         rows = np.flatnonzero(lacking > config.tolerance)
         if not len(rows) and not own.any():
             break
@@ -142,26 +149,51 @@ def push_out(
         for _ in range(config.spreading):
             push = _longer(push, means @ push)
         places, moved = places + push, np.asarray(push.any(axis=1))
-    return places
+    return _not_deeper(target, start, places, config)
+
+
+def _not_deeper(target: TriangleSurface, before: FloatArray, after: FloatArray, config: ContactConfig) -> FloatArray:
+    """(n, 3) places after a push, with pushes into another part of the body cut to a half until they are none."""
+    moved = np.flatnonzero((before != after).any(axis=1))
+    depths = np.minimum(_heights(target, before[moved], None, config)[0], 0.0)
+    for _ in range(config.halvings):
+        worse = _heights(target, after[moved], None, config)[0] < depths - config.tolerance
+        moved, depths = moved[worse], depths[worse]
+        after[moved] = 0.5 * (before[moved] + after[moved])
+    return after
 
 
 def _heights(
     surface: TriangleSurface,
     points: FloatArray,
-    normals: FloatArray,
+    normals: FloatArray | None,
     config: ContactConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (m,) from the closest points that face as the normals do, and the normals (m, 3) there.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Signed distances (m,) from closest points that face as normals given do, normals there, and these points (m, 3).
 
     Infinite where there is none in reach.
     """
     triangle, barycentric, distance = closest_points(
-        surface.tree, points, normals, minimum_cosine=config.facing, within=2.0 * config.reach
+        surface.tree,
+        points,
+        normals,
+        minimum_cosine=-2.0 if normals is None else config.facing,
+        within=2.0 * config.reach,
     )
     corners = surface.triangles[triangle]
     feet = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
     upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
-    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward
+    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward, feet
+
+
+def _room(target: TriangleSurface, points: FloatArray, upward: FloatArray, config: ContactConfig) -> FloatArray:
+    """(m,) way along the normals from points of the body to a part of it that faces them; infinite if none is near."""
+    lifted = points + 0.5 * config.reach * upward
+    triangle, barycentric, _ = closest_points(
+        target.tree, lifted, -upward, minimum_cosine=config.facing, within=0.5 * config.reach
+    )
+    facing = np.einsum("nc,ncd->nd", barycentric, target.positions[target.triangles[triangle]])
+    return np.where(triangle >= 0, np.maximum(np.einsum("nd,nd->n", facing - points, upward), 0.0), np.inf)
 
 
 def _longer(first: FloatArray, second: FloatArray) -> FloatArray:
