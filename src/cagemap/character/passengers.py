@@ -28,10 +28,13 @@ class CarriedPassenger:
         In the target's file units.
     linear : (n, 3, 3) float64
         How offsets (as rows) change around every vertex: a rotation times a scale, in file units.
+    distance: float
+        Mean distance of the vertices from the source's body, of the square root of its area.
     """
 
     positions: FloatArray
     linear: FloatArray
+    distance: float
 
     def carry_offsets(self, offsets: FloatArray) -> FloatArray:
         """Offsets (n, 3) of a shape of the passenger, turned and scaled as its surroundings are."""
@@ -96,13 +99,14 @@ def carry_passengers(
     contact = Contact.find(frames, points, triangles, anchors.normals, linear)
     places = push_out(target, contact, places, np.concatenate(triangles))
     factor = source.scale / target.scale
-    found_all = []
+    carried = []
     for mesh, start in zip(meshes, starts[:-1], strict=True):
         own = slice(start, start + mesh.n_vertices)
         pieces = find_pieces(mesh, points[own], anchors.heights[own], kinds.get(mesh.name))
         kept, turns, scales = keep_shape(pieces, points[own], places[own], linear[own])
-        found_all.append(CarriedPassenger(kept / target.scale, factor * scales[:, None, None] * turns))
-    return found_all
+        linear_of = factor * scales[:, None, None] * turns
+        carried.append(CarriedPassenger(kept / target.scale, linear_of, float(np.abs(anchors.heights[own]).mean())))
+    return carried
 
 
 def _require_passenger(mesh: ControlMesh) -> None:

@@ -90,6 +90,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.attribute,
         request.weights,
         request.joints,
+        request.passenger,
         request.detail,
         request.detail_texture,
         *request.blend_shapes,

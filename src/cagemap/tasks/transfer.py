@@ -28,6 +28,7 @@ from cagemap.tasks.carry_images import (
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masked_base import in_file, keep_base
 from cagemap.tasks.masks import MaskOptions, with_masks
+from cagemap.tasks.passenger import transfer_passenger
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
@@ -37,7 +38,7 @@ from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
 # What is carried whole, whatever masks say.
-_WHOLE = ("--source-uvs", "--joints", "--write-map")
+_WHOLE = ("--source-uvs", "--joints", "--passenger", "--write-map")
 
 # Which of the things to carry read an option; the others would take it without a word and do nothing.
 _PICTURES = ("--texture", "--displacement", "--normal-map", "--vector-displacement", "--bake")
@@ -51,12 +52,15 @@ _READ_BY = {
     "detail_texture": ("--bake",),
     "rays": ("--bake",),
     "influences": ("--weights",),
+    "kind": ("--passenger",),
     "size": (*_PICTURES, "--material-colors"),
     "bits": (*_PICTURES, "--material-colors"),
     "scale": ("--displacement", "--vector-displacement"),
     "midlevel": ("--displacement", "--vector-displacement"),
     "unwrap": (*_PICTURES, "--material-colors"),
 }
+
+_SAID_AS = {"kind": "as"}  # options whose field has another name
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
@@ -105,6 +109,7 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
         "--weights": (request.weights is not None, transfer_weights),
         "--joints": (request.joints is not None and request.weights is None, transfer_skeleton),
         "--blend-shapes": (bool(request.blend_shapes), transfer_shapes),
+        "--passenger": (request.passenger is not None, transfer_passenger),
         "--write-map": (request.write_map, write_point_map),
     }
     chosen = [option for option, (given, _) in options.items() if given]
@@ -127,9 +132,9 @@ def _require_read(request: TransferRequest, carried: str) -> None:
     """Refuse options that what is carried does not read."""
     for option, readers in _READ_BY.items():
         if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
+            said = _SAID_AS.get(option, option.replace("_", "-"))
             raise ParameterError(
-                f"--{option.replace('_', '-')}: expected it beside {' or '.join(readers)}, which read it, got "
-                f"{carried}. Leave it out."
+                f"--{said}: expected it beside {' or '.join(readers)}, which read it, got {carried}. Leave it out."
             )
 
 

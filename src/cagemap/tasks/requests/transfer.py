@@ -76,6 +76,14 @@ class TransferRequest:
     blend_shapes: Annotated[
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
     ] = ()
+    passenger: Annotated[
+        Path | None, Option(help="Clothes, eyes, hair or a prop of the source, as a mesh; -o names the mesh.")
+    ] = None
+    kind: Annotated[
+        str | None,
+        Option("--as", help="Passenger: cloth, rigid or similarity.  [default: as its pieces look]"),
+        OneOf(("cloth", "rigid", "similarity")),
+    ] = None
     write_map: Annotated[
         bool,
         Option("--write-map", help="Write the map itself, for other programs."),

@@ -1,0 +1,260 @@
+"""Passengers: unchanged under the identity, moved as a rigid body is, outside where they were, near the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube, icosahedron, torus
+from scipy.spatial.transform import Rotation
+
+from cagemap.character.passengers import carry_passenger, carry_passengers
+from cagemap.errors import ParameterError
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.result.folder import write_result
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
+from cagemap.subdivision import refine
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
+
+from command_line import Run
+from example_result import identity_result
+
+KINDS = (None, "cloth", "rigid", "similarity")
+
+
+def surface(positions: np.ndarray, triangles: np.ndarray) -> TriangleSurface:
+    return TriangleSurface.from_faces(positions, triangles)
+
+
+@pytest.fixture(scope="module")
+def body() -> ControlMesh:
+    level = refine(torus(12, 8), 2).finest
+    return ControlMesh.from_faces(level.positions, level.faces, name="body")
+
+
+@pytest.fixture(scope="module")
+def ball() -> ControlMesh:
+    level = refine(icosahedron(), 2).finest
+    centred = level.positions - level.positions.mean(axis=0)
+    return ControlMesh.from_faces(0.1 * centred / np.linalg.norm(centred, axis=1).max(), level.faces, name="ball")
+
+
+def dressed(body: ControlMesh, height: float = 0.1) -> ControlMesh:
+    """All faces of one half of the body, moved out along the normals."""
+    split = cage_triangles(body)[0]
+    out = body.positions + height * vertex_normals(body.positions, split)
+    faces = body.face_indices.reshape(-1, 4)
+    kept = faces[(body.positions[faces][:, :, 0] > 0).all(axis=1)]
+    used, own = np.unique(kept, return_inverse=True)
+    return ControlMesh.from_faces(out[used], own.reshape(-1, 4), name="cloth")
+
+
+def moved(mesh: ControlMesh, shift: tuple[float, float, float]) -> ControlMesh:
+    return mesh.with_positions(mesh.positions + shift)
+
+
+def signed(body: TriangleSurface, places: np.ndarray) -> np.ndarray:
+    """(n,) distances of places in the file's unit from a body, negative inside, of sqrt(area)."""
+    triangle, inside, distance = closest_points(body.tree, places * body.scale)
+    corners = body.triangles[triangle]
+    feet, normals = (np.einsum("nc,ncd->nd", inside, of[corners]) for of in (body.positions, body.vertex_normals))
+    return np.copysign(distance, np.einsum("nd,nd->n", places * body.scale - feet, normals))
+
+
+def all_of(body: ControlMesh, ball: ControlMesh) -> list[ControlMesh]:
+    """Cloth, a ball on the body, a strip of two vertices wide, a box far away."""
+    strip = ControlMesh.from_faces(
+        [[2, 0.9, 0], [2.3, 0.9, 0], [2.3, 1.5, 0], [2, 1.5, 0]], [[0, 1, 2, 3]], name="strip"
+    )
+    return [
+        dressed(body),
+        replace(moved(ball, (2.03, 0.85, 0.07)), name="ball"),
+        strip,
+        replace(moved(cube(), (9, 9, 9)), name="prop"),
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_identity_changes_nothing(body: ControlMesh, ball: ControlMesh, kind: str | None) -> None:
+    same = surface(body.positions, cage_triangles(body)[0])
+    point_map = PointMap.from_vertices(same, same, np.arange(same.n))
+    for mesh in all_of(body, ball):
+        carried = carry_passenger(point_map, mesh, kind=kind)
+        np.testing.assert_allclose(carried.positions, mesh.positions, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(carried.linear, np.tile(np.eye(3), (mesh.n_vertices, 1, 1)), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_moved_and_scaled_body_moves_its_passengers_along(
+    body: ControlMesh, ball: ControlMesh, kind: str | None
+) -> None:
+    turn, triangles = Rotation.from_euler("xyz", [0.4, 1.1, -2.0]).as_matrix(), cage_triangles(body)[0]
+    target = surface(0.1 * body.positions @ turn + [5.0, -2.0, 1.0], triangles)
+    point_map = PointMap.from_vertices(target, surface(body.positions, triangles), np.arange(target.n))
+    for mesh in all_of(body, ball):
+        carried = carry_passenger(point_map, mesh, kind=kind)
+        np.testing.assert_allclose(carried.positions, 0.1 * mesh.positions @ turn + [5.0, -2.0, 1.0], rtol=0, atol=1e-8)
+        offsets = np.random.default_rng(0).standard_normal(mesh.positions.shape)
+        np.testing.assert_allclose(carried.carry_offsets(offsets), 0.1 * offsets @ turn, rtol=0, atol=1e-8)
+
+
+def swollen(body: ControlMesh) -> PointMap:
+    """Onto a body that is thicker on one side, bent and stretched."""
+    x, y, z = body.positions.T
+    bulge = 1.0 + 0.5 * np.exp(-((x - 2) ** 2) - z**2)
+    grown = np.column_stack([x * 1.3, y * bulge * 1.5 + 0.2 * x**2, z])
+    triangles = cage_triangles(body)[0]
+    target = surface(grown, triangles)
+    return PointMap.from_vertices(target, surface(body.positions, triangles), np.arange(target.n))
+
+
+def test_what_was_outside_stays_outside(body: ControlMesh) -> None:
+    point_map = swollen(body)
+    for height in (0.01, 0.1):
+        mesh = dressed(body, height)
+        before = signed(point_map.source, mesh.positions)
+        after = signed(point_map.target, carry_passenger(point_map, mesh).positions)
+        assert before.min() > 0
+        assert after.min() > 0
+        assert np.median(after / before) == pytest.approx(1.0, abs=0.2)
+
+
+def test_layers_keep_their_order(body: ControlMesh) -> None:
+    point_map = swollen(body)
+    layers = carry_passengers(point_map, [dressed(body, height) for height in (0.04, 0.08, 0.12)])
+    heights = np.array([signed(point_map.target, layer.positions) for layer in layers])
+    assert (np.diff(heights, axis=0) > 0).all()
+
+
+def test_small_round_things_stay_round_and_cloth_does_not(body: ControlMesh, ball: ControlMesh) -> None:
+    point_map = swollen(body)
+    on_skin = moved(ball, (2.2, 0.8, 0.0))
+
+    def roundness(kind: str | None) -> float:
+        places = carry_passenger(point_map, on_skin, kind=kind).positions
+        radii = np.linalg.norm(places - places.mean(axis=0), axis=1)
+        return float(np.ptp(radii) / radii.mean())
+
+    assert roundness(None) < 0.02 + np.ptp(np.linalg.norm(ball.positions, axis=1)) / 0.1
+    assert roundness("similarity") == pytest.approx(roundness(None))
+    assert roundness("cloth") > 0.1
+
+
+def test_rigid_keeps_the_size_of_the_whole_body(body: ControlMesh, ball: ControlMesh) -> None:
+    point_map = swollen(body)
+    places = carry_passenger(point_map, moved(ball, (2.2, 0.8, 0.0)), kind="rigid").positions
+    size = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(ball.positions, axis=0))
+    radii = [np.linalg.norm(at - at.mean(axis=0), axis=1) for at in (places, ball.positions)]
+    np.testing.assert_allclose(radii[0], radii[1] * point_map.source.scale / point_map.target.scale, rtol=1e-9)
+    assert size > 0
+
+
+def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(
+    body: ControlMesh, ball: ControlMesh
+) -> None:
+    point_map, count = swollen(body), ball.n_vertices
+    shells = np.concatenate([ball.positions, 1.1 * ball.positions]) + np.array([2.2, 0.8, 0.0])
+    faces = ball.face_indices.reshape(-1, 3)
+    eye = ControlMesh.from_faces(shells, np.concatenate([faces, faces + count]), name="eye")
+    places = carry_passenger(point_map, eye).positions
+    np.testing.assert_allclose(places[:count].mean(axis=0), places[count:].mean(axis=0), rtol=0, atol=1e-9)
+    ratio = np.linalg.norm(places[count:] - places[count:].mean(axis=0), axis=1)
+    ratio /= np.linalg.norm(places[:count] - places[:count].mean(axis=0), axis=1)
+    np.testing.assert_allclose(ratio, 1.1, rtol=1e-9)
+
+
+def test_passengers_carried_together_arrive_as_each_alone(body: ControlMesh, ball: ControlMesh) -> None:
+    point_map, meshes = swollen(body), all_of(body, ball)
+    for mesh, carried in zip(meshes, carry_passengers(point_map, meshes), strict=True):
+        np.testing.assert_allclose(carried.positions, carry_passenger(point_map, mesh).positions, rtol=0, atol=1e-4)
+    assert carry_passengers(point_map, []) == []
+
+
+def test_a_prop_far_away_keeps_its_shape_and_says_how_far_it_is(body: ControlMesh) -> None:
+    prop = moved(cube(), (30.0, 0.0, 0.0))
+    carried = carry_passenger(swollen(body), prop)
+    edges = np.ptp(prop.positions, axis=0), np.sort(np.linalg.norm(carried.positions - carried.positions[0], axis=1))
+    rest = np.sort(np.linalg.norm(prop.positions - prop.positions[0], axis=1))
+    np.testing.assert_allclose(edges[1] / edges[1][-1], rest / rest[-1], rtol=1e-9)
+    assert carried.distance > 1.0
+
+
+def test_what_is_no_passenger_is_refused_by_name(body: ControlMesh) -> None:
+    point_map = swollen(body)
+    empty = replace(ControlMesh.from_faces(np.zeros((0, 3)), []), name="nothing.obj")
+    with pytest.raises(ParameterError, match=r"nothing\.obj: expected a passenger with faces"):
+        carry_passenger(point_map, empty)
+    holes = cube().with_positions(np.where(np.arange(24).reshape(8, 3) == 4, np.nan, 1.0))
+    with pytest.raises(ParameterError, match=r"cube.*finite positions.*\[1\]"):
+        carry_passenger(point_map, holes)
+    with pytest.raises(ParameterError, match="expected cloth, rigid or similarity, got 'silk'"):
+        carry_passenger(point_map, cube(), kind="silk")
+    with pytest.raises(ParameterError, match="hat: expected one of the passengers, cube"):
+        carry_passengers(point_map, [cube()], kinds={"hat": "rigid"})
+    with pytest.raises(ParameterError, match=r"expected offsets \(8, 3\)"):
+        carry_passenger(point_map, cube()).carry_offsets(np.zeros((2, 3)))
+
+
+def test_a_passenger_without_extent_is_moved_as_a_point(body: ControlMesh) -> None:
+    point = cube().with_positions(np.tile([2.0, 1.2, 0.0], (8, 1)))
+    for kind in KINDS:
+        assert np.isfinite(carry_passenger(swollen(body), point, kind=kind).positions).all()
+
+
+@pytest.mark.parametrize(
+    ("part", "bar"), [("shirt", 0.45), ("trousers", 0.45), ("skirt", 0.6), ("shoes", 0.6), ("hat", 1.0), ("eyes", 0.35)]
+)
+def test_true_map_brings_parts_to_where_they_are_made_for(shared_data: Path, part: str, bar: float) -> None:
+    folder = shared_data / "characters" / "passengers"
+    if not folder.is_dir():
+        pytest.skip("characters are not among the shared data")
+    sides = []
+    for identity in ("female_old_heavy", "male_young"):
+        control = read_mesh(shared_data / "humans" / f"base_{identity}.obj")
+        sides.append(surface(control.positions, cage_triangles(control)[0]))
+    target, source = sides
+    point_map = PointMap.from_vertices(target, source, np.arange(target.n))
+    given, true = (read_mesh(folder / f"{part}_{identity}.obj") for identity in ("male_young", "female_old_heavy"))
+    places = carry_passenger(point_map, given).positions * target.scale
+    goal = TriangleSurface(true.positions * target.scale, cage_triangles(true)[0])
+    assert 100 * closest_points(goal.tree, places)[2].mean() <= bar
+    inside = [signed(body, at) < 0 for body, at in ((source, given.positions), (target, places / target.scale))]
+    if part != "eyes":  # within their sockets
+        assert np.count_nonzero(inside[1]) <= np.count_nonzero(inside[0]) + 2
+    else:
+        firm = [at - at.mean(axis=0) for at in (given.positions[:256], places[:256])]
+        lengths = [np.linalg.norm(at, axis=1) for at in firm]
+        np.testing.assert_allclose(lengths[1] / lengths[1].max(), lengths[0] / lengths[0].max(), rtol=1e-9)
+
+
+def test_the_command_writes_the_mesh_with_its_uvs_and_materials(tmp_path: Path, run: Run) -> None:
+    write_result(tmp_path / "R", identity_result())
+    patch = cube().with_uvs(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.tile([0, 1, 2, 3], 6))
+    shirt = replace(patch, face_materials=np.array([0, 0, 1, 1, 0, 1]), material_names=("red", "blue"))
+    write_mesh(tmp_path / "shirt.obj", shirt)
+    assert not run("transfer", "R", "--passenger", "shirt.obj", "--as", "rigid", "-o", "on.obj").code
+    given, carried = (read_mesh(tmp_path / name) for name in ("shirt.obj", "on.obj"))
+    np.testing.assert_allclose(carried.positions, 2.0 * given.positions, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(carried.uvs, given.uvs)
+    assert carried.material_names == given.material_names
+    np.testing.assert_array_equal(carried.face_materials, given.face_materials)
+
+
+def test_the_command_refuses_idle_options_and_warns_of_a_passenger_elsewhere(tmp_path: Path, run: Run) -> None:
+    write_result(tmp_path / "R", identity_result())
+    write_mesh(tmp_path / "far.obj", moved(cube(), (99.0, 0.0, 0.0)))
+    np.save(tmp_path / "v.npy", np.arange(8.0))
+    refused = run("transfer", "R", "--attribute", "v.npy", "--as", "rigid", "-o", "o.npy")
+    assert refused.code
+    assert "--as: expected it beside --passenger" in refused.err
+    warned = run("transfer", "R", "--passenger", "far.obj", "-o", "on.obj")
+    assert not warned.code
+    assert "same units and place" in warned.err + warned.out
+    same = run("transfer", "R", "--passenger", "far.obj", "-o", "far.obj")
+    assert same.code
