@@ -76,9 +76,7 @@ class TransferRequest:
     blend_shapes: Annotated[
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
     ] = ()
-    passenger: Annotated[
-        Path | None, Option(help="Clothes, eyes, hair or a prop of the source, as a mesh; -o names the mesh.")
-    ] = None
+    passenger: Annotated[Path | None, Option(help="Mesh on the source to carry: clothes, eyes, hair, a prop.")] = None
     kind: Annotated[
         str | None,
         Option("--as", help="Passenger: cloth, rigid or similarity.  [default: as its pieces look]"),

@@ -1,0 +1,1 @@
+"""Passengers carried from body to body, against MakeHuman's own fitting."""
