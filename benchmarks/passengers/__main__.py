@@ -27,7 +27,7 @@ VERTICES = 25_000
 MAPS = ("perfect", "base", "soma18056")
 CHOSEN, JUDGED = ("neutral", "male_young"), ("male_young", "female_old_heavy")
 HEAD = (
-    "| part | to the true surface: mean, p95 | inside (source) | deepest (source) | body through (truth) | oval eyes |\n"
+    "| part | to the true surface: mean, p95 | inside (source) | deepest (source) | through (truth) | oval eyes |\n"
     "|---|---|---|---|---|---|"
 )
 
