@@ -82,7 +82,7 @@ class Contact:
             Affine maps from source to target around them.
         config : ContactConfig
         """
-        heights, _, _ = _heights(frames.point_map.source, points, normals, config)
+        heights, _ = _heights(frames.point_map.source, points, normals, config)
         outside = np.flatnonzero((heights > 0) & (heights < config.reach))
         ways = normalized(np.einsum("nd,nde->ne", normals, linear))[outside]
         covered = [_covered(frames, points, triangles, config) for triangles in meshes]
@@ -120,9 +120,6 @@ def push_out(
     A push spreads to the passenger's vertices around, and fades with each step.
     """
     below, upward = target.positions[contact.covered], target.vertex_normals[contact.covered]
-    gaps = np.minimum(contact.gaps, 0.5 * _room(target, below, upward, config))
-    _, own_upward, own_below = _heights(target, places[contact.outside], contact.ways, config)
-    floors = np.minimum(contact.floors, 0.5 * _room(target, own_below, own_upward, config))
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
     means = neighbor_means(triangles, len(places))
     start = places
@@ -130,13 +127,11 @@ def push_out(
     heights, upright = np.full(len(contact.outside), np.inf), np.zeros_like(contact.ways)
     for _ in range(config.rounds):
         again = np.flatnonzero(moved[contact.outside])
-        heights[again], upright[again], _ = _heights(
-            target, places[contact.outside[again]], contact.ways[again], config
-        )
-        own = np.maximum(floors - heights, 0.0)  # not where nothing is near: heights are infinite
+        heights[again], upright[again] = _heights(target, places[contact.outside[again]], contact.ways[again], config)
+        own = np.maximum(contact.floors - heights, 0.0)  # not where nothing is near: heights are infinite
         own[own < config.tolerance] = 0.0
         over = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - below
-        lacking = np.maximum(gaps - np.einsum("nd,nd->n", over, upward), 0.0)
+        lacking = np.maximum(contact.gaps - np.einsum("nd,nd->n", over, upward), 0.0)
         rows = np.flatnonzero(lacking > config.tolerance)
         if not len(rows) and not own.any():
             break
@@ -168,8 +163,8 @@ def _heights(
     points: FloatArray,
     normals: FloatArray | None,
     config: ContactConfig,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Signed distances (m,) from closest points that face as normals given do, normals there, and these points (m, 3).
+) -> tuple[FloatArray, FloatArray]:
+    """Signed distances (m,) from closest points that face as normals given do, and the normals (m, 3) there.
 
     Infinite where there is none in reach.
     """
@@ -183,17 +178,7 @@ def _heights(
     corners = surface.triangles[triangle]
     feet = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
     upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
-    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward, feet
-
-
-def _room(target: TriangleSurface, points: FloatArray, upward: FloatArray, config: ContactConfig) -> FloatArray:
-    """(m,) way along the normals from points of the body to a part of it that faces them; infinite if none is near."""
-    lifted = points + 0.5 * config.reach * upward
-    triangle, barycentric, _ = closest_points(
-        target.tree, lifted, -upward, minimum_cosine=config.facing, within=0.5 * config.reach
-    )
-    facing = np.einsum("nc,ncd->nd", barycentric, target.positions[target.triangles[triangle]])
-    return np.where(triangle >= 0, np.maximum(np.einsum("nd,nd->n", facing - points, upward), 0.0), np.inf)
+    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward
 
 
 def _longer(first: FloatArray, second: FloatArray) -> FloatArray:
