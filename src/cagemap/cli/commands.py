@@ -94,7 +94,7 @@ def rig(request: RigRequest, stages: Stages) -> Outcome:
 @asks(ReportRequest)
 @in_stages
 def report(request: ReportRequest, stages: Stages) -> Outcome:
-    """Write one HTML page: both models turning, and a verdict in words.
+    """Write one HTML page: a verdict, and both models turning.
 
     Models coloured by the map, marks where to look, what was made with it. The page needs no other file or network:
     mail it, print it.

@@ -69,7 +69,7 @@ class TransferRequest:
         False
     )
     weights: Annotated[
-        Path | None, Option(help="Skinning weights of the source's cage, a column a joint: .csv, .npz, glTF.")
+        Path | None, Option(help="Skinning weights of the source, a column a joint: .csv, .npz, glTF.")
     ] = None
     influences: Annotated[int, Option(min=0, help="Weights: at most so many joints a vertex; 0 for all.")] = 4
     joints: Annotated[Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights its names.")] = None
