@@ -157,6 +157,17 @@ def test_refusals_name_what_is_wrong(run: Run, files: Character, words: list[str
     assert Path("C.glb").read_bytes() == before
 
 
+def test_the_report_shows_what_the_body_wears_and_how_it_moves(run: Run, files: Character) -> None:
+    _rig(run, "--passengers", "hat", "--report", "R.html")
+    page = Path("R.html").read_text()
+    assert "B.glb" in page
+    for shown in ("Passengers", "Poses", "Skinning weights", "Blend shapes", "nod, 0.5 s"):
+        assert shown in page
+    refused = run("rig", "B.glb", "--like", "C.glb", "-o", "NEW.glb", "--report", "R.txt")
+    assert refused.code == 2
+    assert not Path("NEW.glb").exists()
+
+
 def test_a_file_of_others_is_not_replaced(run: Run, files: Character) -> None:
     Path("OUT.glb").write_bytes(b"mine")
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")

@@ -99,7 +99,12 @@ FOLDS = (
             ("influences", "Influences", (), "joints a vertex at most; 0: all"),
             ("joints", "Joints", (".json", *_RIGGED), "skeleton of the source"),
             ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIGGED, FOLDERS), "of the source's cage"),
-            ("passenger", "Passenger", (".obj", ".ply", *_RIGGED), "clothes, eyes, hair or a prop that sit on the source"),
+            (
+                "passenger",
+                "Passenger",
+                (".obj", ".ply", *_RIGGED),
+                "clothes, eyes, hair or a prop that sit on the source",
+            ),
             ("kind", "Keeps shape", (), "cloth, rigid or similarity; empty: as the passenger's pieces look"),
             ("attribute", "Attribute", _VALUES, "any values at the source's vertices, faces or corners; vertex groups"),
         ),

@@ -41,11 +41,17 @@ class CarriedCharacter:
         In the file units of the body. Its first part is the body, under the name of the character's.
     result : MatchResult
         From the body to the character's body.
+    rows : two (n,) int64
+        For every control vertex that was matched, of the body and of the character's, a vertex of the part.
+    passengers : tuple of Part
+        As they are on the character, in the order of the last parts.
     notes : tuple of str
     """
 
     character: Character
     result: MatchResult = field(repr=False)
+    rows: tuple[IndexArray, IndexArray] = field(repr=False)
+    passengers: tuple[Part, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
 
 
@@ -114,7 +120,8 @@ def carry_character(
         stages("skeleton and animations")
         rig = carry_rig(result.point_map, source.rig)
         animations = tuple(retarget(one, source.rig, rig) for one in source.animations)
-    return CarriedCharacter(Character((body, *own, *dressed), rig, animations), result, tuple(notes))
+    made = Character((body, *own, *dressed), rig, animations)
+    return CarriedCharacter(made, result, (found.rows(0), found.rows(1)), tuple(riders), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +132,11 @@ class _Bodies:
     ready: tuple[PlainMesh | Welded, PlainMesh | Welded]
     result: MatchResult
 
-    @property
-    def source_rows(self) -> IndexArray:
-        """For every vertex of the source's mesh that was matched, a vertex of the one given."""
-        vertex_of = self.ready[1].vertex_of
+    def rows(self, side: int) -> IndexArray:
+        """For every vertex of a mesh that was matched (0 the target's, 1 the source's), a vertex of the one given."""
+        vertex_of = self.ready[side].vertex_of
         given = np.flatnonzero(vertex_of >= 0)[::-1]  # of several the first
-        rows = np.zeros(self.ready[1].mesh.n_vertices, dtype=np.int64)
+        rows = np.zeros(self.ready[side].mesh.n_vertices, dtype=np.int64)
         rows[vertex_of[given]] = given
         return rows
 
@@ -157,7 +163,7 @@ def _body_weights(bodies: _Bodies, influences: int | None) -> sparse.csr_array |
     weights = bodies.given[1].weights
     if weights is None:
         return None
-    carried = carry_weights(bodies.result, weights[bodies.source_rows].toarray(), influences=influences)
+    carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
     return sparse.csr_array(bodies.on_target(carried))
 
 
@@ -165,7 +171,7 @@ def _body_shapes(bodies: _Bodies) -> dict[str, FloatArray]:
     shapes = bodies.given[1].shapes
     if not shapes:
         return {}
-    rows = bodies.source_rows
+    rows = bodies.rows(1)
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
     return {name: bodies.on_target(offsets) for name, offsets in carried.items()}

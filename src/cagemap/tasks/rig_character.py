@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from cagemap.character.passenger_pieces import Kind
+from cagemap.character.poses import pose_at
 from cagemap.character.roles import body_of
-from cagemap.character.values import Character, Part
+from cagemap.character.values import Character, Part, posed
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document, write_document
@@ -23,6 +25,7 @@ from cagemap.files.gltf.material_images import (
     read_material_image,
     with_copied_materials,
 )
+from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses.confidence import SURE
@@ -32,6 +35,7 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.measures import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.report import CarriedShape, Passenger, Pose, Rides, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
 from cagemap.tasks.progress import Outcome, Stages
@@ -51,10 +55,9 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     target = _read_body(request.body)
     to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
-    if of.mesh.uvs is not None:
-        laid_out = replace(to, mesh=_in_one_square(to.mesh))
-        target = replace(target, parts=tuple(laid_out if part is to else part for part in target.parts))
-        to = laid_out
+    laid_out = to.mesh if of.mesh.uvs is None else _in_one_square(to.mesh)
+    target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
+    source, of = _with_mesh(source, of, replace(of.mesh, name=request.like.name))
     carried = carry_character(
         target,
         source,
@@ -66,11 +69,16 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         stages=stages,
     )
     stages("textures")
-    dressed, document, images, notes = _textured(carried, source, of, document, request.size)
+    dressed, document, baked, notes = _textured(carried, source, of, document, request.size)
     stages("write")
-    made = character_glb(dressed, document, images)
+    made = character_glb(dressed, document, {slot: png_bytes(one.image) for slot, one in baked.items()})
     _require_readable(made, dressed)
-    write_document(request.output, made, force=request.force)
+    if request.report is not None:
+        stages("report")
+    with all_or_nothing():
+        write_document(request.output, made, force=request.force)
+        if request.report is not None:
+            _write_report(request.report, carried, source, of, baked, force=request.force)
     return _summary(request, dressed, carried), [*carried.notes, *notes, *_doubts(carried.result)]
 
 
@@ -81,7 +89,10 @@ def _require_paths(request: RigRequest) -> None:
                 f"{path}: expected {what} as {', '.join(GLTF_SUFFIXES)}, got '{path.suffix}'. Export it as GLB."
             )
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
-    check_outputs([request.output], inputs, force=request.force)
+    outputs = [request.output, *([] if request.report is None else [request.report])]
+    if request.report is not None:
+        check_page_path(request.report)
+    check_outputs(outputs, inputs, force=request.force)
 
 
 def _read_body(path: Path) -> Character:
@@ -98,6 +109,12 @@ def _body(character: Character, name: str | None, path: Path) -> Part:
         return body_of(character.parts, name)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
+
+
+def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Character, Part]:
+    """A character with another mesh of a part, and that part."""
+    made = replace(part, mesh=mesh)
+    return replace(character, parts=tuple(made if one is part else one for one in character.parts)), made
 
 
 def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
@@ -147,9 +164,17 @@ def _kinds(request: RigRequest) -> dict[str, Kind]:
     return kinds | dict.fromkeys(_names(request.cloth) or [], "cloth")
 
 
+@dataclass(frozen=True, eq=False)
+class _Baked:
+    """An image of the character's body, and the same in the layout of the body."""
+
+    given: Image
+    image: Image
+
+
 def _textured(
     carried: CarriedCharacter, source: Character, of: Part, document: Document, size: int | None
-) -> tuple[Character, Document, dict[tuple[str, str], bytes], list[str]]:
+) -> tuple[Character, Document, dict[tuple[str, str], _Baked], list[str]]:
     """The character with its body's materials, the document with them, and their images in the body's layout."""
     result, (body, *others) = carried.result, carried.character.parts
     given = of.mesh
@@ -192,7 +217,7 @@ def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMes
     return np.asarray(found[nearest(face_centres(matched), face_centres(mesh))])
 
 
-def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> bytes:
+def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> _Baked:
     image = read_material_image(document, found)
     source = result.source.control.with_uv_set(found.uv_set)
     assert source.uvs is not None
@@ -200,7 +225,7 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
     height, width = image.size if size is None else (size, size)
     pixels = image.pixels
     bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
-    return png_bytes(replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=()))
+    return _Baked(image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=()))
 
 
 def _require_readable(document: Document, character: Character) -> None:
@@ -210,6 +235,54 @@ def _require_readable(document: Document, character: Character) -> None:
     missing = [part.name for part in character.parts if part.name not in names]
     if missing:
         raise AssertionError(f"parts that cannot be read back: {missing}")
+
+
+def _write_report(
+    path: Path,
+    carried: CarriedCharacter,
+    source: Character,
+    of: Part,
+    baked: dict[tuple[str, str], _Baked],
+    *,
+    force: bool,
+) -> None:
+    """A page with both bodies, dressed, and in keys of the first animation."""
+    made, result = carried.character, carried.result
+    body, dressed = made.parts[0], made.parts[len(made.parts) - len(carried.passengers) :]
+    rows = carried.rows
+    weights = None
+    if of.weights is not None and body.weights is not None:
+        weights = Weights(of.weights[rows[1]].toarray(), body.weights[rows[0]].toarray())
+    rides = Rides(
+        weights=weights,
+        shapes=tuple(
+            CarriedShape(name, offsets[rows[1]], body.shapes[name][rows[0]]) for name, offsets in of.shapes.items()
+        ),
+        passengers=tuple(
+            Passenger(there.name, there.mesh, here.mesh)
+            for there, here in zip(carried.passengers, dressed, strict=True)
+        ),
+        poses=tuple(_poses(source, made, (of, body), (rows[1], rows[0]))),
+    )
+    colors = next((one for (_, slot), one in baked.items() if slot == "baseColorTexture"), None)
+    pictures = (None, None) if colors is None else (colors.given.pixels, colors.image.pixels)
+    write_report(path, result, texture=pictures[0], baked=pictures[1], rides=rides, force=force)
+
+
+def _poses(
+    source: Character, made: Character, bodies: tuple[Part, Part], rows: tuple[IndexArray, IndexArray]
+) -> Iterator[Pose]:
+    """Poses of both bodies at a quarter, half and three quarters of the first animation."""
+    if source.rig is None or made.rig is None or not source.animations or not source.animations[0].tracks:
+        return
+    pair = source.animations[0], made.animations[0]
+    end = max(float(track.times[-1]) for track in pair[0].tracks)
+    for share in (0.25, 0.5, 0.75):
+        both = [
+            posed(body, rig, pose_at(rig, animation, share * end))[own]
+            for body, rig, animation, own in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
+        ]
+        yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
 
 
 def _doubts(result: MatchResult) -> list[str]:

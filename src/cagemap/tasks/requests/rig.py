@@ -37,4 +37,5 @@ class RigRequest:
     size: Annotated[
         int | None, Option(group=OUTPUT, min=1, help="Side of baked textures.  [default: as the character's]")
     ] = None
+    report: Annotated[Path | None, Option(group=OUTPUT, help="Page that shows it dressed and moving: .html.")] = None
     force: Force = False
