@@ -44,34 +44,11 @@ class SpectralRows:
         return multiply(sparse.csr_array(self.prolongation[vertices]), self.values).astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Coordinates, at all vertices of a level, that stand beside the spectral ones of it and of all finer levels.
-
-    Attributes
-    ----------
-    level : int
-    values : (n_level, c) array
-        Already weighted.
-    """
-
-    level: int
-    values: FloatArray
-
-
-def spectral_rows(
-    surface: Surface, level: int, functions: int, mixing: FloatArray | None = None, coordinates: Columns | None = None
-) -> SpectralRows:
-    """Embedding rows of a level: Phi~(x, :) of the leading functions, times `mixing` (such as C12^T) if given.
-
-    Landmark coordinates beside them are refined as the functions are.
-    """
-    last_band = max(i for i, count in enumerate(surface.basis.schedule) if count > 0)
-    base = min(level, last_band if coordinates is None else max(last_band, coordinates.level))
+def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArray | None = None) -> SpectralRows:
+    """Embedding rows of a level: Phi~(x, :) of the leading functions, times `mixing` (such as C12^T) if given."""
+    base = min(level, max(i for i, count in enumerate(surface.basis.schedule) if count > 0))
     values = functions_at(surface, base, functions)
     values = values if mixing is None else values @ mixing
-    if coordinates is not None:
-        values = np.hstack([values, surface.hierarchy.prolong(coordinates.values, coordinates.level, base)])
     return SpectralRows(surface.hierarchy.product(level, base) if level > base else None, np.ascontiguousarray(values))
 
 

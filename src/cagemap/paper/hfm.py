@@ -1,8 +1,13 @@
-"""The paper's method with three named improvements (`hfm`).
+"""The paper's method with five named improvements (`hfm`).
 
 1. ZoomOut on one level finds the bands, in place of eqs. 14-16 [Melzi et al. 2019].
 2. Landmark coordinates stand beside the basis functions in every search.
-3. C is fitted to matches in both directions, so that no limb of the source is left out.
+3. The target, displaced onto the source by few basis functions, and its normals stand beside them too [Eisenberger,
+   Lahner, Cremers 2020, Smooth Shells].
+4. C and the displacement are fitted to matches in both directions, so that no limb of the source is left out.
+5. On every level the displaced target's closest points of the source are the map, in place of Fig. 9.
+
+What each is worth: docs/paper/stages.md.
 """
 
 from __future__ import annotations
@@ -11,29 +16,34 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent, vertices_near
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.project import facing_points
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.fine_rows import Columns, functions_at
-from cagemap.paper.levels import Coordinates, down_the_levels, refit, search_level, search_levels, start_map
+from cagemap.paper.fine_rows import functions_at, spectral_rows
+from cagemap.paper.levels import ladder, search_levels, start_map
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.spectral.nearest import nearest_both_ways
-from cagemap.spectral.samples import Samples, embed_source, embed_target, evenly_spaced, fit_functional_map
+from cagemap.spectral.nearest import Embedding, nearest_both_ways
+from cagemap.spectral.samples import Samples, evenly_spaced, fit_functional_map
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_samples
+from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangles import vertex_normals
 
 FEWEST_FUNCTIONS = 3
 # Landmarks that harmonic coordinates need.
 FEWEST_LANDMARKS = 2
-# Samples of either surface that the bands are found with.
+# Vertices of either surface that the bands are found with.
 ZOOMOUT_SAMPLES = 3000
+# Weights of normals beside positions in closest points: of the first search, and where sides of a thin part differ.
+FACING_WEIGHTS = (0.03, 0.1)
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,8 +57,10 @@ class HfmConfig(Brief):
         Of eq. 13.
     zoomout : ZoomOutSchedule
         Eq. 13 is solved for the first number of functions.
-    coordinate_weight : float
-        Weight of the landmark coordinates beside the basis functions.
+    coordinate_weight, position_weight, normal_weight : float
+        Of landmark coordinates, displaced positions and their normals beside the basis functions, per sqrt(k).
+    displacement_share : float
+        Functions of the displacement, as a share of those of C.
     search_vertices : int
         ZoomOut runs on each side's coarsest level with at least this many vertices.
     source_search_vertices : int
@@ -58,21 +70,46 @@ class HfmConfig(Brief):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    coordinate_weight: float = 1.0
+    coordinate_weight: float = 0.3
+    position_weight: float = 10.0
+    normal_weight: float = 1.0
+    displacement_share: float = 0.5
     search_vertices: int = 2000
     source_search_vertices: int = 0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        if self.zoomout.first < FEWEST_FUNCTIONS or not self.coordinate_weight >= 0.0:
-            raise ParameterError(
-                f"expected at least {FEWEST_FUNCTIONS} first functions and a coordinate weight of at least 0, got "
-                f"{self.zoomout.first} and {self.coordinate_weight}"
-            )
+        if self.zoomout.first < FEWEST_FUNCTIONS:
+            raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
+        for name in ("coordinate_weight", "position_weight", "normal_weight", "displacement_share"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ParameterError(f"{name}: expected a number of at least 0, got {value}")
         if min(self.search_vertices, self.source_search_vertices) < 0:
             raise ParameterError(
                 f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class Displacement:
+    """Where target points go: x R + Phi~1 tau.
+
+    Attributes
+    ----------
+    rotation : (3, 3) array
+    coefficients : (k, 3) array
+        tau, of the leading basis functions.
+    """
+
+    rotation: FloatArray
+    coefficients: FloatArray
+
+    def at(self, surface: Surface, level: int) -> FloatArray:
+        """(n_level, 3) displaced vertices of a level of the target."""
+        positions = surface.triangles(level).positions
+        rows = spectral_rows(surface, level, len(self.coefficients), self.coefficients)
+        return positions @ self.rotation + rows.at(np.arange(len(positions)))
 
 
 def hfm_map(
@@ -103,9 +140,7 @@ def hfm_map(
     """
     progress("functional map")
     levels = search_levels(pair.target, pair.source, config.search_vertices, config.source_search_vertices)
-    target = _level_samples(pair.target, levels[0], pair.landmarks.target, config.coordinate_weight)
-    source = _level_samples(pair.source, levels[1], pair.landmarks.source, config.coordinate_weight)
-    most = min(target.rows.shape[1], source.rows.shape[1])
+    most = min(pair.target.basis.count, pair.source.basis.count)
     if most < FEWEST_FUNCTIONS:
         raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces, got {most}")
     first = min(config.zoomout.first, most)
@@ -114,79 +149,139 @@ def hfm_map(
         functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
     else:
         functional_map = start_map(pair, start, (first, first))
-    functional_map = zoomout_both_ways(target, source, functional_map, config.zoomout)
-    first_map = LevelMap(levels, functional_map, nearest_samples(target, source, functional_map))
-    beside = Columns(levels[0], target.coordinates), Columns(levels[1], source.coordinates)
+    functional_map, displacement = zoomed_out(pair, levels, functional_map, config)
+    maps = []
+    for finer in [levels, *ladder(pair, levels)]:
+        progress(f"point map, levels {finer[0]} and {finer[1]}")
+        maps.append(closest_map(pair, finer, functional_map, displacement))
+    points = maps[-1].points
+    assert points is not None
+    return tuple(maps), points
 
-    def finer(coarse: LevelMap, levels: LevelPair) -> LevelMap:
-        return next_level(pair, coarse, levels, beside)
 
-    return down_the_levels(pair, first_map, finer, progress, beside)
-
-
-def zoomout_both_ways(
-    target: Samples, source: Samples, functional_map: FloatArray, schedule: ZoomOutSchedule
-) -> FloatArray:
-    """C12 of ZoomOut on some samples of both surfaces, fitted to the matches of both directions.
+def zoomed_out(
+    pair: Pair, levels: LevelPair, functional_map: FloatArray, config: HfmConfig
+) -> tuple[FloatArray, Displacement]:
+    """C12 of all bands and the displacement of the target: ZoomOut on samples of two levels, in both directions.
 
     Parameters
     ----------
-    target, source : Samples
+    pair : Pair
+    levels : (int, int)
     functional_map : (k1, k2) array
         C12 of the first functions.
-    schedule : ZoomOutSchedule
+    config : HfmConfig
     """
-    target, source = (_some(side, ZOOMOUT_SAMPLES) for side in (target, source))
-    counts = target.rows.shape[1], source.rows.shape[1]
-    for size in schedule.sizes(max(counts)):
-        embedded = embed_target(target, functional_map.shape[0]), embed_source(source, functional_map)
-        sizes = min(size, counts[0]), min(size, counts[1])
-        functional_map = fit_both_ways(target, source, nearest_both_ways(*embedded), sizes)
-    return functional_map
+    target = LevelSamples.of(pair.target, levels[0], pair.landmarks.target)
+    source = LevelSamples.of(pair.source, levels[1], pair.landmarks.source)
+    counts, displacement = (target.rows.shape[1], source.rows.shape[1]), None
+    for size in config.zoomout.sizes(max(counts)):
+        matches = nearest_both_ways(*embeddings(target, source, functional_map, displacement, config))
+        k1, k2 = min(size, counts[0]), min(size, counts[1])
+        of_target, of_source, areas = both_directions(target, source, matches)
+        samples = Samples(target.rows[of_target, :k1], areas, np.zeros((len(areas), 0)))
+        functional_map = fit_functional_map(samples, source.rows[of_source, :k2], k1)
+        functions = max(FEWEST_FUNCTIONS, round(config.displacement_share * k1))
+        displacement = fit_displacement(samples, target.positions[of_target], source.positions[of_source], functions)
+    assert displacement is not None
+    return functional_map, displacement
 
 
-def fit_both_ways(
-    target: Samples, source: Samples, matches: tuple[IndexArray, IndexArray], sizes: tuple[int, int]
-) -> FloatArray:
-    """C12 of the matches of both directions, each surface's samples counting as much as the other's.
+@dataclass(frozen=True, eq=False)
+class LevelSamples:
+    """Some vertices of a level, as ZoomOut sees them.
 
-    Parameters
+    Attributes
     ----------
-    target, source : Samples
-    matches : ((b1,), (b2,)) arrays
-        Source sample of every target sample, target sample of every source sample.
-    sizes : (int, int)
-        Leading basis functions (k1, k2).
+    surface : Surface
+    level : int
+    vertices : (b,) array
+    rows : (b, k) array
+        Phi~(x, :).
+    areas : (b,) array
+        Shares of their sum.
+    coordinates : (b, c) array
+        Those of landmarks.
+    """
 
-    Returns
-    -------
-    (k1, k2) array
+    surface: Surface
+    level: int
+    vertices: IndexArray
+    rows: FloatArray
+    areas: FloatArray
+    coordinates: FloatArray
+
+    @classmethod
+    def of(cls, surface: Surface, level: int, landmarks: SurfacePoints) -> LevelSamples:
+        """Evenly spaced vertices of a level."""
+        operators = surface.operators
+        vertices = evenly_spaced(surface.triangles(level).n, ZOOMOUT_SAMPLES)
+        areas, coordinates = operators.areas(level)[vertices], np.zeros((len(vertices), 0))
+        if len(landmarks) >= FEWEST_LANDMARKS:
+            near = vertices_near(landmarks, surface, level)
+            coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], near)[vertices]
+        rows = functions_at(surface, level, surface.basis.count)[vertices]
+        return cls(surface, level, vertices, rows, areas / areas.sum(), coordinates)
+
+    @property
+    def positions(self) -> FloatArray:
+        """(b, 3), at unit area."""
+        return self.surface.triangles(self.level).positions[self.vertices]
+
+
+def embeddings(
+    target: LevelSamples,
+    source: LevelSamples,
+    functional_map: FloatArray,
+    displacement: Displacement | None,
+    config: HfmConfig,
+) -> tuple[Embedding, Embedding]:
+    """Phi~1 and Phi~2 C12^T (paper, 5.4), and beside them landmark coordinates, places and normals.
+
+    Beside k functions they count in proportion to sqrt(k), so that their share of a distance does not fade.
+    """
+    k1, k2 = functional_map.shape
+    columns = [
+        [side.rows[:, :k], config.coordinate_weight * side.coordinates] for side, k in ((target, k1), (source, k2))
+    ]
+    columns[1][0] = columns[1][0] @ functional_map.T
+    if displacement is not None:
+        faces = target.surface.triangles(target.level), source.surface.triangles(source.level)
+        places = displacement.at(target.surface, target.level), faces[1].positions
+        for side, its, mesh, at in zip(columns, (target, source), faces, places, strict=True):
+            normals = vertex_normals(at, mesh.triangles)
+            side += [config.position_weight * at[its.vertices], config.normal_weight * normals[its.vertices]]
+    one, two = (
+        np.hstack([side[0], *(np.sqrt(k1) * beside for beside in side[1:])]).astype(np.float32) for side in columns
+    )
+    return one, two
+
+
+def both_directions(
+    target: LevelSamples, source: LevelSamples, matches: tuple[IndexArray, IndexArray]
+) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Pairs (target sample, source sample) of the matches of both directions, and their areas.
+
+    Each surface's samples count as much as the other's.
     """
     forward, backward = matches
-    rows = np.vstack([target.rows[:, : sizes[0]], target.rows[backward, : sizes[0]]])
-    values = np.vstack([source.rows[forward, : sizes[1]], source.rows[:, : sizes[1]]])
-    areas = np.concatenate([target.areas / target.areas.sum(), source.areas / source.areas.sum()])
-    return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, sizes[0])
+    of_target = np.concatenate([np.arange(len(forward)), backward])
+    of_source = np.concatenate([forward, np.arange(len(backward))])
+    return of_target, of_source, np.concatenate([target.areas, source.areas])
 
 
-def next_level(pair: Pair, coarse: LevelMap, levels: LevelPair, coordinates: Coordinates) -> LevelMap:
-    """One level finer: candidates of Fig. 9, C of these matches, and candidates once more."""
-    match = search_level(pair, coarse.functional_map, levels, coarse, coordinates)
-    functional_map = refit(pair, levels, match, coarse.functional_map.shape)
-    return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse, coordinates))
+def fit_displacement(samples: Samples, positions: FloatArray, images: FloatArray, functions: int) -> Displacement:
+    """Rotation and tau = Phi~1^+ (P12 X2 - X1 R) of matched points (b, 3)."""
+    centred = [points - samples.areas @ points / samples.areas.sum() for points in (images, positions)]
+    rotation = Rotation.align_vectors(*centred, weights=samples.areas)[0].as_matrix().T
+    return Displacement(rotation, fit_functional_map(samples, images - positions @ rotation, functions))
 
 
-def _level_samples(surface: Surface, level: int, landmarks: SurfacePoints, weight: float) -> Samples:
-    """All vertices of a level with their areas and weighted landmark coordinates."""
-    operators = surface.operators
-    rows = functions_at(surface, level, surface.basis.count)
-    coordinates = np.zeros((len(rows), 0))
-    if len(landmarks) >= FEWEST_LANDMARKS:
-        vertices = vertices_near(landmarks, surface, level)
-        coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], vertices)
-    return Samples(rows, operators.areas(level), weight * coordinates)
-
-
-def _some(samples: Samples, count: int) -> Samples:
-    chosen = evenly_spaced(len(samples.areas), count)
-    return Samples(samples.rows[chosen], samples.areas[chosen], samples.coordinates[chosen])
+def closest_map(pair: Pair, levels: LevelPair, functional_map: FloatArray, displacement: Displacement) -> LevelMap:
+    """Map of two levels: closest points of the source, in position and normal, to the displaced target."""
+    target, source = pair.target.triangles(levels[0]), pair.source.triangles(levels[1])
+    places = displacement.at(pair.target, levels[0])
+    points = facing_points(source, places, vertex_normals(places, target.triangles), FACING_WEIGHTS)
+    rows = np.arange(len(points))
+    match = points.corners[rows, points.barycentric.argmax(axis=1)]
+    return LevelMap(levels, functional_map, match, PointMap(target, points))

@@ -15,7 +15,6 @@ from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.paper.fine_rows import (
-    Columns,
     SpectralRows,
     blocks,
     recover_in_blocks,
@@ -30,9 +29,6 @@ from cagemap.spectral.surface import Surface
 SAMPLE_VERTICES = 30_000
 # The search levels have this many functions on both sides, where the bases do.
 ENOUGH_FUNCTIONS = 50
-# Coordinates that target and source share beside the functions, weighted as `Samples.coordinates` are.
-Coordinates = tuple[Columns, Columns]
-
 # Two levels are walked down together while neither has this many times the other's vertices.
 COMPARABLE = 2.5
 
@@ -83,7 +79,6 @@ def down_the_levels(
     first: LevelMap,
     below: Callable[[LevelMap, LevelPair], LevelMap],
     progress: Progress,
-    coordinates: Coordinates | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of a first pair of levels and of all below, vertex to point on each, and T12 of the finest ones.
 
@@ -94,15 +89,13 @@ def down_the_levels(
     below : callable
         The map of the next pair of levels from the one above it.
     progress : callable
-    coordinates : Coordinates, optional
-        For the steps from vertices to points.
     """
     maps = [first]
     for levels in ladder(pair, first.levels):
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
         maps.append(below(maps[-1], levels))
     progress("point map")
-    points = [recover_points(pair, found, coordinates) for found in maps]
+    points = [recover_points(pair, found) for found in maps]
     return tuple(replace(found, points=on) for found, on in zip(maps, points, strict=True)), points[-1]
 
 
@@ -120,13 +113,11 @@ def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> In
     return nearest_rows(target.at(every[0]), source.at(every[1]))
 
 
-def search_level(
-    pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap, coordinates: Coordinates | None = None
-) -> IndexArray:
+def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
     """Nearest candidates of all target vertices of a level (paper, Fig. 9)."""
     parents = _parents(pair.target, coarse.levels[0], levels[0])
     children = _children(pair.source, coarse.levels[1], levels[1])
-    rows = _both_rows(pair, functional_map, levels, coordinates)
+    rows = _both_rows(pair, functional_map, levels)
     return search_candidates(*rows, blocks(pair.target, levels[0]), parents, children, coarse.match)
 
 
@@ -182,24 +173,19 @@ def start_map(pair: Pair, start: ArrayLike, sizes: tuple[int, int]) -> FloatArra
     return given
 
 
-def recover_points(pair: Pair, matched: LevelMap, coordinates: Coordinates | None = None) -> PointMap:
+def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
-    rows = _both_rows(pair, matched.functional_map, matched.levels, coordinates)
+    rows = _both_rows(pair, matched.functional_map, matched.levels)
     target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
     found = recover_in_blocks(*rows, blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
     return PointMap.from_arrays(target, source, *found)
 
 
-def _both_rows(
-    pair: Pair, functional_map: FloatArray, levels: LevelPair, coordinates: Coordinates | None = None
-) -> tuple[SpectralRows, SpectralRows]:
-    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T, and coordinates beside them in proportion to sqrt(k)."""
+def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[SpectralRows, SpectralRows]:
+    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T."""
     k1, k2 = functional_map.shape
-    one, two = (
-        replace(side, values=np.sqrt(k1) * side.values) if side else None for side in coordinates or (None, None)
-    )
-    target = spectral_rows(pair.target, levels[0], k1, coordinates=one)
-    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T, two)
+    target = spectral_rows(pair.target, levels[0], k1)
+    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)
 
 
 def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:
