@@ -22,8 +22,10 @@ from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
 from cagemap.maps.landmarks.turned import turned_limbs
+from cagemap.maps.level_pairs import search_levels
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
+from cagemap.maps.paired_mirrors import paired_mirrors
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
@@ -34,9 +36,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
-from cagemap.paper.constraints import paired_mirrors
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.levels import search_levels
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.prepare import DEFAULT_VERTICES

@@ -24,6 +24,7 @@ from cagemap.maps.elastic import elastic_map
 from cagemap.maps.functional_maps import from_bases, to_bases
 from cagemap.maps.given import MapLike, checked, functional_map_from, places_of, zoomed_out
 from cagemap.maps.level_map import LevelMap
+from cagemap.maps.level_pairs import ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of
 from cagemap.maps.point_map import PointMap
@@ -40,7 +41,7 @@ from cagemap.paper.descriptors import Filters, choose_filters, landmark_descript
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig
 from cagemap.paper.hfm import hfm_map as _hfm_map
-from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_full, search_level, search_levels
+from cagemap.paper.levels import basis_sizes, recover_points, search_full, search_level
 from cagemap.paper.method import PaperConfig
 from cagemap.paper.method import paper_map as _paper_map
 from cagemap.paper.operators import check_symmetry

@@ -68,7 +68,7 @@ def test_the_paper_s_schedule_has_as_many_levels_as_the_surface(tmp_path):
     """Where none is given; a number of functions replaces it."""
     words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "paper"}
     target, source = side_bases(MatchRequest(**words), (1, 3))
-    assert (target.schedule, source.schedule) == ((100, 50), (100, 50, 50, 50))
+    assert (target.schedule, source.schedule) == ((40, 110), (40, 110))
     assert side_bases(MatchRequest(**words, k=40), (1, 3))[0] == BasisConfig(count=40)
     assert side_bases(MatchRequest(**words, schedule="9,5"), (1, 3))[1].schedule == (9, 5)
 
@@ -141,10 +141,10 @@ def test_wrong_options_of_bases_are_refused(tmp_path, words, said):
 
 def test_parameters_reach_the_method_they_belong_to():
     assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
-    hfm = with_parameters(MatchConfig(method="hfm"), ["last=80", "signature_weight=0", "products=4"]).hfm
-    assert (hfm.zoomout.last, hfm.descriptors.signature_weight, hfm.descriptors.products) == (80, 0.0, 4)
+    hfm = with_parameters(MatchConfig(method="hfm"), ["last=80", "signature_weight=0", "wave=4"]).hfm
+    assert (hfm.zoomout.last, hfm.descriptors.signature_weight, hfm.descriptors.wave) == (80, 0.0, 4)
     used = used_parameters(MatchConfig(method="hfm", hfm=hfm))
-    assert (used["last"], used["products"], used["factor"]) == (80, 4, hfm.zoomout.factor)
+    assert (used["last"], used["wave"], used["factor"]) == (80, 4, hfm.zoomout.factor)
     assert with_parameters(MatchConfig(), ["first=12"]).start.zoomout.first == 12
     assert with_parameters(MatchConfig(), []) == MatchConfig()
 
@@ -162,8 +162,7 @@ def test_parameters_reach_the_method_they_belong_to():
         ("elastic", "factor=x", "factor: expected a number, got 'x'"),
         ("hfm", "factor=1", "a factor above 1"),
         ("hfm", "coordinate_weight=-1", "coordinate_weight: expected a number of at least 0"),
-        ("hfm", "product_weight=-1", "product_weight: expected at least 0"),
-        ("hfm", "products=-1", "products: expected 0 or more descriptors"),
+        ("hfm", "signature_weight=-1", "signature_weight: expected at least 0"),
     ],
 )
 def test_wrong_parameters_are_refused(method, setting, said):

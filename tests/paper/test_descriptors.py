@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples import shapes
 
 from cagemap.errors import ParameterError
-from cagemap.maps.pair import Pair
-from cagemap.paper import MapWeights, solve_functional_map
-from cagemap.paper.constraints import DescriptorConfig, gather_constraints
 from cagemap.paper.descriptors import (
     choose_filters,
     heat_filters,
@@ -20,9 +16,6 @@ from cagemap.paper.descriptors import (
     wave_energies,
     wave_filters,
 )
-from cagemap.paper.operators import multiplication_operator
-from cagemap.pipeline import prepare_surface
-from cagemap.spectral import BasisConfig
 
 RNG = np.random.default_rng(314)
 
@@ -110,41 +103,3 @@ def test_too_small_a_spectrum_is_refused():
         heat_times(np.array([0.0, 3.0]), 4)
     with pytest.raises(ParameterError, match="expected 3 filter rows"):
         landmark_descriptors(np.zeros((2, 3)), np.zeros((4, 5)))
-
-
-def test_multiplication_operator_is_its_definition():
-    """O~ = Phi~^+ diag(f) Phi~: the identity for a constant, and no larger than f."""
-    surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(40, 20)))
-    basis = surface.basis
-    constant = np.zeros(basis.count)
-    constant[0] = -3.0
-    sign = -np.sign(basis.rows(1, np.array([0]))[0, 0])
-    np.testing.assert_allclose(multiplication_operator(basis, constant), sign * np.eye(60), atol=1e-8)
-    coefficients = np.random.default_rng(17).standard_normal(basis.count)
-    found = multiplication_operator(basis, coefficients)
-    rows, mass = basis.at(1), surface.operators.mass[1]
-    function = rows @ coefficients
-    function /= np.abs(function).max()
-    expected = np.linalg.solve(basis.gram, rows.T @ (mass @ (function[:, None] * rows)))
-    np.testing.assert_allclose(found, expected, atol=1e-10)
-    assert np.abs(np.linalg.eigvals(found)).max() <= 1.05  # of a function of at most 1
-
-
-def test_products_ask_a_map_for_more_than_descriptors():
-    """The identity still satisfies all; and a surface has as many operators as were asked for."""
-    surface = prepare_surface(shapes.creature(), 1, BasisConfig(schedule=(20, 10)))
-    chosen = np.arange(0, surface.control.n_vertices, 7)
-    pair = Pair.of_vertices(surface, surface, chosen, chosen)
-    constraints = gather_constraints(pair, DescriptorConfig(products=6, product_weight=2.0))
-    assert len(constraints.target.operators) == 6
-    assert max(np.linalg.norm(operator, 2) for operator in constraints.target.operators) < 2.2
-    found = solve_functional_map(constraints, MapWeights(decay=0.0))
-    np.testing.assert_allclose(found, np.eye(30), atol=1e-6)
-    # One landmark and one filter leave much open, which multiplication by the same function closes.
-    lone = Pair.of_vertices(surface, surface, chosen[:1], chosen[:1])
-    errors = []
-    for products in (0, 1):
-        asked = DescriptorConfig(heat=1, wave=0, signature_weight=0.0, products=products, product_weight=10.0)
-        found = solve_functional_map(gather_constraints(lone, asked), MapWeights(laplacian=0.0, decay=1e-3))
-        errors.append(np.linalg.norm(found - np.eye(30)))
-    assert errors[1] < 0.9 * errors[0]

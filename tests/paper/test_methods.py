@@ -12,6 +12,7 @@ from examples import shapes
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
+from cagemap.maps.level_pairs import search_levels
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import (
@@ -23,7 +24,6 @@ from cagemap.paper import (
     paper_map,
 )
 from cagemap.paper.hfm import both_directions, fit_displacement
-from cagemap.paper.levels import search_levels
 from cagemap.paper.method import orthonormal
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
@@ -100,7 +100,7 @@ def hfm_errors(changes):
 
 @pytest.mark.slow
 def test_every_improvement_of_hfm_helps(shared_data, monkeypatch):
-    """Each left out costs something on pairs that nothing was chosen on; docs/paper/stages.md has all 28 runs."""
+    """Each left out costs something on pairs that nothing was chosen on; docs/paper/index.md has all 28 runs."""
     usual = HfmConfig()
     errors = hfm_errors(
         {

@@ -10,20 +10,17 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.maps.curves import SurfaceCurve
-from cagemap.maps.pair import Pair, SymmetryPair
-from cagemap.mesh.mirrors import Mirror, mirror_symmetries
+from cagemap.maps.pair import Pair
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors, normalise_columns, signatures
-from cagemap.paper.operators import check_symmetry, multiplication_operator, symmetry_at, symmetry_operator
+from cagemap.paper.operators import check_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral.surface import Surface
 
 # Mean distance of neighbouring eigenvalues of a surface of unit area (Weyl's law). With eigenvalues in this unit,
 # Lambda~ counts places in the spectrum, and one weight serves all k and all surfaces.
 SPACING = 4.0 * np.pi
-# Share of landmarks that two mirror planes must take to the same landmarks.
-AGREEMENT = 0.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,9 +71,9 @@ class MapWeights:
         neighbour, where eq. 13 leaves noise. 0 is eq. 13 as printed.
     """
 
-    laplacian: float = 0.003
+    laplacian: float = 0.001
     operators: float = 1.0
-    decay: float = 1.0
+    decay: float = 3.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -157,27 +154,16 @@ class DescriptorConfig(Brief):
         Filters of each kind, for landmarks and signatures alike.
     signature_weight : float
         Norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out.
-    products : int
-        Descriptors, chosen at equal steps among all, whose multiplication the map shall commute with [NO17]; 0 for
-        none. Each is a dense operator.
-    product_weight : float
-        Norm of a multiplication beside that of a self-symmetry.
     """
 
     heat: int = 10
     wave: int = 20
     signature_weight: float = 3.0
-    products: int = 0
-    product_weight: float = 3.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        for name in ("signature_weight", "product_weight"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"{name}: expected at least 0, got {value}")
-        if self.products < 0:
-            raise ParameterError(f"products: expected 0 or more descriptors, got {self.products}")
+        if not (np.isfinite(self.signature_weight) and self.signature_weight >= 0.0):
+            raise ParameterError(f"signature_weight: expected at least 0, got {self.signature_weight}")
 
 
 def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()) -> Constraints:
@@ -196,14 +182,9 @@ def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()
     return Constraints(*made)
 
 
-def eigenvalues(surface: Surface, level: int) -> FloatArray:
-    """Lambda~ of a level."""
-    return surface.basis.eigenvalues[: surface.basis.size(level)]
-
-
 def signature_functions(surface: Surface, filters: Filters, level: int) -> FloatArray:
     """Signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3); (n_level, q)."""
-    at_eigenvalues = filters.at(eigenvalues(surface, level))
+    at_eigenvalues = filters.at(surface.basis.eigenvalues[: surface.basis.size(level)])
     values = np.empty((surface.hierarchy.levels[level].n_vertices, at_eigenvalues.shape[1]))
     for part, block in surface.basis.row_blocks(level):
         values[part] = signatures(block, at_eigenvalues)
@@ -224,41 +205,6 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
     return np.asarray(gather @ rows)
 
 
-def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
-    """Mirror planes that both control meshes have and that the landmarks agree with.
-
-    A plane takes landmark i near landmark j on either side, or it is another plane. Where too few landmarks tell planes
-    of one side apart, these are left; where each side has one plane only, the two belong together unless landmarks say
-    otherwise. A plain mesh has none.
-    """
-    if pair.target.refinement.is_plain or pair.source.refinement.is_plain:
-        return ()  # the vertices of a scan mirror no vertices
-    sides = [(pair.target.control, pair.landmarks.target), (pair.source.control, pair.landmarks.source)]
-    mirrors = in_threads(lambda side: mirror_symmetries(side[0]), sides)
-    partners = [
-        [(mirror, _partners(mirror, landmarks.positions / landmarks.surface.scale)) for mirror in planes]
-        for planes, (_, landmarks) in zip(mirrors, sides, strict=True)
-    ]
-    found: list[SymmetryPair] = []
-    taken: set[int] = set()
-    for target, at_target in partners[0]:
-        if sum(np.array_equal(at_target, others) for _, others in partners[0]) > 1:
-            continue
-        agreement = [np.mean(at_target == at_source) if len(at_target) else 1.0 for _, at_source in partners[1]]
-        order = [int(i) for i in np.argsort(agreement)[::-1] if int(i) not in taken]
-        told = len(order) == 1 or (len(order) > 1 and agreement[order[0]] > agreement[order[1]])
-        if told and agreement[order[0]] >= AGREEMENT:
-            taken.add(order[0])
-            found.append((target.image, partners[1][order[0]][0].image))
-    return tuple(found)
-
-
-def _partners(mirror: Mirror, places: FloatArray) -> IndexArray:
-    """Which landmark every landmark's mirror image is nearest to; (p,)."""
-    squared = np.sum((mirror.reflect(places)[:, None] - places[None, :]) ** 2, axis=2)
-    return np.asarray(np.argmin(squared, axis=1)) if len(places) else np.zeros(0, dtype=np.int64)
-
-
 def _spectral_data(
     surface: Surface,
     landmarks: IndexArray,
@@ -276,12 +222,8 @@ def _spectral_data(
     if config.signature_weight > 0.0:
         projected = basis.project(signature_functions(surface, filters, level), level)
         columns.append(config.signature_weight * normalise_columns(projected))
-    descriptors, projections = np.hstack(columns), []
+    projections = []
     for symmetry in symmetries:
         check_symmetry(symmetry, surface.control)
         projections.append(symmetry_operator(basis, symmetry_at(surface.hierarchy, symmetry, level)))
-    # The same descriptors on both surfaces, for both have as many.
-    steps = np.linspace(0, descriptors.shape[1], min(config.products, descriptors.shape[1]), endpoint=False)
-    products = [multiplication_operator(basis, descriptors[:, int(step)]) for step in steps]
-    projections += [config.product_weight * product for product in products]
-    return SpectralData(basis.eigenvalues, descriptors, tuple(projections))
+    return SpectralData(basis.eigenvalues, np.hstack(columns), tuple(projections))

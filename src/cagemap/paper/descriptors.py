@@ -45,19 +45,9 @@ class Filters:
 
 
 def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, heat: int, wave: int) -> Filters:
-    """Filters for two surfaces of unit area, from the geometric mean of their whole spectra.
+    """Filters of both kinds for two surfaces of unit area, from the geometric mean of their whole spectra.
 
-    Parameters
-    ----------
-    target_eigenvalues, source_eigenvalues : (k1,), (k2,) arrays
-        In any order.
-    heat, wave : int
-        Filters of each kind.
-
-    Raises
-    ------
-    ParameterError
-        If there are too few eigenvalues, or no filters.
+    The eigenvalues (k1,), (k2,) may come in any order. Too few of them, or no filters, raise a ParameterError.
     """
     if min(heat, wave) < 0 or not 0 < heat + wave <= _MOST_FILTERS:
         raise ParameterError(f"expected 1 to {_MOST_FILTERS} filters, got {heat} heat and {wave} wave kernels")
@@ -70,18 +60,7 @@ def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArra
 
 
 def heat_times(eigenvalues: FloatArray, count: int) -> FloatArray:
-    """Diffusion times, log-spaced in [4 ln 10 / lambda_k, 4 ln 10 / lambda_1].
-
-    Parameters
-    ----------
-    eigenvalues : (k,) array
-        In ascending order, the first being that of the constant (0). Unit 1 / area.
-    count : int
-
-    Returns
-    -------
-    (count,) array, ascending
-    """
+    """(count,) diffusion times, ascending, log-spaced in [4 ln 10 / lambda_k, 4 ln 10 / lambda_1]; unit area."""
     positive = _positive(eigenvalues)
     return np.geomspace(HEAT_RANGE / positive.max(), HEAT_RANGE / positive.min(), count)
 
@@ -92,13 +71,7 @@ def heat_filters(eigenvalues: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def wave_energies(eigenvalues: FloatArray, count: int) -> tuple[FloatArray, float]:
-    """Energies of the wave kernel and the filters' width, both in log eigenvalue ([ASC11]).
-
-    Returns
-    -------
-    energies : (count,) array, ascending
-    width : float
-    """
+    """(count,) energies of the wave kernel, ascending, and the filters' width, both in log eigenvalue [ASC11]."""
     positive = _positive(eigenvalues)
     low, high = np.log(positive.min()), np.log(positive.max())
     width = WAVE_WIDTH * (high - low) / count
@@ -108,10 +81,7 @@ def wave_energies(eigenvalues: FloatArray, count: int) -> tuple[FloatArray, floa
 
 
 def wave_filters(eigenvalues: FloatArray, energies: FloatArray, width: float) -> FloatArray:
-    """Wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)); (k, q).
-
-    The constant function has no energy and gets weight 0.
-    """
+    """Wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)), 0 for the constant function; (k, q)."""
     logs = np.log(np.maximum(eigenvalues, np.finfo(float).tiny))
     filters = np.exp(-((energies[None, :] - logs[:, None]) ** 2) / (2.0 * width**2))
     filters[eigenvalues <= _zero(eigenvalues)] = 0.0
@@ -140,18 +110,7 @@ def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
 
 
 def signatures(rows: FloatArray, filters: FloatArray) -> FloatArray:
-    """Values of the signature descriptors diag(Phi~ rho_t(Lambda~) Phi~^T) (paper, Definition 3).
-
-    Parameters
-    ----------
-    rows : (b, k) array
-        Basis rows of any set of vertices.
-    filters : (k, q) array
-
-    Returns
-    -------
-    (b, q) array
-    """
+    """(b, q) values of the signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at vertices with basis rows (b, k)."""
     return (rows * rows) @ filters
 
 

@@ -73,22 +73,10 @@ def solve_functional_map(
 
 
 def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights: MapWeights) -> FloatArray:
-    """Extend a functional map by the bands of the next level, eq. 14: C_h = [[C_l, C_lh], [C_hl, C_h]].
+    """Extend C_l (k1_l, k2_l) by the bands of the next level, eq. 14: [[C_l, C_lh], [C_hl, C_h]], (k1, k2).
 
     C_l stays as it is. Tridiagonal operators are cut to their diagonal blocks (eq. 15), so the low rows give C_lh alone
     (eq. 16) and the high rows C_hl and C_h; denser ones keep their entries and couple all three (end of 5.3.2).
-
-    Parameters
-    ----------
-    coarse : (k1_l, k2_l) array
-        C_l, on the leading basis functions of both surfaces.
-    constraints : Constraints
-        Of level l + 1: k1 >= k1_l and k2 >= k2_l basis functions.
-    weights : MapWeights
-
-    Returns
-    -------
-    (k1, k2) array
     """
     low1, low2 = coarse.shape
     split = Constraints(split_operators(constraints.target, low1), split_operators(constraints.source, low2))
@@ -97,18 +85,14 @@ def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights:
 
 def split_operators(data: SpectralData, low: int) -> SpectralData:
     """Cut tridiagonal operators between low and high functions (eq. 15); denser ones stay whole."""
-    operators = tuple(_block_diagonal(o, low) if _is_tridiagonal(o) else o for o in data.operators)
+    operators = tuple(_block_diagonal(operator, low) for operator in data.operators)
     return SpectralData(data.eigenvalues, data.descriptors, operators)
 
 
-def _is_tridiagonal(operator: FloatArray) -> bool:
-    return not (np.any(np.triu(operator, 2)) or np.any(np.tril(operator, -2)))
-
-
 def _block_diagonal(operator: FloatArray, low: int) -> FloatArray:
-    blocks = np.zeros_like(operator)
-    blocks[:low, :low], blocks[low:, low:] = operator[:low, :low], operator[low:, low:]
-    return blocks
+    blocks = linalg.block_diag(operator[:low, :low], operator[low:, low:])
+    tridiagonal = not (np.any(np.triu(operator, 2)) or np.any(np.tril(operator, -2)))
+    return np.asarray(blocks) if tridiagonal else operator
 
 
 def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, weight: float) -> FloatArray:

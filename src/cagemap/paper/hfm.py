@@ -7,7 +7,7 @@
 4. C and the displacement are fitted to matches in both directions, so that no limb of the source is left out.
 5. On every level the displaced target's closest points of the source are the map, in place of Fig. 9.
 
-What each is worth: docs/paper/stages.md.
+What each is worth: docs/paper/index.md.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
 from cagemap.maps.level_map import LevelMap
+from cagemap.maps.level_pairs import ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent, vertices_near
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
@@ -27,8 +28,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.fine_rows import functions_at, spectral_rows
-from cagemap.paper.levels import ladder, search_levels, start_map
+from cagemap.paper.levels import start_map
+from cagemap.spectral.fine_rows import functions_at, spectral_rows
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.nearest import Embedding, nearest_both_ways
 from cagemap.spectral.samples import Samples, evenly_spaced, fit_functional_map
@@ -81,14 +82,9 @@ class HfmConfig(Brief):
         """Check the ranges."""
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
-        for name in ("coordinate_weight", "position_weight", "normal_weight", "displacement_share"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not (np.isfinite(value) and value >= 0.0):
                 raise ParameterError(f"{name}: expected a number of at least 0, got {value}")
-        if min(self.search_vertices, self.source_search_vertices) < 0:
-            raise ParameterError(
-                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +172,13 @@ def zoomed_out(
     source = LevelSamples.of(pair.source, levels[1], pair.landmarks.source)
     counts, displacement = (target.rows.shape[1], source.rows.shape[1]), None
     for size in config.zoomout.sizes(max(counts)):
-        matches = nearest_both_ways(*embeddings(target, source, functional_map, displacement, config))
+        k1, k2 = functional_map.shape
+        placed = None if displacement is None else displacement.at(pair.target, levels[0])
+        still = None if displacement is None else pair.source.triangles(levels[1]).positions
+        matches = nearest_both_ways(
+            target.embedding(target.rows[:, :k1], placed, config),
+            source.embedding(source.rows[:, :k2] @ functional_map.T, still, config),
+        )
         k1, k2 = min(size, counts[0]), min(size, counts[1])
         of_target, of_source, areas = both_directions(target, source, matches)
         samples = Samples(target.rows[of_target, :k1], areas, np.zeros((len(areas), 0)))
@@ -189,20 +191,7 @@ def zoomed_out(
 
 @dataclass(frozen=True, eq=False)
 class LevelSamples:
-    """Some vertices of a level, as ZoomOut sees them.
-
-    Attributes
-    ----------
-    surface : Surface
-    level : int
-    vertices : (b,) array
-    rows : (b, k) array
-        Phi~(x, :).
-    areas : (b,) array
-        Shares of their sum.
-    coordinates : (b, c) array
-        Those of landmarks.
-    """
+    """Some vertices (b,) of a level: rows Phi~(x, :), areas that sum to 1, and coordinates of the landmarks."""
 
     surface: Surface
     level: int
@@ -228,33 +217,16 @@ class LevelSamples:
         """(b, 3), at unit area."""
         return self.surface.triangles(self.level).positions[self.vertices]
 
+    def embedding(self, spectral: FloatArray, places: FloatArray | None, config: HfmConfig) -> Embedding:
+        """Spectral rows (b, k), landmark coordinates, and all vertices' places (n, 3) and normals, if given.
 
-def embeddings(
-    target: LevelSamples,
-    source: LevelSamples,
-    functional_map: FloatArray,
-    displacement: Displacement | None,
-    config: HfmConfig,
-) -> tuple[Embedding, Embedding]:
-    """Phi~1 and Phi~2 C12^T (paper, 5.4), and beside them landmark coordinates, places and normals.
-
-    Beside k functions they count in proportion to sqrt(k), so that their share of a distance does not fade.
-    """
-    k1, k2 = functional_map.shape
-    columns = [
-        [side.rows[:, :k], config.coordinate_weight * side.coordinates] for side, k in ((target, k1), (source, k2))
-    ]
-    columns[1][0] = columns[1][0] @ functional_map.T
-    if displacement is not None:
-        faces = target.surface.triangles(target.level), source.surface.triangles(source.level)
-        places = displacement.at(target.surface, target.level), faces[1].positions
-        for side, its, mesh, at in zip(columns, (target, source), faces, places, strict=True):
-            normals = vertex_normals(at, mesh.triangles)
-            side += [config.position_weight * at[its.vertices], config.normal_weight * normals[its.vertices]]
-    one, two = (
-        np.hstack([side[0], *(np.sqrt(k1) * beside for beside in side[1:])]).astype(np.float32) for side in columns
-    )
-    return one, two
+        What stands beside the functions counts in proportion to sqrt(k), so that its share does not fade.
+        """
+        beside = [config.coordinate_weight * self.coordinates]
+        if places is not None:
+            normals = vertex_normals(places, self.surface.triangles(self.level).triangles)
+            beside += [config.position_weight * places[self.vertices], config.normal_weight * normals[self.vertices]]
+        return np.hstack([spectral, np.sqrt(spectral.shape[1]) * np.hstack(beside)]).astype(np.float32)
 
 
 def both_directions(
@@ -272,8 +244,8 @@ def both_directions(
 
 def fit_displacement(samples: Samples, positions: FloatArray, images: FloatArray, functions: int) -> Displacement:
     """Rotation and tau = Phi~1^+ (P12 X2 - X1 R) of matched points (b, 3)."""
-    centred = [points - samples.areas @ points / samples.areas.sum() for points in (images, positions)]
-    rotation = Rotation.align_vectors(*centred, weights=samples.areas)[0].as_matrix().T
+    to, of = (points - samples.areas @ points / samples.areas.sum() for points in (images, positions))
+    rotation = Rotation.align_vectors(to, of, weights=samples.areas)[0].as_matrix().T
     return Displacement(rotation, fit_functional_map(samples, images - positions @ rotation, functions))
 
 

@@ -11,10 +11,11 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.maps.level_map import LevelMap
+from cagemap.maps.level_pairs import ladder
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
-from cagemap.paper.fine_rows import (
+from cagemap.spectral.fine_rows import (
     SpectralRows,
     blocks,
     recover_in_blocks,
@@ -27,51 +28,6 @@ from cagemap.spectral.surface import Surface
 
 # Levels up to this size serve the refits of C; of larger ones as many vertices do.
 SAMPLE_VERTICES = 30_000
-# The search levels have this many functions on both sides, where the bases do.
-ENOUGH_FUNCTIONS = 50
-# Two levels are walked down together while neither has this many times the other's vertices.
-COMPARABLE = 2.5
-
-
-def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
-    """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions.
-
-    Parameters
-    ----------
-    target, source : Surface
-    vertices : int
-        Of either.
-    source_vertices : int
-        Of the source, if not 0.
-    """
-
-    def first(surface: Surface, wanted: int) -> int:
-        functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
-        enough = (
-            i
-            for i, level in enumerate(surface.hierarchy.levels)
-            if len(level.positions) >= wanted and surface.basis.size(i) >= functions
-        )
-        return next(enough, surface.finest)
-
-    return first(target, vertices), first(source, source_vertices or vertices)
-
-
-def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
-    """Pairs of levels from just above `start` to the finest ones, each side at most one level a step.
-
-    Both sides go together while their sizes are comparable; otherwise the coarser one catches up first.
-    """
-    steps = []
-    l1, l2 = start
-    while (l1, l2) != (pair.target.finest, pair.source.finest):
-        n1, n2 = _size(pair.target, l1), _size(pair.source, l2)
-        target_may, source_may = l1 < pair.target.finest, l2 < pair.source.finest
-        move_target = target_may and (not source_may or n1 < COMPARABLE * n2)
-        move_source = source_may and (not target_may or n2 < COMPARABLE * n1)
-        l1, l2 = l1 + move_target, l2 + move_source
-        steps.append((l1, l2))
-    return steps
 
 
 def down_the_levels(
@@ -82,13 +38,7 @@ def down_the_levels(
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of a first pair of levels and of all below, vertex to point on each, and T12 of the finest ones.
 
-    Parameters
-    ----------
-    pair : Pair
-    first : LevelMap
-    below : callable
-        The map of the next pair of levels from the one above it.
-    progress : callable
+    ``below`` makes the map of the next pair of levels from the one above it.
     """
     maps = [first]
     for levels in ladder(pair, first.levels):

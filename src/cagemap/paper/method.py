@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
@@ -93,11 +94,7 @@ def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start
         functional_map = start_map(pair, start, sizes)[: sizes[0], : sizes[1]]
         if functional_map.shape != sizes:
             functional_map = extend_functional_map(functional_map, wanted, config.weights)
-    match = search_full(pair, functional_map, (0, 0))
-    for _ in range(config.rounds):
-        functional_map = orthonormal(refit(pair, (0, 0), match))
-        match = search_full(pair, functional_map, (0, 0))
-    return LevelMap((0, 0), functional_map, match)
+    return alternated(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
 
 
 def next_level(
@@ -107,10 +104,17 @@ def next_level(
     functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
     if sizes != functional_map.shape:
         functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
-    match = search_level(pair, functional_map, levels, coarse)
-    for _ in range(config.rounds):
+    return alternated(pair, levels, functional_map, config.rounds, lambda c: search_level(pair, c, levels, coarse))
+
+
+def alternated(
+    pair: Pair, levels: LevelPair, functional_map: FloatArray, rounds: int, search: Callable[[FloatArray], IndexArray]
+) -> LevelMap:
+    """P and orthonormal C in turn, from C (2.1.4)."""
+    match = search(functional_map)
+    for _ in range(rounds):
         functional_map = orthonormal(refit(pair, levels, match))
-        match = search_level(pair, functional_map, levels, coarse)
+        match = search(functional_map)
     return LevelMap(levels, functional_map, match)
 
 

@@ -1,12 +1,6 @@
-"""Operators that a functional map commutes with: self-symmetries and products with descriptors (paper, 5.2).
-
-A map that carries f2 to f1 carries g f2 to the image of g times f1, so it commutes with both products, which says more
-than C f2 = f1 does [NO17: Nogneng, Ovsjanikov 2017].
-"""
+"""Self-symmetries as operators that a functional map commutes with (paper, 5.2)."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from scipy import sparse
@@ -113,36 +107,9 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     (k, k) array, tridiagonal
         Its leading blocks are the operators of the coarser levels.
     """
-    whole = projected_operator(basis, lambda values: np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]))
-    return np.triu(np.tril(whole, 1), -1)
-
-
-def projected_operator(basis: HierarchicalBasis, apply: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """(k, k) Phi~^+ O Phi~ of a linear operator O on functions (n, q) of the last level that has a band."""
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):
         for start in range(0, band.shape[1], COLUMNS):
             values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
-            columns.append(basis.project(apply(values), level))
-    return np.hstack(columns)
-
-
-def multiplication_operator(basis: HierarchicalBasis, coefficients: FloatArray) -> FloatArray:
-    """O~ = Phi~^+ diag(f) Phi~ with |f| at most 1 (paper, 5.2; [NO17], eq. 6).
-
-    Parameters
-    ----------
-    basis : HierarchicalBasis
-    coefficients : (k,) array
-        f, in the basis. Scaled to a largest absolute value of 1, for the scale of a descriptor says nothing.
-
-    Returns
-    -------
-    (k, k) array, dense
-        Its leading blocks are near the operators of the coarser levels.
-    """
-    values = np.empty(basis.refinement.levels[basis.last_level].n_vertices)
-    for part, rows in basis.row_blocks(basis.last_level):
-        values[part] = rows @ coefficients
-    values /= max(float(np.abs(values).max()), np.finfo(float).tiny)
-    return projected_operator(basis, lambda functions: values[:, None] * functions)
+            columns.append(basis.project(np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]), level))
+    return np.triu(np.tril(np.hstack(columns), 1), -1)

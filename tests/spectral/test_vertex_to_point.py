@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from examples import shapes
 
-from cagemap.paper.vertex_to_point import vertex_to_point, vertex_triangles
+from cagemap.spectral.vertex_to_point import vertex_to_point, vertex_triangles
 from cagemap.subdivision import refine, triangles
 
 from search_reference import closest_on_triangle, vertex_to_point_reference

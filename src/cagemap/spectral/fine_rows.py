@@ -14,9 +14,9 @@ from scipy import sparse
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.products import multiply
-from cagemap.paper.vertex_to_point import vertex_to_point, vertex_triangles
 from cagemap.spectral.nearest import Embedding, nearest_candidates
 from cagemap.spectral.surface import Surface
+from cagemap.spectral.vertex_to_point import vertex_to_point, vertex_triangles
 
 # Target vertices of one block: at 300 functions some 40 MB of rows on either side.
 BLOCK = 32_768
