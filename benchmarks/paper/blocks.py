@@ -26,8 +26,8 @@ from cagemap.spectral.samples import Samples, fit_functional_map
 
 KEYS = ("female1605__male1591", "anny10pc__anny5pc")
 FUNCTIONS = 150
-FIRST = (20, 30, 40, 60, 100)
-COUNTS = (5, 14, 30, 60, 100)
+FIRST = (20, 40, 60, 100)
+COUNTS = (5, 14, 30, 60)
 # Control vertices whose true images are this near a source control vertex may be landmarks; of sqrt(area).
 EXACT = 0.01
 REGION = 0.06  # radius of a landmark's region

@@ -109,17 +109,16 @@ def variants_of_hfm() -> list[Variant]:
     unplaced = replace(on, position_weight=0.0, normal_weight=0.0)
     return [
         Variant("all", "on", on),
-        Variant("eq. 13", "noise", on, {"solve_functional_map": solved(noise)}),
-        Variant("eq. 13", "zero", on, {"solve_functional_map": solved(zero)}),
-        Variant("ZoomOut", "off", replace(on, zoomout=ZoomOutSchedule(on.zoomout.last, on.zoomout.last))),
-        Variant("landmark coordinates", "off", replace(on, coordinate_weight=0.0)),
-        Variant("displaced target and normals in the search", "off", unplaced),
+        Variant("matches of both directions", "off", on, {"both_directions": target_alone}),
         Variant("displaced target in the search", "off", replace(on, position_weight=0.0)),
         Variant("normals in the search", "off", replace(on, normal_weight=0.0)),
+        Variant("displaced target and normals in the search", "off", unplaced),
+        Variant("closest points", "off", on, {"closest_map": closest_map_off}),
+        Variant("ZoomOut", "off", replace(on, zoomout=ZoomOutSchedule(on.zoomout.last, on.zoomout.last))),
         Variant("displacement", "noise", on, {"fit_displacement": displaced(noise)}),
         Variant("displacement", "zero", on, {"fit_displacement": displaced(zero)}),
-        Variant("matches of both directions", "off", on, {"both_directions": target_alone}),
-        Variant("closest points", "off", on, {"closest_map": closest_map_off}),
+        Variant("eq. 13", "noise", on, {"solve_functional_map": solved(noise)}),
+        Variant("eq. 13", "zero", on, {"solve_functional_map": solved(zero)}),
     ]
 
 

@@ -161,7 +161,7 @@ def test_parameters_reach_the_method_they_belong_to():
         ("elastic", "last=2", "no fewer at last"),
         ("elastic", "factor=x", "factor: expected a number, got 'x'"),
         ("hfm", "factor=1", "a factor above 1"),
-        ("hfm", "coordinate_weight=-1", "coordinate_weight: expected a number of at least 0"),
+        ("hfm", "normal_weight=-1", "normal_weight: expected a number of at least 0"),
         ("hfm", "signature_weight=-1", "signature_weight: expected at least 0"),
     ],
 )

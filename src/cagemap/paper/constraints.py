@@ -130,9 +130,7 @@ class Constraints:
         """
         sides = []
         for data, given in ((self.target, target), (self.source, source)):
-            columns = real_numbers(given, "descriptors")
-            norms = np.linalg.norm(columns, axis=0)
-            scaled = weight * columns / np.where(norms > 0.0, norms, 1.0)
+            scaled = weight * normalise_columns(real_numbers(given, "descriptors"))
             sides.append(replace(data, descriptors=np.hstack([data.descriptors, scaled])))
         return Constraints(*sides)
 

@@ -1,11 +1,10 @@
-"""The paper's method with five named improvements (`hfm`).
+"""The paper's method with four named improvements (`hfm`).
 
 1. ZoomOut on one level finds the bands, in place of eqs. 14-16 [Melzi et al. 2019].
-2. Landmark coordinates stand beside the basis functions in every search.
-3. The target, displaced onto the source by few basis functions, and its normals stand beside them too [Eisenberger,
-   Lahner, Cremers 2020, Smooth Shells].
-4. C and the displacement are fitted to matches in both directions, so that no limb of the source is left out.
-5. On every level the displaced target's closest points of the source are the map, in place of Fig. 9.
+2. The target, displaced onto the source by few basis functions, and its normals stand beside the functions in every
+   search [Eisenberger, Lahner, Cremers 2020, Smooth Shells].
+3. C and the displacement are fitted to matches in both directions, so that no limb of the source is left out.
+4. On every level the displaced target's closest points of the source are the map, in place of Fig. 9.
 
 What each is worth: docs/paper/index.md.
 """
@@ -21,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.errors import ParameterError
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.level_pairs import ladder, search_levels
-from cagemap.maps.pair import LevelPair, Pair, Progress, silent, vertices_near
+from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -30,17 +29,13 @@ from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights,
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.levels import start_map
 from cagemap.spectral.fine_rows import functions_at, spectral_rows
-from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.nearest import Embedding, nearest_both_ways
 from cagemap.spectral.samples import Samples, evenly_spaced, fit_functional_map
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
-from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import vertex_normals
 
 FEWEST_FUNCTIONS = 3
-# Landmarks that harmonic coordinates need.
-FEWEST_LANDMARKS = 2
 # Vertices of either surface that the bands are found with.
 ZOOMOUT_SAMPLES = 3000
 # Weights of normals beside positions in closest points: of the first search, and where sides of a thin part differ.
@@ -58,8 +53,8 @@ class HfmConfig(Brief):
         Of eq. 13.
     zoomout : ZoomOutSchedule
         Eq. 13 is solved for the first number of functions.
-    coordinate_weight, position_weight, normal_weight : float
-        Of landmark coordinates, displaced positions and their normals beside the basis functions, per sqrt(k).
+    position_weight, normal_weight : float
+        Of displaced positions and their normals beside the basis functions, per sqrt(k).
     displacement_share : float
         Functions of the displacement, as a share of those of C.
     search_vertices : int
@@ -71,7 +66,6 @@ class HfmConfig(Brief):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    coordinate_weight: float = 0.3
     position_weight: float = 10.0
     normal_weight: float = 1.0
     displacement_share: float = 0.5
@@ -168,8 +162,8 @@ def zoomed_out(
         C12 of the first functions.
     config : HfmConfig
     """
-    target = LevelSamples.of(pair.target, levels[0], pair.landmarks.target)
-    source = LevelSamples.of(pair.source, levels[1], pair.landmarks.source)
+    target = LevelSamples.of(pair.target, levels[0])
+    source = LevelSamples.of(pair.source, levels[1])
     counts, displacement = (target.rows.shape[1], source.rows.shape[1]), None
     for size in config.zoomout.sizes(max(counts)):
         k1, k2 = functional_map.shape
@@ -191,26 +185,21 @@ def zoomed_out(
 
 @dataclass(frozen=True, eq=False)
 class LevelSamples:
-    """Some vertices (b,) of a level: rows Phi~(x, :), areas that sum to 1, and coordinates of the landmarks."""
+    """Some vertices (b,) of a level: rows Phi~(x, :), and areas that sum to 1."""
 
     surface: Surface
     level: int
     vertices: IndexArray
     rows: FloatArray
     areas: FloatArray
-    coordinates: FloatArray
 
     @classmethod
-    def of(cls, surface: Surface, level: int, landmarks: SurfacePoints) -> LevelSamples:
+    def of(cls, surface: Surface, level: int) -> LevelSamples:
         """Evenly spaced vertices of a level."""
-        operators = surface.operators
         vertices = evenly_spaced(surface.triangles(level).n, ZOOMOUT_SAMPLES)
-        areas, coordinates = operators.areas(level)[vertices], np.zeros((len(vertices), 0))
-        if len(landmarks) >= FEWEST_LANDMARKS:
-            near = vertices_near(landmarks, surface, level)
-            coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], near)[vertices]
+        areas = surface.operators.areas(level)[vertices]
         rows = functions_at(surface, level, surface.basis.count)[vertices]
-        return cls(surface, level, vertices, rows, areas / areas.sum(), coordinates)
+        return cls(surface, level, vertices, rows, areas / areas.sum())
 
     @property
     def positions(self) -> FloatArray:
@@ -218,15 +207,15 @@ class LevelSamples:
         return self.surface.triangles(self.level).positions[self.vertices]
 
     def embedding(self, spectral: FloatArray, places: FloatArray | None, config: HfmConfig) -> Embedding:
-        """Spectral rows (b, k), landmark coordinates, and all vertices' places (n, 3) and normals, if given.
+        """Spectral rows (b, k), and the places (n, 3) of all vertices and their normals, if given.
 
         What stands beside the functions counts in proportion to sqrt(k), so that its share does not fade.
         """
-        beside = [config.coordinate_weight * self.coordinates]
-        if places is not None:
-            normals = vertex_normals(places, self.surface.triangles(self.level).triangles)
-            beside += [config.position_weight * places[self.vertices], config.normal_weight * normals[self.vertices]]
-        return np.hstack([spectral, np.sqrt(spectral.shape[1]) * np.hstack(beside)]).astype(np.float32)
+        if places is None:
+            return spectral.astype(np.float32)
+        normals = vertex_normals(places, self.surface.triangles(self.level).triangles)
+        beside = np.hstack([config.position_weight * places, config.normal_weight * normals])[self.vertices]
+        return np.hstack([spectral, np.sqrt(spectral.shape[1]) * beside]).astype(np.float32)
 
 
 def both_directions(

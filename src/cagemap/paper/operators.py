@@ -91,21 +91,11 @@ def propagate_symmetry(
 
 
 def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatArray:
-    """Projected self-symmetry O~ = Phi~^+ S Phi~, cut to its three main diagonals (paper, section 5.2).
+    """Self-symmetry S (n,) of the basis' last level as O~ = Phi~^+ S Phi~, cut to three diagonals (paper, 5.2); (k, k).
 
-    The pseudo-inverse is that of the inner product M: only so has an exact symmetry +-1 on its diagonal.
-
-    Parameters
-    ----------
-    basis : HierarchicalBasis
-    symmetry : (n,) array
-        S at the basis' last level. S g is 0 where the image is not known, so both surfaces should know it on the same
-        parts.
-
-    Returns
-    -------
-    (k, k) array, tridiagonal
-        Its leading blocks are the operators of the coarser levels.
+    The pseudo-inverse is that of the inner product M: only so has an exact symmetry +-1 on its diagonal. S g is 0 where
+    the image is not known, so both surfaces should know it on the same parts. The leading blocks are the operators of
+    the coarser levels.
     """
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):
