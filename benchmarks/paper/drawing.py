@@ -12,7 +12,7 @@ mpl.use("agg")
 
 from matplotlib import pyplot as plt
 
-from benchmarks.paper import basis_figures, map_figures, tables
+from benchmarks.paper import basis_figures, blocks, map_figures, tables
 from benchmarks.paper.data import folder
 from benchmarks.paper.levels import table_of_levels
 from benchmarks.paper.stages import table_of_stages
@@ -42,6 +42,10 @@ FIGURES: dict[str, tuple[Callable[[], map_figures.Drawn], str]] = {
         "Fig. 9. The only candidates of a refined vertex are the non-zeros of the column of S_2.",
     ),
     "fig10": (map_figures.figure_10, "Fig. 10. 'Notice how the map improves as the resolution increases.'"),
+    "blocks": (
+        blocks.figure_of_blocks,
+        "Blocks of eqs. 14-16. They extend the map to each further band; what they carry is discussed in [a page](blocks.md).",
+    ),
 }
 STAGES = (
     "Mean error (x100 of sqrt(area)) of 14 directions at about 25k vertices with a stage left out, set to zero or replaced by "

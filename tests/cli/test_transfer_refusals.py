@@ -105,7 +105,9 @@ def test_maps_whose_names_some_disks_take_for_one_are_refused() -> None:
 @pytest.mark.parametrize("kind", [StartConfig, HfmConfig])
 def test_levels_are_not_sought_by_fewer_than_no_vertices(kind: type[StartConfig | HfmConfig]) -> None:
     for name in ("search_vertices", "source_search_vertices"):
-        with pytest.raises(ParameterError, match="0 search vertices or more|search_vertices: expected a number of at least 0"):
+        with pytest.raises(
+            ParameterError, match=r"0 search vertices or more|search_vertices: expected a number of at least 0"
+        ):
             kind(**{name: -1})
 
 

@@ -164,7 +164,8 @@ def zoomed_out(
     """
     target = LevelSamples.of(pair.target, levels[0])
     source = LevelSamples.of(pair.source, levels[1])
-    counts, displacement = (target.rows.shape[1], source.rows.shape[1]), None
+    counts = target.rows.shape[1], source.rows.shape[1]
+    displacement: Displacement | None = None
     for size in config.zoomout.sizes(max(counts)):
         k1, k2 = functional_map.shape
         placed = None if displacement is None else displacement.at(pair.target, levels[0])
