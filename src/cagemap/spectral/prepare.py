@@ -64,7 +64,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 
 @kinds_checked
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
-    """The basis of a method: functions of one level; for "paper" a schedule of the paper's Table 1.
+    """The basis of a method: functions of one level; for "paper" a schedule.
 
     Parameters
     ----------
