@@ -62,12 +62,12 @@ def test_decay_and_alternation_help_the_paper_method(judged):
 def test_the_equations_of_the_blocks_carry_the_paper_method(shared_data):
     """Eqs. 14-16 after 40 functions on level 0: noise of the same norm in their place costs a fifth and more."""
     errors = {"solved": [], "noise": []}
-    for key, back in (("female1605__male1591", True), ("anny10pc__anny5pc", False), ("anny10pc__anny5pc", True)):
-        judged = Judged(HUMANS[key], BasisConfig(schedule=(40, 110)), 30, back=back)
+    for back in (False, True):
+        judged = Judged(HUMANS["anny10pc__anny5pc"], BasisConfig(schedule=(40, 110)), 30, back=back)
         errors["solved"].append(judged.errors(*paper_map(judged.pair))[-1])
         with patch.object(method, "extend_functional_map", extended(noise)):
             errors["noise"].append(judged.errors(*paper_map(judged.pair))[-1])
-    assert all(np.array(errors["noise"]) > 1.15 * np.array(errors["solved"])), errors
+    assert all(np.array(errors["noise"]) > 1.2 * np.array(errors["solved"])), errors
 
 
 HELD_OUT = ("base__male1591", "base__anny10pc")
