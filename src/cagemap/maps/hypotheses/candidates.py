@@ -45,6 +45,8 @@ COARSE, FINISHED, LED = 4, 3, 2
 ANOTHER_WAY = " in another way"
 # A fit that costs this many times the best one is not finished.
 HOPELESS = 2.5
+# Assignments of limbs that cost this many times how the files stand are none: fins of fish.
+UNLIKELY = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +153,14 @@ def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
         return Candidate(replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn)), one)
 
     rigid = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions)
-    rigid = distinct(rigid[:AS_FILED_STARTS] if limbs.assignments else rigid, areas, ALIKE)
-    own = in_threads(lambda start: fitted(start.positions), rigid)
+
+    def fit_rigid(starts: Sequence[Placement]) -> list[Candidate]:
+        return in_threads(lambda start: fitted(start.positions), distinct(starts, areas, ALIKE))
+
+    own = fit_rigid(rigid[:AS_FILED_STARTS] if limbs.assignments else rigid)
     led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
+    if led and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
+        led, own = [], fit_rigid(rigid)
     ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
     as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
     if not led:
@@ -161,6 +168,11 @@ def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
     likely = [one for one in ranked if one.limbs][:LED]
     hopeful = [one for one in likely if one.rough.rank <= HOPELESS * likely[0].rough.rank]
     return _apart([*hopeful, *as_filed], areas, ALIKE)
+
+
+def cheapest_rank(candidates: Sequence[Candidate]) -> float:
+    """Cost times doubt of the best rough placement."""
+    return min(one.rough.rank for one in candidates)
 
 
 def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate]) -> list[Candidate]:
@@ -191,7 +203,8 @@ def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate])
         distances = [
             mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved
         ]
-        if min(distances, default=np.inf) >= DIFFERENT:
+        # How the files stand is finished by itself, also where it is near an assignment that may be wrong.
+        if min(distances, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
             improved.append(one)
         elif limbs.assignments:
             improved[int(np.argmin(distances))] = improved[int(np.argmin(distances))].joined_with(one)
