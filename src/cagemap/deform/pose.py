@@ -52,9 +52,14 @@ def largest_limb_rotation(rest: RestShape, positions: FloatArray, share: float) 
 def rotation_angles(rest: RestShape, positions: FloatArray) -> FloatArray:
     """(n,) angles, in radians, between the rotation of every vertex of a placement (n, 3) and that of all."""
     areas, own = rest.graph.areas, nearest_rotations(rest.energy.maps(positions))
-    common = nearest_rotations(np.einsum("n,nab->ab", areas, own)[None])[0]
+    common = common_rotation(areas, own)
     cosines = 0.5 * (np.einsum("nab,ab->n", own, common) - 1.0)
     return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)))
+
+
+def common_rotation(areas: FloatArray, rotations: FloatArray) -> FloatArray:
+    """(3, 3) rotation nearest to some (n, 3, 3), by area (n,)."""
+    return nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
 
 
 def rigid_pose(rest: RestShape, positions: FloatArray, config: PoseConfig = PoseConfig()) -> FloatArray:

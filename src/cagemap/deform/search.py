@@ -91,9 +91,10 @@ def refine_best(
     Where a cheaper one can be made of the best parts of all (`best_parts`), it comes first.
     """
     prepared, config = problem.prepared, problem.prepared.elastic.search
-    ranked = cheapest_first(coarse)
+    ranked, areas = cheapest_first(coarse), problem.shape.rest.graph.areas
+    areas = areas if ranked[0].graph is None else ranked[0].graph.areas
     hopeful = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct(hopeful, problem.shape.rest.graph.areas, config.min_distance)[: most or config.max_refined]
+    kept = distinct(hopeful, areas, config.min_distance)[: most or config.max_refined]
     found = cheapest_first([*refine(problem, kept), *refined])
     mixed = best_parts(prepared.rest.graph, found, config)
     if mixed is None:

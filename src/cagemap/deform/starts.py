@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.energy import deformed_normals
 from cagemap.deform.placement import Placement
+from cagemap.deform.prepared import CoarseShape
 from cagemap.deform.problem import Problem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
@@ -31,10 +32,16 @@ NORMAL_LENGTH = 0.1
 CURVE_POINTS = 40
 
 
-def start_map(problem: Problem) -> FloatArray:
-    """(k, 3) places on the source of the coarse shape's vertices: nearest landmark coordinates, refined by ZoomOut."""
-    prepared, vertices, held = problem.prepared, problem.shape.vertices, problem.landmark_vertices
-    levels, areas = prepared.levels, problem.shape.rest.graph.areas
+def start_map(
+    problem: Problem, shape: CoarseShape | None = None, held: tuple[IndexArray, IndexArray] | None = None
+) -> FloatArray:
+    """(k, 3) places on the source of a coarse shape's vertices: nearest landmark coordinates, refined by ZoomOut.
+
+    The shape and the vertices of both levels that correspond are the problem's own where none are given.
+    """
+    prepared, shape = problem.prepared, shape or problem.shape
+    vertices, held = shape.vertices, held or problem.landmark_vertices
+    levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     candidates = evenly_spaced(prepared.source.hierarchy.levels[levels[1]].n_vertices, START_SAMPLES)
     candidates = np.union1d(candidates, held[1])
@@ -85,9 +92,9 @@ class SpectralSides:
     tree: cKDTree
 
     @classmethod
-    def build(cls, problem: Problem) -> SpectralSides:
-        """Evaluate the bases."""
-        prepared, shape = problem.prepared, problem.shape
+    def build(cls, problem: Problem, shape: CoarseShape | None = None) -> SpectralSides:
+        """Evaluate the bases for a coarse shape, the problem's own if none is given."""
+        prepared, shape = problem.prepared, shape or problem.shape
         level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
         vertices = evenly_spaced(prepared.source_surface.n, PLACES)
         places, normals = prepared.source_surface.positions[vertices], prepared.source_surface.vertex_normals[vertices]

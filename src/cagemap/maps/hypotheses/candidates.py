@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from cagemap.deform.config import Stage
 from cagemap.deform.fit import coarse_fit, with_cost
 from cagemap.deform.placement import Placement, distinct, mean_distance
+from cagemap.deform.pose import common_rotation
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.deform.search import refine_best
-from cagemap.deform.starts import SpectralSides, spectral_starts
+from cagemap.deform.search import cheapest_first, refine, refine_best
+from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.rigid_starts import AS_FILED, rigid_starts
+from cagemap.maps.hypotheses.limbs import Assignment, LimbStarts
+from cagemap.maps.hypotheses.rigid_starts import (
+    AS_FILED,
+    AS_FILED_STARTS,
+    nearest_axis_rotation,
+    rigid_starts,
+    rotation_doubt,
+    rotation_name,
+)
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Progress, silent
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.rotations import nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.
@@ -26,12 +39,47 @@ ROUGH = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)
 ALIKE, DIFFERENT = 0.03, 0.08
 # How many different ones go on to the coarse stage of the fit, and from there to its end; beside them, how the files
 # stand, which costs of boxy shapes alone, all sides alike, may put behind.
-COARSE, FINISHED = 4, 3
+# Of assignments of limbs, whose rough costs tell more, fewer go on.
+COARSE, FINISHED, LED = 4, 3, 2
+# What the name of an answer gets that is turned as a better one, with other limbs on each other.
+ANOTHER_WAY = " in another way"
 # A fit that costs this many times the best one is not finished.
 HOPELESS = 2.5
+# Assignments of limbs that cost this many times how the files stand are none: fins of fish.
+UNLIKELY = 1.5
 
 
-Candidate = tuple[Placement, ...]  # coarse placements from one start, cheapest first
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One way to lie on the source, not yet finished.
+
+    Attributes
+    ----------
+    rough : Placement
+        On the small graph.
+    limbs : Assignment or None
+        That it started from; None of a rigid start.
+    coarse : tuple of Placement
+        What the coarse stage made of it, cheapest first.
+    held : tuple of Placement
+        The same with the tips of the limbs held.
+    """
+
+    rough: Placement
+    limbs: Assignment | None
+    coarse: tuple[Placement, ...] = ()
+    held: tuple[Placement, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """Cost of the cheapest placement, times the doubt."""
+        return self.rough.doubt * self.coarse[0].cost
+
+    def joined_with(self, other: Candidate) -> Candidate:
+        """The same with the placements of another one, which lies alike."""
+        return replace(
+            self, coarse=tuple(cheapest_first([*self.coarse, *other.coarse])), held=(*self.held, *other.held)
+        )
 
 
 def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
@@ -41,25 +89,34 @@ def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Readi
     that is deformed.
     """
     progress("possible alignments")
-    rough = rough_fits(problem)
+    limbs = LimbStarts.of(problem)
+    rough = rough_fits(problem, limbs)
     progress("rough alignment")
-    candidates = coarse_fits(problem, rough)
+    candidates = coarse_fits(problem, limbs, rough)
     progress("elastic alignment")
 
-    def refine(candidate: Candidate) -> Placement:
-        refined = refine_best(problem, candidate, None if candidate is candidates[0] else 1)[0]
-        return replace(refined, name=candidate[0].name, doubt=candidate[0].doubt)
+    def finish(candidate: Candidate) -> Placement:
+        held, first = refine(problem, candidate.held), candidate is candidates[0]
+        if held and not first:
+            found = held[0]
+        else:
+            found = refine_best(problem, candidate.coarse, None if first and not held else 1, held)[0]
+        return replace(found, name=candidate.rough.name, doubt=candidate.rough.doubt)
 
-    found = in_threads(refine, candidates)
+    found = in_threads(finish, candidates)
     if min(placed.cost for placed in found) > OF_ONE_KIND:
         tips = Tips.of(problem)
-        found = in_threads(lambda placed: led_by_tips(problem, tips, placed), found)
+        worst = HOPELESS * min(placed.cost for placed in found)
+        found = in_threads(lambda one: led_by_tips(problem, tips, one) if one.cost <= worst else one, found)
     least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
     ranked = sorted(found, key=lambda placed: placed.doubt * max(placed.cost, least))
-    return tuple(
-        Reading(placed.name, placed.cost, placed.positions, placed.doubt)
-        for placed in distinct(ranked, areas, DIFFERENT)
-    )
+    answers: dict[str, Reading] = {}
+    for placed in distinct(ranked, areas, DIFFERENT):
+        name = placed.name
+        while name in answers:
+            name += ANOTHER_WAY
+        answers[name] = Reading(name, placed.cost, placed.positions, placed.doubt)
+    return tuple(answers.values())
 
 
 def least_cost(prepared: PreparedPair) -> float:
@@ -80,46 +137,83 @@ def rough_problem(problem: Problem) -> Problem:
     return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(problem: Problem) -> list[Candidate]:
-    """The different placements of all rigid starts on a small graph, cheapest first."""
+def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
+    """The different placements of all starts on a small graph, cheapest first.
+
+    Limbs assigned to limbs, and the files' axes; where limbs do not tell, all rigid starts.
+    """
     rough = rough_problem(problem)
-    small = rough.shape.rest.graph
+    shape = limbs.shape(rough)
+    areas = shape.rest.graph.areas
 
-    def trial(start: Placement) -> Placement:
+    def fitted(start: FloatArray, one: Assignment | None = None) -> Candidate:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            return replace(coarse_fit(rough, start.positions), name=start.name, doubt=start.doubt)
+            found = coarse_fit(rough, start, shape if one is None else one.hold(shape))
+        turn = nearest_axis_rotation(common_rotation(areas, nearest_rotations(found.maps)))
+        return Candidate(replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn)), one)
 
-    starts = rigid_starts(small.positions, problem.prepared.source_surface.positions)
-    tried = in_threads(trial, distinct(starts, small.areas, ALIKE))
-    ranked = sorted(tried, key=lambda placed: placed.rank)
-    kept = _first([(placed,) for placed in distinct(ranked, small.areas, DIFFERENT)], COARSE)
-    # What starts of several names lead to has the first one's, which is the simplest.
-    firsts = [
-        next(t for t in tried if mean_distance(t.positions, one.positions, small.areas) < DIFFERENT) for (one,) in kept
-    ]
-    return [(replace(one, name=first.name, doubt=first.doubt),) for first, (one,) in zip(firsts, kept, strict=True)]
+    rigid = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions)
+
+    def fit_rigid(starts: Sequence[Placement]) -> list[Candidate]:
+        return in_threads(lambda start: fitted(start.positions), distinct(starts, areas, ALIKE))
+
+    own = fit_rigid(rigid[:AS_FILED_STARTS] if limbs.assignments else rigid)
+    led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
+    if led and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
+        led, own = [], fit_rigid(rigid)
+    ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
+    as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
+    if not led:
+        return _apart([*_apart(ranked, areas, DIFFERENT)[:COARSE], *as_filed], areas, DIFFERENT)
+    likely = [one for one in ranked if one.limbs][:LED]
+    hopeful = [one for one in likely if one.rough.rank <= HOPELESS * likely[0].rough.rank]
+    return _apart([*hopeful, *as_filed], areas, ALIKE)
 
 
-def coarse_fits(problem: Problem, rough: Sequence[Candidate]) -> list[Candidate]:
-    """Coarse placements of each rough one: from where it is, and from what spectral upsampling makes of that."""
-    graph = problem.shape.rest.graph
-    sides = SpectralSides.build(problem)
+def cheapest_rank(candidates: Sequence[Candidate]) -> float:
+    """Cost times doubt of the best rough placement."""
+    return min(one.rough.rank for one in candidates)
 
-    def improve(candidate: Candidate) -> Candidate:
-        (placed,) = candidate
+
+def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate]) -> list[Candidate]:
+    """Coarse placements of each rough one: from where it is, and from what spectral upsampling makes of that.
+
+    Where limbs are assigned, further ones hold their tips and start by ZoomOut from these, soft and stiff.
+    """
+    shape, stiff = limbs.shape(problem), problem.stiff
+    stiff_shape = shape.smoothed(stiff.prepared.elastic.coarse.smoothing)
+    graph, sides = shape.rest.graph, SpectralSides.build(problem, shape)
+
+    def improve(one: Candidate) -> Candidate:
         with thread_limit(1):
-            own = coarse_fit(problem, placed.on(graph, problem.prepared.elastic.graph))
-            others = [coarse_fit(problem, start) for start in spectral_starts(own, sides)]
-        named = [replace(one, name=placed.name, doubt=placed.doubt) for one in (own, *others)]
-        return tuple(sorted(named, key=lambda one: one.cost))
+            own = coarse_fit(problem, one.rough.on(graph, problem.prepared.elastic.graph), shape)
+            others = [coarse_fit(problem, start, shape) for start in spectral_starts(own, sides)]
+            coarse = tuple(cheapest_first([own, *others]))
+            if one.limbs is None:
+                return replace(one, coarse=coarse)
+            start = start_map(problem, shape, one.limbs.vertices)
+            held = (
+                coarse_fit(problem, start, one.limbs.hold(shape)),
+                coarse_fit(stiff, start, one.limbs.hold(stiff_shape)),
+            )
+        return replace(one, coarse=coarse, held=held)
 
-    improved = sorted(in_threads(improve, rough), key=lambda candidate: candidate[0].rank)
-    best = distinct([candidate[0] for candidate in improved], graph.areas, DIFFERENT)
-    kept = [candidate for candidate in improved if candidate[0] in best]
-    hopeful = [candidate for candidate in kept if candidate[0].cost <= HOPELESS * kept[0][0].cost]
-    return _first(hopeful, FINISHED)
+    improved: list[Candidate] = []
+    for one in sorted(in_threads(improve, rough), key=lambda one: one.cost):
+        distances = [
+            mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved
+        ]
+        # How the files stand is finished by itself, also where it is near an assignment that may be wrong.
+        if min(distances, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
+            improved.append(one)
+        elif limbs.assignments:
+            improved[int(np.argmin(distances))] = improved[int(np.argmin(distances))].joined_with(one)
+    hopeful = [one for one in improved if one.cost <= HOPELESS * improved[0].cost]
+    as_filed = [one for one in hopeful[FINISHED:] if one.rough.name == AS_FILED]
+    return [*hopeful[:FINISHED], *as_filed[:1]]
 
 
-def _first(ranked: Sequence[Candidate], count: int) -> list[Candidate]:
-    """The first candidates, and of the others the one that lies as the files stand."""
-    return [*ranked[:count], *(one for one in ranked[count:] if one[0].name == AS_FILED)]
+def _apart(ranked: Sequence[Candidate], areas: FloatArray, least: float) -> list[Candidate]:
+    """Candidates whose rough placements are at least so far from every better one."""
+    kept = distinct([one.rough for one in ranked], areas, least)
+    return [one for one in ranked if one.rough in kept]

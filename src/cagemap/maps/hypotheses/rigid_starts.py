@@ -15,6 +15,8 @@ from cagemap.deform.placement import Placement
 from cagemap.numerics.arrays import FloatArray
 
 AS_FILED = "as the files stand"
+# How many of `rigid_starts`, the first ones, keep the files' axes.
+AS_FILED_STARTS = 2
 # Factors on the cost of a start turned about the vertical, and turned otherwise: files nearly always agree in what is
 # up, and mostly in what is front.
 TURNED_DOUBT, OTHER_DOUBT = 1.1, 1.3
@@ -47,6 +49,16 @@ def rotation_name(matrix: FloatArray) -> str:
     return f"turned {angle} degrees about ({', '.join(map(str, axis))})"
 
 
+def nearest_axis_rotation(matrix: FloatArray) -> FloatArray:
+    """That of `axis_rotations` which is nearest to a rotation (3, 3)."""
+    return max(axis_rotations(), key=lambda one: float((one * matrix).sum()))
+
+
+def rotation_doubt(matrix: FloatArray) -> float:
+    """Factor on the cost of a placement that is turned by one of `axis_rotations`."""
+    return OTHER_DOUBT if matrix[1, 1] < 0.5 else 1.0 if matrix[0, 0] > 0.5 else TURNED_DOUBT
+
+
 def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
     """Placements with both shapes' bounding boxes and principal frames laid on each other, in all 24 ways.
 
@@ -63,17 +75,13 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placemen
     starts = []
     for matrix in axis_rotations():
         turned = points @ matrix.T
-        doubt = OTHER_DOUBT if matrix[1, 1] < 0.5 else 1.0 if matrix[0, 0] > 0.5 else TURNED_DOUBT
-        starts += [
-            Placement(_boxed(turned, source_points, stretched), name=rotation_name(matrix), doubt=doubt)
-            for stretched in (False, True)
-        ]
+        starts += [Placement(_boxed(turned, source_points, stretched)) for stretched in (False, True)]
     centre, frame = _principal_frame(points)
     source_centre, source_frame = _principal_frame(source_points)
     for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         flips = np.array([*signs, signs[0] * signs[1]], dtype=np.float64)
         positions = (points - centre) @ (frame * flips) @ source_frame.T + source_centre
-        starts.append(Placement(positions, name="by its principal axes", doubt=OTHER_DOUBT))
+        starts.append(Placement(positions))
     return starts
 
 

@@ -42,16 +42,19 @@ class Tips:
     ----------
     vertices : (e,) int64
         Of the target's level that is deformed.
+    source_vertices : (e2,) int64
+        Of the source's level that is searched.
     places : (e2, 3) float64
-        On the source.
+        Of these.
     """
 
     vertices: IndexArray
+    source_vertices: IndexArray
     places: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem) -> Tips:
-        """Those that are neither masked nor at a landmark."""
+    def of(cls, problem: Problem, least: float = LEAST_HEIGHT) -> Tips:
+        """Those of a least height that are neither masked nor at a landmark, highest first."""
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
         prepared, found = problem.prepared, []
         searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
@@ -60,10 +63,10 @@ class Tips:
             (target, masks.of_target(target.n), landmarks.target.positions),
             (source, masks.of_source(source.n), landmarks.source.positions),
         ):
-            vertices = tip_vertices(graph)
+            vertices = tip_vertices(graph, least)
             away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
             found.append(vertices[(counts[vertices] > 0) & (away > TAKEN)])
-        return cls(found[0], source.positions[found[1]])
+        return cls(found[0], found[1], source.positions[found[1]])
 
     def pairs(self, positions: FloatArray) -> IndexArray:
         """(q, 2) tips of target and source that are each other's nearest where a fit puts the target's vertices."""
@@ -96,15 +99,15 @@ def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     return again if again.cost <= AS_CHEAP * placed.cost else placed
 
 
-def tip_vertices(graph: ElasticGraph) -> IndexArray:
+def tip_vertices(graph: ElasticGraph, least: float = LEAST_HEIGHT) -> IndexArray:
     """(e,) vertices that are farther from the whole surface than all around them, highest first.
 
     Height is the mean geodesic distance to the surface (Hilaga et al. 2001); a tip's own is taken over the highest
-    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002), `LEAST_HEIGHT` at least.
+    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002).
     """
     heights = mean_distances(graph)
     peaks, above = prominences(heights, graph.heads, graph.tails)
-    kept = above >= LEAST_HEIGHT
+    kept = above >= least
     return peaks[kept][np.argsort(-above[kept], kind="stable")]
 
 

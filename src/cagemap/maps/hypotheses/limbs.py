@@ -1,0 +1,153 @@
+"""Starts that do not depend on the pose: limbs of the target assigned to limbs of the source by intrinsic measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from cagemap.deform.constraints import Anchors
+from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.prepared import CoarseShape
+from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.tips import Tips
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Height of a limb's tip over the pass to a higher one, of sqrt(area): fingers and ears have 0.03 to 0.07, heads, hands,
+# feet and tails 0.12 or more (docs/lab/poses.md).
+LEAST_LIMB = 0.1
+# Limbs and landmarks that an assignment needs, and how many limbs it may have: the most prominent ones.
+FEWEST_POINTS, MOST_LIMBS = 4, 7
+# How many assignments are fitted; sums of the log ratios of girths weigh this much beside those of lengths.
+ASSIGNED, GIRTH_WEIGHT = 10, 0.5
+# Share of a limb's length, from its tip, of which the girth is taken.
+GIRTH_PART = 0.7
+# Least length of a limb, of sqrt(area).
+LEAST_LENGTH = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Limbs:
+    """Landmarks and limbs of one surface; lengths are of sqrt(area).
+
+    Attributes
+    ----------
+    tips : (e,) int64
+        Vertices of the graph, without the landmarks.
+    between : (p + e, p + e) float64
+        Geodesic distances between the places where limbs join; landmarks first, which are limbs too.
+    girths : (e,) float64
+        Area by length.
+    """
+
+    tips: IndexArray
+    between: FloatArray
+    girths: FloatArray
+
+    @classmethod
+    def of(cls, graph: ElasticGraph, landmarks: IndexArray, tips: IndexArray) -> Limbs:
+        """Measure the limbs that end at some vertices (e,), beside landmarks (p,); three at least, of one piece.
+
+        A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
+        product, as in neighbour joining).
+        """
+        ends = np.concatenate([landmarks, tips])
+        lengths = np.linalg.norm(graph.edges, axis=1)
+        edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
+        distances = dijkstra(edges, indices=ends)
+        apart = distances[:, ends]
+        products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
+        every = np.arange(len(ends))
+        products[every, every, :] = products[every, :, every] = products[:, every, every] = np.inf
+        own = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
+        between = apart - own[:, None] - own
+        between[every, every] = 0.0
+        part, limbs = GIRTH_PART * own[len(landmarks) :], distances[len(landmarks) :]
+        return cls(tips, between, (limbs < part[:, None]) @ graph.areas / part)
+
+
+def assignments(target: Limbs, source: Limbs) -> list[tuple[IndexArray, IndexArray]]:
+    """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
+
+    Ranked by how far the joints' distances differ, and the girths. Lengths of limbs do not count: a hippo has short
+    legs and a cougar a long tail.
+    """
+    if len(target.tips) > len(source.tips):
+        return [(i, j) for j, i in assignments(source, target)]
+    count, landmarks = len(target.tips), len(target.between) - len(target.tips)
+    to = np.array(list(permutations(range(len(source.tips)), count)))
+    ends = np.hstack([np.tile(np.arange(landmarks), (len(to), 1)), landmarks + to])
+    apart = np.abs(source.between[ends[:, :, None], ends[:, None, :]] - target.between).sum(axis=(1, 2))
+    ratios = np.log(source.girths[to] / target.girths)
+    ratios -= np.median(ratios, axis=1, keepdims=True)
+    ranked = np.argsort(apart + GIRTH_WEIGHT * np.abs(ratios).sum(axis=1), kind="stable")
+    return [(np.arange(count), to[row]) for row in ranked[:ASSIGNED]]
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment:
+    """Limbs of the target on limbs of the source.
+
+    Attributes
+    ----------
+    vertices : (p + k,) int64, (p + k,) int64
+        Landmarks and tips, of the levels of target and source that are searched.
+    clusters : (p + k,) int64
+        The same of the target, of a shape that `limb_assignments` made.
+    places : (p + k, 3) float64
+        On the source.
+    """
+
+    vertices: tuple[IndexArray, IndexArray]
+    clusters: IndexArray
+    places: FloatArray
+
+    def hold(self, shape: CoarseShape) -> CoarseShape:
+        """A shape with the tips held."""
+        held = replace(shape.constraints, anchors=Anchors.of_vertices(self.clusters), places=self.places)
+        return replace(shape, constraints=held)
+
+
+@dataclass(frozen=True, eq=False)
+class LimbStarts:
+    """Likely assignments of a pair's limbs, none where one of the surfaces has too few.
+
+    Attributes
+    ----------
+    tips : (e,) int64
+        Of the target's limbs.
+    assignments : tuple of Assignment
+        The likeliest first.
+    """
+
+    tips: IndexArray
+    assignments: tuple[Assignment, ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> LimbStarts:
+        """Find the limbs of both surfaces, and rank their assignments."""
+        landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB)
+        given = len(landmarks[0])
+        ends = tips.vertices[:MOST_LIMBS], tips.source_vertices[:MOST_LIMBS]
+        fewest = min(map(len, ends))
+        if fewest < 1 or given + fewest < FEWEST_POINTS:
+            return cls(ends[0][:0], ())
+        found = [
+            Assignment(
+                (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])),
+                np.concatenate([np.arange(given), given + i]),
+                np.vstack([problem.pair.landmarks.source.positions, tips.places[j]]),
+            )
+            for i, j in assignments(*map(Limbs.of, problem.prepared.graphs, landmarks, ends))
+        ]
+        return cls(ends[0], tuple(found))
+
+    def shape(self, problem: Problem) -> CoarseShape:
+        """Clusters of a problem's coarse stage, one of each tip, after the landmarks'; the landmarks alone are held."""
+        shape, landmarks = problem.holding(self.tips, np.zeros((len(self.tips), 3))), problem.pair.landmarks.source
+        anchors = Anchors.of_vertices(np.arange(len(landmarks)))
+        alone = replace(shape.constraints, anchors=anchors, places=landmarks.positions)
+        return replace(shape, constraints=alone)

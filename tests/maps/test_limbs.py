@@ -1,0 +1,92 @@
+"""Limbs assigned to limbs: by what a pose does not change, and maps that start from there."""
+
+from __future__ import annotations
+
+import numpy as np
+from examples.shapes import creature, cube
+from scipy.spatial.transform import Rotation
+
+from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.limbs import ASSIGNED, Limbs, LimbStarts, assignments
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
+
+NONE = np.zeros(0, dtype=np.int64)
+
+
+def star(lengths: list[int], girths: list[float], trunk: int = 4) -> tuple[ElasticGraph, np.ndarray]:
+    """Chains of unit edges that leave a trunk, two at each of its vertices, and their tips; areas are girths."""
+    edges = [(i, i + 1) for i in range(trunk - 1)]
+    areas, tips = [1.0] * trunk, []
+    for limb, (length, girth) in enumerate(zip(lengths, girths, strict=True)):
+        before = limb // 2
+        for _ in range(length):
+            edges.append((before, len(areas)))
+            before = len(areas)
+            areas.append(girth)
+        tips.append(before)
+    once = np.array(edges)
+    heads, tails = np.concatenate([once, once[:, ::-1]]).T
+    depth = np.zeros(len(areas))
+    for a, b in edges:
+        depth[b] = depth[a] + 1.0
+    positions = np.column_stack([depth, np.zeros((len(areas), 2))])  # edges have length 1
+    weights = np.ones(len(heads))
+    return ElasticGraph(positions, positions, np.array(areas) / sum(areas), heads, tails, weights), np.array(tips)
+
+
+def test_lengths_of_limbs_do_not_count_and_girths_do() -> None:
+    girths = [1.0, 3.0, 2.0, 2.5, 1.0, 1.0, 4.0, 0.5]
+    target = Limbs.of(*_with_tips(star([8, 8, 9, 7, 8, 8, 10, 6], girths)))
+    source = Limbs.of(*_with_tips(star([6, 6, 9, 9, 7, 7, 12, 14], girths)))
+    np.testing.assert_allclose(source.between, target.between)
+    few = [0, 1, 6, 7]  # two at either end of the trunk, told by their girths alone
+    target, source = (
+        Limbs(side.tips[few], side.between[np.ix_(few, few)], side.girths[few]) for side in (target, source)
+    )
+    order = np.array([2, 0, 3, 1])
+    shuffled = Limbs(source.tips[order], source.between[np.ix_(order, order)], source.girths[order])
+    (own, to), *others = assignments(target, shuffled)
+    np.testing.assert_array_equal(order[to], own)
+    assert len(others) == ASSIGNED - 1
+
+
+def _with_tips(made: tuple[ElasticGraph, np.ndarray]) -> tuple[ElasticGraph, np.ndarray, np.ndarray]:
+    return made[0], NONE, made[1]
+
+
+def test_the_surface_with_more_limbs_keeps_some_for_itself() -> None:
+    graph, tips = star([8, 8, 9, 7, 8, 12], [1.0, 1.0, 2.0, 2.5, 1.0, 3.0])
+    more, fewer = Limbs.of(graph, NONE, tips), Limbs.of(graph, NONE, np.delete(tips, 3))
+    for target, source in ((more, fewer), (fewer, more)):
+        own, to = assignments(target, source)[0]
+        np.testing.assert_allclose(target.girths[own], source.girths[to])  # two limbs are alike
+        assert len(set(own)) == len(set(to)) == 5
+
+
+def test_a_landmark_holds_its_limb_and_shapes_without_limbs_have_no_assignments() -> None:
+    surface = prepare_surface(creature(), 2)
+    prepared = prepare_pair(surface, surface)
+    problem = Problem(prepared, pair_of(surface, surface, Landmarks.none(), MatchConfig()))
+    starts = LimbStarts.of(problem)
+    assert len(starts.tips) >= 4
+    assert any(np.array_equal(*one.vertices) for one in starts.assignments)
+    block = prepare_surface(cube(), 5)
+    other = Problem(prepare_pair(block, surface), pair_of(block, surface, Landmarks.none(), MatchConfig()))
+    assert not LimbStarts.of(other).assignments
+
+
+def posed(control: ControlMesh) -> ControlMesh:
+    """The creature with its fore legs forwards and hind legs backwards, turned and leaning."""
+    x, y, z = (control.positions / np.ptp(control.positions)).T
+    below = np.clip(0.3 - y / np.ptp(y) - y.min() / np.ptp(y), 0.0, None)
+    moved = np.column_stack([x, y, z + below * np.sign(z - z.mean())])
+    return control.with_positions(Rotation.from_euler("yx", [50, 20], degrees=True).apply(moved))
+
+
+def test_a_posed_creature_is_found_however_it_is_turned() -> None:
+    result = match(prepare_surface(creature(), 2), prepare_surface(posed(creature()), 2))
+    images, places = result.point_map.images.positions, result.point_map.source.positions
+    assert np.linalg.norm(images - places, axis=1).mean() < 0.02
