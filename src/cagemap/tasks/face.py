@@ -146,6 +146,8 @@ def _with(character: Character, body: Part, shapes: dict[str, FloatArray]) -> Ch
 def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part) -> Image:
     """Pictures of shapes of the part ``name``, row by row in their order, after one of the face at rest.
 
+    mouthClose corrects jawOpen and is shown with it.
+
     Parameters
     ----------
     character : Character
@@ -165,12 +167,14 @@ def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: 
     )
     rest = np.concatenate([mesh.positions for mesh in meshes])
     number = next(k for k, part in enumerate(character.parts) if part.name == name)
+    own = character.parts[number].shapes
     camera = frame(head.mesh.positions, _VIEW, aspect=1.0)
     cells = []
     for shape in (None, *shapes):
         places = rest.copy()
         if shape is not None:
-            places[starts[number] : starts[number + 1]] += character.parts[number].shapes[shape]
+            along = own.get("jawOpen", 0.0) if shape == "mouthClose" else 0.0
+            places[starts[number] : starts[number + 1]] += own[shape] + along
         model = Model(places, triangles)
         cells.append(render(model, Skin(), camera, width=_PIXELS, height=_PIXELS, floor=False))
     blank = np.full_like(cells[0], 255)
