@@ -31,8 +31,8 @@ from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.rig_character import read_body
 
-# Share of the face that a match must reach; less is no head.
-_REACHED = 0.5
+# Share of a head's area on which the match is to be trusted: heads have 0.98 and more, a whole body 0.5.
+_TRUSTED = 0.8
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
 
@@ -55,11 +55,12 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     vertices = _head_vertices(body, given.rig)
     head = body if vertices is None else _cut(body, vertices)
     found = match_bodies(head, kit.part, _landmarks(request, head, kit), stages)
-    reached = found.result.quality.coverage
-    if reached < _REACHED:
+    trusted = found.result.quality.trusted_area
+    if trusted < _TRUSTED:
         raise ParameterError(
-            f"{request.head}: expected a head, but only {reached:.0%} of the face is found on the part {body.name!r}. "
-            "Give the head alone, a body with a skeleton whose bones are named, --part or --landmarks."
+            f"{request.head}: expected a head, but on {1.0 - trusted:.0%} of the part {body.name!r} the face's map "
+            "cannot be trusted. Give the head alone, a body with a skeleton whose bones are named, --part or "
+            "--landmarks."
         )
     stages("shapes")
     shapes = _on_body(body_shapes(found), head, body)
