@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 
 from cagemap import __version__
-from cagemap.cli.commands import functions, map_file, match, report, rig, run, studio, transfer, wrap
+from cagemap.cli.commands import face, functions, map_file, match, report, rig, run, studio, transfer, wrap
 from cagemap.cli.console import say, set_verbosity
 from cagemap.cli.request_command import command_class, of_typer
 from cagemap.tasks.requests.options import (
@@ -205,6 +205,7 @@ def refine(
 _command()(match)
 _command()(transfer)
 _command()(rig)
+_command()(face)
 _command()(report)
 
 

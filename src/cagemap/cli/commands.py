@@ -10,6 +10,7 @@ from cagemap.cli.console import say
 from cagemap.cli.progress import ShownStages
 from cagemap.cli.request_command import asks, in_stages
 from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
@@ -89,6 +90,20 @@ def rig(request: RigRequest, stages: Stages) -> Outcome:
     from cagemap.tasks.rig_character import run_rig
 
     return run_rig(request, stages)
+
+
+@asks(FaceRequest)
+@in_stages
+def face(request: FaceRequest, stages: Stages) -> Outcome:
+    """Give a head the face shapes that ARKit names.
+
+    51 of the 52, from ICT-FaceKit (MIT): tongueOut is not among them. The head keeps its vertices, materials, rig and
+    own shapes; teeth, tongue and eyes that are parts of their own stay. Of a body with a skeleton the head and neck are
+    taken.
+    """
+    from cagemap.tasks.face import run_face
+
+    return run_face(request, stages)
 
 
 @asks(ReportRequest)

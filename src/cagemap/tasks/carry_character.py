@@ -96,13 +96,13 @@ def carry_character(
     stages = Stages() if stages is None else stages
     to, of = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])
     chosen, notes = _chosen(source, of, target, to, passengers)
-    found = _match(to, of, landmarks or Landmarks.none(), stages)
+    found = match_bodies(to, of, landmarks or Landmarks.none(), stages)
     result = found.result
     notes += [note for one in found.ready for note in one.notes]
     left = _set_aside(of, found.ready[1])
     riders = [*chosen, *([] if left is None else [left])]
     stages("weights and shapes")
-    weights, shapes = _body_weights(found, influences), _body_shapes(found)
+    weights, shapes = _body_weights(found, influences), body_shapes(found)
     body = replace(to, name=of.name, weights=weights, shapes={**shapes, **to.shapes})
     own = [_following(part, body) for part in target.parts if part is not to]
     stages("passengers")
@@ -125,7 +125,7 @@ def carry_character(
 
 
 @dataclass(frozen=True, eq=False)
-class _Bodies:
+class Bodies:
     """Two bodies as given, as they were matched, and the map."""
 
     given: tuple[Part, Part]
@@ -150,16 +150,23 @@ class _Bodies:
         return np.asarray(values[rows])
 
 
-def _match(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> _Bodies:
+def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
+    """Match two parts, repaired where they need it.
+
+    Raises
+    ------
+    InvalidMeshError
+        If one of them cannot be matched.
+    """
     ready = ready_mesh(target.mesh), ready_mesh(source.mesh)
     landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready))
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
-    return _Bodies((target, source), ready, match(*surfaces, landmarks, progress=stages))
+    return Bodies((target, source), ready, match(*surfaces, landmarks, progress=stages))
 
 
-def _body_weights(bodies: _Bodies, influences: int | None) -> sparse.csr_array | None:
+def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | None:
     weights = bodies.given[1].weights
     if weights is None:
         return None
@@ -167,7 +174,8 @@ def _body_weights(bodies: _Bodies, influences: int | None) -> sparse.csr_array |
     return sparse.csr_array(bodies.on_target(carried))
 
 
-def _body_shapes(bodies: _Bodies) -> dict[str, FloatArray]:
+def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
+    """Blend shapes of the source, as offsets of the target's vertices as given, by name."""
     shapes = bodies.given[1].shapes
     if not shapes:
         return {}

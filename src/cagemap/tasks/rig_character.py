@@ -52,7 +52,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     stages("read")
     document = read_document(request.like)
     source = character_of(document)
-    target = _read_body(request.body)
+    target = read_body(request.body)
     to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
     laid_out = to.mesh if of.mesh.uvs is None else _in_one_square(to.mesh)
@@ -95,8 +95,8 @@ def _require_paths(request: RigRequest) -> None:
     check_outputs(outputs, inputs, force=request.force)
 
 
-def _read_body(path: Path) -> Character:
-    """The parts of a glTF file, or the mesh of any other."""
+def read_body(path: Path) -> Character:
+    """The parts of a glTF file, or the mesh of any other, as a character without rig."""
     if path.suffix.lower() in GLTF_SUFFIXES:
         found = character_of(read_document(path))
         return Character(found.parts)

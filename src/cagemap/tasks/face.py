@@ -1,0 +1,184 @@
+"""`cagemap face`: the face shapes that ARKit names, put onto a head."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cagemap.character.bones import humanoid_names
+from cagemap.character.roles import body_of
+from cagemap.character.values import Character, Part, Rig
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.atomic import all_or_nothing, check_outputs
+from cagemap.files.face_kit import ABSENT, FaceKit, read_face_kit
+from cagemap.files.gltf.build import character_glb
+from cagemap.files.gltf.character import character_of
+from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document, write_document
+from cagemap.files.images.image import check_writable, write_image
+from cagemap.files.landmarks.points import read_points
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.mesh.cage_points import on_cage
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract, numbers_on_part
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.pictures.camera import View, frame
+from cagemap.pictures.render import Image, Model, Skin, render
+from cagemap.surface.triangles import fan_triangles
+from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.face import FaceRequest
+from cagemap.tasks.rig_character import read_body
+
+# Share of a head's area on which the match is to be trusted: heads have 0.98 and more, a whole body 0.5.
+_TRUSTED = 0.8
+_COLUMNS, _PIXELS = 9, 200
+_VIEW = View("face", 15.0, 3.0)
+
+
+def run_face(request: FaceRequest, stages: Stages) -> Outcome:
+    """Add blend shapes to a head and write it; returns a summary and warnings."""
+    _require_paths(request)
+    stages("read")
+    kit = read_face_kit(None if request.only is None else _names(request.only))
+    document = read_document(request.head) if request.head.suffix.lower() in GLTF_SUFFIXES else None
+    given = read_body(request.head) if document is None else character_of(document)
+    try:
+        body = body_of(given.parts, request.part)
+    except ParameterError as error:
+        raise ParameterError(f"{request.head}: {error}") from None
+    kept = [name for name in kit.part.shapes if name in body.shapes]
+    kit = replace(
+        kit, part=replace(kit.part, shapes={name: one for name, one in kit.part.shapes.items() if name not in kept})
+    )
+    vertices = _head_vertices(body, given.rig)
+    head = body if vertices is None else _cut(body, vertices)
+    found = match_bodies(head, kit.part, _landmarks(request, head, kit), stages)
+    trusted = found.result.quality.trusted_area
+    if trusted < _TRUSTED:
+        raise ParameterError(
+            f"{request.head}: expected a head, but on {1.0 - trusted:.0%} of the part {body.name!r} the face's map "
+            "cannot be trusted. Give the head alone, a body with a skeleton whose bones are named, --part or "
+            "--landmarks."
+        )
+    stages("shapes")
+    shapes = _on_body(body_shapes(found), head, body)
+    character = _with(given, body, {**body.shapes, **shapes})
+    stages("write")
+    with all_or_nothing():
+        write_document(request.output, character_glb(character, document), force=request.force)
+        if request.sheet is not None:
+            write_image(request.sheet, contact_sheet(character, body.name, list(shapes), head), force=request.force)
+    notes = [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
+    absent = f"; there is no {ABSENT}" if request.only is None else ""
+    return f"wrote {request.output}: {len(shapes)} face shapes on {body.name}{absent}", notes
+
+
+def _require_paths(request: FaceRequest) -> None:
+    if request.output.suffix.lower() not in GLTF_SUFFIXES:
+        raise FormatError(
+            f"{request.output}: expected the file to write as {', '.join(GLTF_SUFFIXES)}, got "
+            f"'{request.output.suffix}'. Name it .glb."
+        )
+    if request.sheet is not None:
+        check_writable(request.sheet, np.dtype(np.uint8), 3)
+    outputs = [request.output, *([] if request.sheet is None else [request.sheet])]
+    inputs = [request.head, *([] if request.landmarks is None else [request.landmarks])]
+    check_outputs(outputs, inputs, force=request.force)
+
+
+def _names(words: str) -> tuple[str, ...]:
+    found = tuple(dict.fromkeys(word.strip() for word in words.split(",") if word.strip()))
+    if not found:
+        raise ParameterError("only: expected names of shapes with commas between them, such as jawOpen, got none")
+    return found
+
+
+def _head_vertices(body: Part, rig: Rig | None) -> IndexArray | None:
+    """Vertices that head and neck move; None where a body has no such joints, or is a head alone."""
+    if rig is None or body.weights is None:
+        return None
+    joint = humanoid_names(rig)
+    top = joint.get("neck", joint.get("head"))
+    if top is None:
+        return None
+    below = np.zeros(len(rig.names), dtype=bool)
+    for number, above in enumerate(rig.parents):
+        below[number] = number == top or (above >= 0 and below[above])
+    moved = np.asarray(body.weights[:, np.flatnonzero(below)].sum(axis=1)).ravel() >= 0.5
+    return None if moved.all() or not moved.any() else np.flatnonzero(moved)
+
+
+def _cut(body: Part, vertices: IndexArray) -> Part:
+    """The faces between some vertices."""
+    inside = np.zeros(body.mesh.n_vertices, dtype=bool)
+    inside[vertices] = True
+    faces = np.flatnonzero(np.logical_and.reduceat(inside[body.mesh.face_indices], body.mesh.face_offsets[:-1]))
+    if len(faces) == 0:
+        raise ParameterError(f"part {body.name!r}: its neck and head joints move no whole face. Give the head alone.")
+    return Part(body.name, replace(extract(body.mesh, faces), name=body.mesh.name))
+
+
+def _landmarks(request: FaceRequest, head: Part, kit: FaceKit) -> Landmarks:
+    """Points of HEAD's file and those of the kit of the same names, as vertices."""
+    if request.landmarks is None:
+        return Landmarks.none()
+    mesh = read_mesh(request.head)
+    points = read_points(request.landmarks, mesh)
+    rows = kit.vertices_of(points.names)
+    places = mesh.positions[on_cage(points, mesh).nearest_vertices]
+    return Landmarks(points.names, nearest(head.mesh.positions, places), np.array(rows, dtype=np.int64))
+
+
+def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str, FloatArray]:
+    """Shapes of a head cut from a body, on all of it."""
+    if head is body:
+        return shapes
+    number = numbers_on_part(head.mesh, body.mesh)
+    return {name: np.where((number >= 0)[:, None], offsets[number], 0.0) for name, offsets in shapes.items()}
+
+
+def _with(character: Character, body: Part, shapes: dict[str, FloatArray]) -> Character:
+    done = replace(body, shapes=shapes)
+    return replace(character, parts=tuple(done if part is body else part for part in character.parts))
+
+
+def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part) -> Image:
+    """Pictures of shapes of the part ``name``, row by row in their order, after one of the face at rest.
+
+    mouthClose corrects jawOpen and is shown with it.
+
+    Parameters
+    ----------
+    character : Character
+    name : str
+    shapes : sequence of str
+    head : Part
+        What the camera shows.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    meshes = [part.mesh for part in character.parts]
+    starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
+    triangles = np.concatenate(
+        [fan_triangles(m.face_offsets, m.face_indices)[0] + start for m, start in zip(meshes, starts, strict=False)]
+    )
+    rest = np.concatenate([mesh.positions for mesh in meshes])
+    number = next(k for k, part in enumerate(character.parts) if part.name == name)
+    own = character.parts[number].shapes
+    camera = frame(head.mesh.positions, _VIEW, aspect=1.0)
+    cells = []
+    for shape in (None, *shapes):
+        places = rest.copy()
+        if shape is not None:
+            along = own.get("jawOpen", 0.0) if shape == "mouthClose" else 0.0
+            places[starts[number] : starts[number + 1]] += own[shape] + along
+        model = Model(places, triangles)
+        cells.append(render(model, Skin(), camera, width=_PIXELS, height=_PIXELS, floor=False))
+    blank = np.full_like(cells[0], 255)
+    cells += [blank] * (-len(cells) % min(_COLUMNS, len(cells)))
+    width = min(_COLUMNS, len(cells))
+    return np.concatenate([np.concatenate(cells[i : i + width], axis=1) for i in range(0, len(cells), width)])

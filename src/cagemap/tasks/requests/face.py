@@ -1,0 +1,33 @@
+"""What is asked of `cagemap face`: one dataclass, with the words of its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, Force, Option
+
+
+@dataclass(frozen=True)
+class FaceRequest:
+    """What the user asked for."""
+
+    head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .obj, .ply or USD.")]
+    output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
+    part: Annotated[str | None, Option(group=INPUT, help="Part of HEAD that has the face.  [default: the largest]")] = (
+        None
+    )
+    only: Annotated[
+        str | None, Option(group=INPUT, help="Shapes to make, by ARKit's names: jawOpen,eyeBlinkLeft.  [default: all]")
+    ] = None
+    landmarks: Annotated[
+        Path | None,
+        Option(
+            group=LANDMARKS,
+            help="Points of HEAD: nose_tip, chin, mouth_left, mouth_right, eye_outer_left, eye_inner_left, "
+            "eye_outer_right, eye_inner_right; left and right are the face's own.",
+        ),
+    ] = None
+    sheet: Annotated[Path | None, Option(group=OUTPUT, help="Pictures of all shapes in one image to write.")] = None
+    force: Force = False

@@ -1,0 +1,126 @@
+"""`cagemap face`: the face shapes that ARKit names, on any head."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.face_kit import KEPT, face_arrays
+from scipy import sparse
+
+from cagemap.character.values import Character, Part, Rig
+from cagemap.errors import InvalidLandmarksError, ParameterError
+from cagemap.files.face_kit import ABSENT, read_face_kit
+from cagemap.files.gltf.build import character_glb
+from cagemap.files.gltf.character import read_character
+from cagemap.files.gltf.document import write_document
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.tasks.carry_character import body_shapes, match_bodies
+from cagemap.tasks.face import _cut, _head_vertices, _on_body
+from cagemap.tasks.progress import Stages
+
+from command_line import Run
+from plain_meshes import ball
+
+
+def test_the_kit_has_all_names_of_arkit_but_one() -> None:
+    kit = read_face_kit()
+    assert len(kit.part.shapes) == 51
+    assert ABSENT not in kit.part.shapes
+    assert {"jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "noseSneerRight", "browInnerUp"} <= set(kit.part.shapes)
+    # Left is the face's own: at +X of a face that looks along +Z.
+    for name, side in (("eyeBlinkLeft", 1.0), ("eyeBlinkRight", -1.0), ("mouthSmileLeft", 1.0)):
+        weights = np.linalg.norm(kit.part.shapes[name], axis=1)
+        assert side * (weights @ kit.part.mesh.positions[:, 0]) > 0.0
+    assert KEPT.stat().st_size < 4e6
+
+
+def test_the_kits_file_is_made_of_the_data(shared_data: Path) -> None:
+    with np.load(KEPT) as kept:
+        made = face_arrays(shared_data / "characters" / "face")
+        assert set(kept.files) == set(made)
+        for name, values in made.items():
+            assert np.array_equal(kept[name], values), name
+
+
+def test_only_names_of_the_kit_are_taken() -> None:
+    assert list(read_face_kit(("jawOpen",)).part.shapes) == ["jawOpen"]
+    with pytest.raises(ParameterError, match=r"tongueOut is not among"):
+        read_face_kit(("tongueOut",))
+    with pytest.raises(ParameterError, match=r"expected names among .* got jawopen"):
+        read_face_kit(("jawopen",))
+    with pytest.raises(InvalidLandmarksError, match="got ear"):
+        read_face_kit(()).vertices_of(("chin", "ear"))
+
+
+@pytest.mark.slow
+def test_on_the_kits_own_head_every_shape_comes_back() -> None:
+    kit = read_face_kit(("jawOpen", "eyeBlinkLeft"))
+    found = match_bodies(Part("head", kit.part.mesh), kit.part, Landmarks.none(), Stages())
+    for name, offsets in body_shapes(found).items():
+        assert np.abs(offsets - kit.part.shapes[name]).max() < 1e-3 * np.abs(kit.part.shapes[name]).max(), name
+
+
+@pytest.mark.slow
+def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    kit = read_face_kit(())
+    own = {"jawOpen": np.tile([0.0, 1.0, 0.0], (kit.part.mesh.n_vertices, 1))}
+    eyes = Part("eyes", ball(2))
+    head = Part("head", kit.part.mesh.with_positions(0.01 * kit.part.mesh.positions), None, own)
+    write_document(Path("H.glb"), character_glb(Character((head, eyes))))
+    done = run("face", "H.glb", "-o", "F.glb", "--only", "jawOpen,eyeBlinkLeft", "--sheet", "S.png")
+    assert done.code == 0, done.err
+    assert "jawOpen: H.glb has its own" in done.err
+    before, after = (read_character(name).parts for name in ("H.glb", "F.glb"))
+    assert [part.name for part in after] == ["head", "eyes"]
+    assert set(after[0].shapes) == {"jawOpen", "eyeBlinkLeft"}
+    assert np.array_equal(after[0].mesh.positions, before[0].mesh.positions)
+    assert np.allclose(after[0].shapes["jawOpen"], [0.0, 1.0, 0.0])
+    assert not after[1].shapes
+    largest = np.abs(read_face_kit(("eyeBlinkLeft",)).part.shapes["eyeBlinkLeft"]).max()
+    assert np.abs(after[0].shapes["eyeBlinkLeft"]).max() == pytest.approx(0.01 * largest, rel=0.1)
+    assert Path("S.png").stat().st_size > 0
+
+
+def test_of_a_rigged_body_the_head_is_taken() -> None:
+    mesh = ball(3)
+    high = (mesh.positions[:, 1] > 0.3).astype(float)
+    place = np.tile(np.eye(4), (4, 1, 1))
+    rig = Rig(("hips", "spine", "neck", "head"), np.array([-1, 0, 1, 2]), place, place)
+    weights = sparse.csr_array(np.column_stack([1 - high, 0 * high, 0 * high, high]))
+    body = Part("body", mesh, weights)
+    vertices = _head_vertices(body, rig)
+    assert vertices is not None
+    assert np.array_equal(vertices, np.flatnonzero(high))
+    head = _cut(body, vertices)
+    put = _on_body({"up": head.mesh.positions}, head, body)["up"]
+    there = np.abs(put).max(axis=1) > 0
+    assert np.array_equal(put[there], mesh.positions[there])
+    assert there.sum() == head.mesh.n_vertices
+    assert _head_vertices(body, None) is None
+    assert _head_vertices(Part("head", mesh, sparse.csr_array(np.eye(4)[np.full(len(high), 3)])), rig) is None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("-o", "F.obj"), "expected the file to write as .glb"),
+        (("-o", "B.glb"), "B.glb"),
+        (("-o", "F.glb", "--only", "tongueOut"), "tongueOut is not among the shapes"),
+        (("-o", "F.glb", "--only", ","), "expected names of shapes"),
+        (("-o", "F.glb", "--part", "nose"), "expected a part named 'nose'"),
+        (("-o", "F.glb", "--landmarks", "P.json"), "expected points of a face named"),
+    ],
+)
+def test_refusals(words: tuple[str, ...], said: str, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mesh("B.glb", ball(2))
+    Path("P.json").write_text(json.dumps({"mesh": "B.glb", "points": [{"name": "ear", "vertex": 0}]}))
+    done = run("face", "B.glb", *words)
+    assert done.code == 2
+    assert said in done.err
+    assert not Path("F.glb").exists()
