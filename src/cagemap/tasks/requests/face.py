@@ -25,8 +25,7 @@ class FaceRequest:
         Path | None,
         Option(
             group=LANDMARKS,
-            help="Points of HEAD: nose_tip, chin, mouth_left, mouth_right, eye_outer_left, eye_inner_left, "
-            "eye_outer_right, eye_inner_right; left and right are the face's own.",
+            help="Points file of HEAD: nose_tip, chin, mouth_left and others.",
         ),
     ] = None
     sheet: Annotated[Path | None, Option(group=OUTPUT, help="Pictures of all shapes in one image to write.")] = None
