@@ -131,6 +131,13 @@ def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Charact
     np.testing.assert_allclose(kept.weights.sum(axis=1), 1.0, atol=1e-6)
 
 
+def test_parts_of_equal_names_stay_two(run: Run, files: Character, body: ControlMesh) -> None:
+    own = ball("hat", body.positions[np.argmax(body.positions[:, 1])], 0.1)
+    write_document("B.glb", character_glb(Character((Part("skin", body), Part("hat", own)))), force=True)
+    made = _rig(run, "--passengers", "hat")
+    assert {part.name for part in made.parts} == {"body", "hat", "hat (own)"}
+
+
 def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
     assert {part.name for part in _rig(run, "--passengers", "none").parts} == {"body"}
     made = _rig(run, "--passengers", "hat", "--force")

@@ -27,9 +27,9 @@ class CarriedPassenger:
     positions : (n, 3) float64
         In the target's file units.
     linear : (n, 3, 3) float64
-        How offsets (as rows) change around every vertex: a rotation times a scale, in file units.
+        An offset of a vertex, as a row, times it is the offset on the target: a rotation times a scale.
     distance: float
-        Mean distance of the vertices from the source's body, of the square root of its area.
+        Mean distance of the vertices from the source's body, in units of sqrt(area).
     """
 
     positions: FloatArray
@@ -53,18 +53,19 @@ def carry_passengers(
 ) -> list[CarriedPassenger]:
     """Carry meshes that sit on the source's body to the target's body.
 
-    Cloth follows the surface below it at its old distance; small compact pieces (eyeballs, buttons, teeth) and pieces
-    far away keep their shape. Points outside the source's body end outside the target's.
+    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs, buttons, teeth) and pieces
+    far from the body keep their shape, as 'similarity' does; `find_pieces` decides which. What follows the surface and
+    was outside the source's body ends outside the target's.
 
     Parameters
     ----------
     found : PointMap or MatchResult
-        From the target to the source.
+        The map from the target to the source; passengers are carried against it.
     meshes : sequence of ControlMesh
         In the file units of the source.
     kinds : mapping of str to {'cloth', 'rigid', 'similarity'}, optional
-        By the name of a mesh: all of it follows the surface, or every connected piece keeps its shape, with the
-        whole body's change of size ('rigid') or with that of its surroundings ('similarity').
+        By the name of a mesh. 'cloth': all of it follows the surface. 'rigid': every connected piece keeps its shape
+        and changes its size as the whole body does. 'similarity': the same, with the size of its surroundings.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A character carried to another body: weights, shapes, skeleton, animations, passengers and textures."""
+"""A character carried to another body: weights, shapes, skeleton, animations and passengers."""
 
 from __future__ import annotations
 
@@ -38,13 +38,14 @@ class CarriedCharacter:
     Attributes
     ----------
     character : Character
-        In the file units of the body. Its first part is the body, under the name of the character's.
+        In the target's file units. Its first part is the target's body, named like the source's.
     result : MatchResult
-        From the body to the character's body.
-    rows : two (n,) int64
-        For every control vertex that was matched, of the body and of the character's, a vertex of the part.
+        From the target's body to the source's.
+    rows : (n,) and (m,) int64
+        For every control vertex of the matched target and source, a vertex of the body's part as given.
     passengers : tuple of Part
-        As they are on the character, in the order of the last parts.
+        As on the source, in the order of the last parts of ``character``; pieces of the source's body that could not
+        be matched are among them.
     notes : tuple of str
     """
 
@@ -71,15 +72,16 @@ def carry_character(
     Parameters
     ----------
     target : Character
-        The body, as one part; other parts of it are kept and follow it.
+        With a body among its parts; the other parts stay, and get the weights of the body's nearest vertices. Its rig
+        and animations are replaced; of shapes with the same name its own stay.
     source : Character
-        With a body among its parts; everything else is a passenger.
+        With a body among its parts; all other parts are passengers.
     landmarks : Landmarks, optional
         Between the two bodies.
     bodies : (str or None, str or None)
         Names of the target's and of the source's body; by default `body_of` finds them.
     passengers : sequence of str, optional
-        Names of the passengers to carry. Default: all whose like the target has not among its own parts.
+        Names of those to carry. Default: all whose role (`role`) no other part of the target has.
     kinds : mapping of str to kind, optional
         See `carry_passengers`.
     influences : int, optional
@@ -94,34 +96,35 @@ def carry_character(
         If there is no part of a name given.
     """
     stages = Stages() if stages is None else stages
-    to, of = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])
-    chosen, notes = _chosen(source, of, target, to, passengers)
-    found = match_bodies(to, of, landmarks or Landmarks.none(), stages)
-    result = found.result
-    notes += [note for one in found.ready for note in one.notes]
-    left = _set_aside(of, found.ready[1])
-    riders = [*chosen, *([] if left is None else [left])]
+    target_body, source_body = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])
+    chosen, notes = _chosen(source, source_body, target, target_body, passengers)
+    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
+    result = matched.result
+    notes += [note for one in matched.ready for note in one.notes]
+    pieces = _set_aside(source_body, matched.ready[1])
+    to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
-    weights, shapes = _body_weights(found, influences), body_shapes(found)
-    body = replace(to, name=of.name, weights=weights, shapes={**shapes, **to.shapes})
-    own = [_following(part, body) for part in target.parts if part is not to]
+    weights, shapes = _body_weights(matched, influences), body_shapes(matched)
+    body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
+    taken = {part.name for part in (body, *to_carry)}
+    extras = [_following(part, body, taken) for part in target.parts if part is not target_body]
     stages("passengers")
-    carried = carry_passengers(result, [part.mesh for part in riders], kinds=kinds)
+    carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     dressed = [
         replace(
             part,
             mesh=part.mesh.with_positions(one.positions),
             shapes={name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()},
         )
-        for part, one in zip(riders, carried, strict=True)
+        for part, one in zip(to_carry, carried, strict=True)
     ]
     rig, animations = None, tuple[Animation, ...]()
     if source.rig is not None:
         stages("skeleton and animations")
         rig = carry_rig(result.point_map, source.rig)
         animations = tuple(retarget(one, source.rig, rig) for one in source.animations)
-    made = Character((body, *own, *dressed), rig, animations)
-    return CarriedCharacter(made, result, (found.rows(0), found.rows(1)), tuple(riders), tuple(notes))
+    made = Character((body, *extras, *dressed), rig, animations)
+    return CarriedCharacter(made, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +138,13 @@ class Bodies:
     def rows(self, side: int) -> IndexArray:
         """For every vertex of a mesh that was matched (0 the target's, 1 the source's), a vertex of the one given."""
         vertex_of = self.ready[side].vertex_of
-        given = np.flatnonzero(vertex_of >= 0)[::-1]  # of several the first
+        given = np.flatnonzero(vertex_of >= 0)[::-1]  # reversed, so that the first of several is kept
         rows = np.zeros(self.ready[side].mesh.n_vertices, dtype=np.int64)
         rows[vertex_of[given]] = given
         return rows
 
     def on_target(self, values: FloatArray) -> FloatArray:
-        """Values at the vertices of the target as given: those of pieces that were set aside are the nearest ones'."""
+        """Values at the vertices of the target as given; vertices that were set aside copy the nearest matched one."""
         vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
@@ -203,11 +206,12 @@ def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
     )
 
 
-def _following(part: Part, body: Part) -> Part:
-    """A part of the target with the weights of the body's nearest vertices."""
+def _following(part: Part, body: Part, taken: set[str]) -> Part:
+    """A part of the target with the weights of the body's nearest vertices, and a name that is not taken."""
+    name = f"{part.name} (own)" if part.name in taken else part.name
     if body.weights is None:
-        return part
-    return replace(part, weights=body.weights[nearest(body.mesh.positions, part.mesh.positions)])
+        return replace(part, name=name)
+    return replace(part, name=name, weights=body.weights[nearest(body.mesh.positions, part.mesh.positions)])
 
 
 def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
@@ -216,10 +220,10 @@ def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
 
 
 def _chosen(
-    source: Character, body: Part, target: Character, own: Part, names: Sequence[str] | None
+    source: Character, source_body: Part, target: Character, target_body: Part, names: Sequence[str] | None
 ) -> tuple[list[Part], list[str]]:
     """The passengers that are carried, and what is said of the others."""
-    there = [part for part in source.parts if part is not body]
+    there = [part for part in source.parts if part is not source_body]
     if names is not None:
         known = {part.name for part in there}
         missing = [name for name in names if name not in known]
@@ -229,7 +233,7 @@ def _chosen(
                 f"got {', '.join(missing)}"
             )
         return [part for part in there if part.name in names], []
-    taken = {role(part.name) for part in target.parts if part is not own} - {""}
-    left = [part.name for part in there if role(part.name) in taken]
-    notes = [f"{', '.join(left)}: the body has its own and keeps them; name them as passengers to carry them"]
-    return [part for part in there if part.name not in left], notes if left else []
+    roles = {role(part.name) for part in target.parts if part is not target_body} - {""}
+    declined = [part.name for part in there if role(part.name) in roles]
+    notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
+    return [part for part in there if part.name not in declined], notes if declined else []

@@ -34,18 +34,17 @@ from cagemap.numerics.threads import in_threads, thread_limit
 
 # Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.
 ROUGH_VERTICES = 400
-ROUGH = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)
-# Mean distance, of sqrt(area), of two starts below which one of them is enough, and of two fits that are two answers.
+ROUGH = Stage(iterations=14, stiffness=(1.0, 2e-4), smoothing=1e-2, momentum=0.6)
+# Mean distance, in units of sqrt(area): below it two starts are one, and from it on two fits are two answers.
 ALIKE, DIFFERENT = 0.03, 0.08
-# How many different ones go on to the coarse stage of the fit, and from there to its end; beside them, how the files
-# stand, which costs of boxy shapes alone, all sides alike, may put behind.
-# Of assignments of limbs, whose rough costs tell more, fewer go on.
-COARSE, FINISHED, LED = 4, 3, 2
-# What the name of an answer gets that is turned as a better one, with other limbs on each other.
+# Most candidates of the coarse stage, without assigned limbs and with them, and most that are finished. The pose of the
+# files is added to them: boxy shapes cost the same on every side, so cost alone could drop it.
+MAX_COARSE, MAX_ASSIGNED, MAX_FINISHED = 4, 2, 3
+# Suffix of an answer's name where a better answer has the same rotation, with other limbs on each other.
 ANOTHER_WAY = " in another way"
 # A fit that costs this many times the best one is not finished.
 HOPELESS = 2.5
-# Assignments of limbs that cost this many times how the files stand are none: fins of fish.
+# Assignments of limbs that cost this many times the pose of the files are dropped, such as those of fins.
 UNLIKELY = 1.5
 
 
@@ -58,11 +57,11 @@ class Candidate:
     rough : Placement
         On the small graph.
     limbs : Assignment or None
-        That it started from; None of a rigid start.
+        That it started from; None for a rigid start.
     coarse : tuple of Placement
         What the coarse stage made of it, cheapest first.
     held : tuple of Placement
-        The same with the tips of the limbs held.
+        The same with the tips of the limbs pinned.
     """
 
     rough: Placement
@@ -72,7 +71,7 @@ class Candidate:
 
     @property
     def cost(self) -> float:
-        """Cost of the cheapest placement, times the doubt."""
+        """Cost of the cheapest placement, times the doubt: a factor above 1 for unlikely rotations."""
         return self.rough.doubt * self.coarse[0].cost
 
     def joined_with(self, other: Candidate) -> Candidate:
@@ -140,7 +139,7 @@ def rough_problem(problem: Problem) -> Problem:
 def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
     """The different placements of all starts on a small graph, cheapest first.
 
-    Limbs assigned to limbs, and the files' axes; where limbs do not tell, all rigid starts.
+    Limbs assigned to limbs, and the files' axes; all rigid starts where no assignment is plausible.
     """
     rough = rough_problem(problem)
     shape = limbs.shape(rough)
@@ -164,8 +163,8 @@ def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
     ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
     as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
     if not led:
-        return _apart([*_apart(ranked, areas, DIFFERENT)[:COARSE], *as_filed], areas, DIFFERENT)
-    likely = [one for one in ranked if one.limbs][:LED]
+        return _apart([*_apart(ranked, areas, DIFFERENT)[:MAX_COARSE], *as_filed], areas, DIFFERENT)
+    likely = [one for one in ranked if one.limbs][:MAX_ASSIGNED]
     hopeful = [one for one in likely if one.rough.rank <= HOPELESS * likely[0].rough.rank]
     return _apart([*hopeful, *as_filed], areas, ALIKE)
 
@@ -203,17 +202,17 @@ def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate])
         distances = [
             mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved
         ]
-        # How the files stand is finished by itself, also where it is near an assignment that may be wrong.
+        # The pose of the files is finished by itself, also near an assignment, which may be wrong.
         if min(distances, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
             improved.append(one)
         elif limbs.assignments:
             improved[int(np.argmin(distances))] = improved[int(np.argmin(distances))].joined_with(one)
     hopeful = [one for one in improved if one.cost <= HOPELESS * improved[0].cost]
-    as_filed = [one for one in hopeful[FINISHED:] if one.rough.name == AS_FILED]
-    return [*hopeful[:FINISHED], *as_filed[:1]]
+    as_filed = [one for one in hopeful[MAX_FINISHED:] if one.rough.name == AS_FILED]
+    return [*hopeful[:MAX_FINISHED], *as_filed[:1]]
 
 
 def _apart(ranked: Sequence[Candidate], areas: FloatArray, least: float) -> list[Candidate]:
-    """Candidates whose rough placements are at least so far from every better one."""
+    """Candidates whose rough placements are at least ``least`` away from every better one."""
     kept = distinct([one.rough for one in ranked], areas, least)
     return [one for one in ranked if one.rough in kept]
