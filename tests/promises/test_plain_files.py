@@ -116,7 +116,7 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
     assert places.mean() < 0.01 * np.ptp(scan.positions, axis=0).max()
     again = update_match(result, result.landmarks)
     assert np.linalg.norm(again.image() - result.image(), axis=1).max() < 0.01 * np.ptp(scan.positions, axis=0).max()
-    assert result.functional_map.shape == (150, 150)
+    assert result.functional_map.shape == (100, 100)
 
 
 @pytest.mark.slow

@@ -236,7 +236,7 @@ def test_refused_questions(creature):
 
 @pytest.mark.slow
 def test_a_basis_of_one_level_is_near_the_exact_one_on_every_real_mesh(shared_data):
-    """150 functions against the exact spectrum, finest level of 9k to 54k vertices."""
+    """The default number of functions against the exact spectrum, finest level of 9k to 54k vertices."""
     meshes = sorted(shared_data.glob("*/*.obj"))
     assert len(meshes) > 30
     for path in meshes:
@@ -247,7 +247,7 @@ def test_a_basis_of_one_level_is_near_the_exact_one_on_every_real_mesh(shared_da
         refinement = refine(control, level)
         operators = build_operators(refinement)
         basis = hierarchical_basis(refinement, operators, BasisConfig())
-        exact = exact_basis(operators, level, 150).values
+        exact = exact_basis(operators, level, BasisConfig().count).values
         errors = (basis.eigenvalues - exact)[1:] / exact[1:]
         assert -1e-6 < errors.min() <= errors.max() < 0.05, f"{path.name}: {basis}"
 
