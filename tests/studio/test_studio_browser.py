@@ -27,6 +27,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import choose_level
 from cagemap.studio.autosave import autosave_path
 from cagemap.studio.landmark_files import points_file
+from cagemap.studio.models import DENSE
 from cagemap.studio.opening import built_in_files
 from cagemap.studio.page.panels import FORMS
 from cagemap.studio.page.view import FIELD_OF_VIEW, FIRST_VIEW
@@ -422,7 +423,7 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
 ) -> None:
     held.pop("failed")  # other models are open at its end: a test after it begins anew
     (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
-    write_mesh(tmp_path / "scan.obj", dense())
+    write_mesh(tmp_path / "scan.obj", dense(DENSE))
     for name in ("broken.obj", "scan.obj"):
         page.upload("target", tmp_path / name)
         page.until(lambda name=name: f"added {name}" in page.text("status"), f"{name} in the lists")
