@@ -39,7 +39,7 @@ CONFIG = MatchConfig(
     start=StartConfig(search_vertices=1000),
     elastic=ElasticConfig(
         coarse_vertices=400,
-        coarse=Stage(15, (5e-2, 2e-4), 1e-2),
+        coarse=Stage(8, (5e-2, 2e-4), 1e-2),
         fine=Stage(3, (2e-4, 5e-5), 3e-4),
         search=SearchConfig(doubtful=np.inf, limb_rotation=np.inf),  # never several starts
     ),
