@@ -1,7 +1,7 @@
-"""What arrays in files must be: kind, shape and range, stated as a table and checked once, at the door.
+"""Specifications of arrays in files (kind, shape, range), checked once when a file is read.
 
-Shapes name their sizes, and one name means one size throughout a file. Past this door no index is out of range and no
-number is NaN that was not allowed to be, which compiled kernels rely on.
+Shapes name their sizes; one name means one size throughout a file. Compiled kernels rely on these checks: no index is
+out of range, and no number is NaN unless allowed.
 """
 
 from __future__ import annotations

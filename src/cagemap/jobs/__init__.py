@@ -1,4 +1,4 @@
-"""Many pairs: a job file says what is wanted, its tasks run side by side, and what is done is never done again."""
+"""Many pairs: a job file, its plan of tasks, and running it; finished tasks are kept."""
 
 from cagemap.jobs.consistency import Consistency, measure_consistency
 from cagemap.jobs.job import Job, read_job

@@ -1,4 +1,4 @@
-"""One page and one table about all pairs of a job: worst first, sortable, nothing needed beside them."""
+"""One page and one table of all pairs of a job, worst first."""
 
 from __future__ import annotations
 

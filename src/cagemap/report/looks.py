@@ -1,4 +1,4 @@
-"""The models of a report: how they can be coloured, and the shapes that they can take."""
+"""Models of a report: their colourings and shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Baking on the command line: the target laid out once, and one loop over its tiles for whatever is baked."""
+"""Baking images tile by tile: layout of the target, sizes, masks and writing."""
 
 from __future__ import annotations
 

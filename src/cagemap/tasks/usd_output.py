@@ -1,4 +1,4 @@
-"""What `--usd` writes: a layer over the target's USD file, or a USD file of its own where the target is none."""
+"""`--usd`: results as a layer over the target's USD file, or as a USD file of their own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bake: for every texel of the target's UV layout, what lies at its image under T12 on the source (method 9).
+"""Bake images: every texel of the target takes the value at its image under T12 on the source (method 9).
 
     texel -> point of the target -> T12 -> point of the source -> value there
 

@@ -1,4 +1,4 @@
-"""Control meshes and schemes as named arrays and plain entries, the spec in which archives store them."""
+"""Control meshes and schemes as named arrays and plain entries, as archives store them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rides on a cage, in files: skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets)."""
+"""Skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets) in files."""
 
 from __future__ import annotations
 
