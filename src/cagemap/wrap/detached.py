@@ -1,4 +1,4 @@
-"""Detached pieces of a net, such as eyes or teeth, without a sample: they follow what is around them."""
+"""Detached pieces of a net without samples, such as eyes or teeth: they follow their surroundings."""
 
 from __future__ import annotations
 
