@@ -4,7 +4,7 @@ Needs cosmic-ray and pytest-cov (``pip install ".[bench,test]"``). Mutations are
 fast tests run once to learn which test executes which line (FILE.coverage, kept). A mutation then runs the tests that
 execute its line, those of the package's own folder first. Lines that coverage does not see (compiled kernels, what runs
 at import) run their own folder, then all fast tests. Rows are written as they come, and what is there is not done
-again. Mutations of annotations, messages and docstrings are not made. Figures: docs/lab/mutations.md.
+again. Mutations of annotations, messages, docstrings, decorators and `strict` are not made. Figures: docs/lab/tests.md.
 """
 
 from __future__ import annotations
@@ -85,16 +85,14 @@ def executed_lines(copy: Path, file: Path) -> CoverageData:
         configuration = copy.parent / "coveragerc"
         configuration.write_text(f"[run]\nsource = {SOURCE}\nrelative_files = true\ndata_file = {file}\n")
         coverage = ["--cov", f"--cov-config={configuration}", "--cov-context=test", "--cov-report="]
-        subprocess.run(
-            [sys.executable, "-m", "pytest", "-q", *coverage], cwd=copy, env=environment(copy), check=True
-        )
+        subprocess.run([sys.executable, "-m", "pytest", "-q", *coverage], cwd=copy, env=environment(copy), check=True)
     data = CoverageData(str(file))
     data.read()
     return data
 
 
 def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[str], list[int], str]]:
-    """File, changed lines, their numbers and mutated text; files in proportion to their lines, places of a file alike."""
+    """File, changed lines, their numbers, mutated text; files in proportion to their lines, places of a file alike."""
     files = sorted(path.relative_to(copy) for path in (copy / SOURCE).rglob("*.py"))
     texts = {path: (copy / path).read_text(encoding="utf-8") for path in files}
     weights = [text.count("\n") for text in texts.values()]
@@ -112,7 +110,7 @@ def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[st
 
 
 class _Stripped(ast.NodeTransformer):
-    """A module without what no test need see: annotations, docstrings, formatted messages."""
+    """A module without what no test need see: annotations, docstrings, messages, how kernels are compiled, `strict`."""
 
     def visit_arg(self, node: ast.arg) -> ast.arg:
         node.annotation = None
@@ -123,7 +121,12 @@ class _Stripped(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        node.returns = None
+        node.returns, node.decorator_list = None, []
+        return self.generic_visit(node)
+
+    def visit_keyword(self, node: ast.keyword) -> ast.AST:
+        if node.arg == "strict":
+            node.value = ast.Constant(True)
         return self.generic_visit(node)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
