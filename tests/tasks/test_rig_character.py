@@ -25,7 +25,7 @@ from example_character import ball, bare_body, character, write_character
 
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:
-    return bare_body(2)
+    return bare_body(1)
 
 
 @pytest.fixture
