@@ -34,19 +34,14 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
-    """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`), row by row."""
-    corners = faces.shape[1]
-    incident = sparse.csr_array(  # row v: the corners, face * size + place, at vertex v; a counting sort
-        sparse.csc_array(
-            (np.ones(faces.size, np.int8), faces.ravel(), np.arange(faces.size + 1)), shape=(n, faces.size)
-        )
-    )
-    room = n + (corners - 1) * len(incident.indices)
-    rows = np.zeros(n + 1, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
-    around = incident.indptr, incident.indices
-    end = _gather_rows(read_only(np.ascontiguousarray(faces)), weights, _pair_columns(corners), around, rows)
-    indptr, indices, data = rows[0], rows[1][:end].copy(), rows[2][:end].copy()
-    return sparse.csr_array((data, indices, indptr), shape=(n, n))
+    """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`)."""
+    size = faces.shape[1]
+    pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS
+    rows, columns = (faces[:, side].ravel().astype(np.int32) for side in np.transpose(pairs))
+    sums = sparse.csr_array(sparse.coo_array((weights.ravel(), (rows, columns)), shape=(n, n)))
+    of_corner = [[k for j in range(size) for k, pair in enumerate(pairs) if {i, j} == {*pair}] for i in range(size)]
+    diagonal = np.bincount(np.repeat(faces.ravel(), size - 1), weights[:, of_corner].ravel(), minlength=n)
+    return sparse.csr_array(sparse.diags_array(diagonal) - sparse.csr_array(sums + sums.T))
 
 
 # Corner pairs that are edges of a face's triangulations: sides, then both diagonals of a quad.
@@ -99,52 +94,3 @@ def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore
                 weights[m, table[t, 3]] += half * uv
                 weights[m, table[t, 4]] += half * (uu - uv)
                 weights[m, table[t, 5]] += half * (vv - uv)
-
-
-def _pair_columns(size: int) -> IndexArray:
-    """(size, size) column of `face_terms`' weights for two corners of a face."""
-    columns = np.zeros((size, size), dtype=np.int64)
-    for column, (i, j) in enumerate(QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS):
-        columns[i, j] = columns[j, i] = column
-    return columns
-
-
-# Kernels fill arrays that they are given: to allocate inside would double the time they take to compile.
-@njit(cache=True, nogil=True)
-def _gather_rows(faces, weights, pair_columns, around, rows):  # type: ignore[no-untyped-def]
-    """CSR arrays of W: row v holds minus the summed weights of v and each neighbour, and their sum for v itself.
-
-    Returns the number of entries.
-    """
-    starts, corners = around
-    indptr, indices, data = rows
-    n, size = len(starts) - 1, faces.shape[1]
-    end = 0
-    for v in range(n):
-        begin = end
-        indices[begin], data[begin] = v, 0.0
-        end += 1
-        for corner in corners[starts[v] : starts[v + 1]]:
-            m, i = corner // size, corner % size
-            for j in range(size):
-                other = faces[m, j]
-                if other == v:  # itself, or a collapsed face
-                    continue
-                weight = weights[m, pair_columns[i, j]]
-                data[begin] += weight
-                place = begin + 1
-                while place < end and indices[place] != other:
-                    place += 1
-                if place == end:
-                    indices[end], data[end] = other, 0.0
-                    end += 1
-                data[place] -= weight
-        for k in range(begin + 1, end):  # insertion sort: rows are short
-            column, value = indices[k], data[k]
-            place = k
-            while place > begin and indices[place - 1] > column:
-                indices[place], data[place] = indices[place - 1], data[place - 1]
-                place -= 1
-            indices[place], data[place] = column, value
-        indptr[v + 1] = end
-    return end
