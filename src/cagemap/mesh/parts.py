@@ -23,21 +23,13 @@ LARGEST = "largest"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some faces of a mesh.
+    """Some faces of a mesh."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    name : str
-        As in the file; a component has the name of its object, group or material, where all its faces have the same
-        and no other component has it, else its number.
-    faces : (k,) int64
-    """
-
-    kind: str
+    kind: str  #: one of `KINDS`
+    #: as in the file; a component has the name of its object, group or material, where all its faces have the same and
+    #: no other component has it, else its number
     name: str
-    faces: IndexArray
+    faces: IndexArray  #: (k,)
 
     @property
     def title(self) -> str:

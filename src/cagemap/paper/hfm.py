@@ -49,33 +49,16 @@ FACING_WEIGHTS = (0.03, 0.1)
 
 @dataclass(frozen=True, repr=False)
 class HfmConfig(Brief):
-    """Parameters of `hfm`; the defaults are the measured ones.
-
-    Attributes
-    ----------
-    descriptors : DescriptorConfig
-    weights : MapWeights
-        Of eq. 13.
-    zoomout : ZoomOutSchedule
-        Eq. 13 is solved for the first number of functions.
-    position_weight, normal_weight : float
-        Of displaced positions and their normals beside the basis functions, per sqrt(k).
-    displacement_share : float
-        Functions of the displacement, as a share of those of C.
-    search_vertices : int
-        ZoomOut runs on each side's coarsest level with at least this many vertices.
-    source_search_vertices : int
-        The same of the source alone; 0: as the target's.
-    """
+    """Parameters of `hfm`; the defaults are the measured ones."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()
-    zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    position_weight: float = 10.0
+    weights: MapWeights = MapWeights()  #: Of eq. 13.
+    zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: Eq. 13 is solved for the first number of functions.
+    position_weight: float = 10.0  #: Of displaced positions and their normals beside the basis functions, per sqrt(k)
     normal_weight: float = 1.0
-    displacement_share: float = 0.5
-    search_vertices: int = 2000
-    source_search_vertices: int = 0
+    displacement_share: float = 0.5  #: Functions of the displacement, as a share of those of C
+    search_vertices: int = 2000  #: ZoomOut runs on each side's coarsest level with at least this many vertices
+    source_search_vertices: int = 0  #: The same of the source alone; 0: as the target's
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -24,20 +24,11 @@ FEWEST_FUNCTIONS = 3
 
 @dataclass(frozen=True, repr=False)
 class PaperConfig(Brief):
-    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6.
-
-    Attributes
-    ----------
-    descriptors : DescriptorConfig
-    weights : MapWeights
-        alpha(O), the same on all levels.
-    rounds : int
-        Alternations of P and orthonormal C on every level (2.1.4); 0 takes C as eqs. 13-16 give it.
-    """
+    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()
-    rounds: int = 1
+    weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
+    rounds: int = 1  #: Alternations of P and orthonormal C on every level (2.1.4); 0 takes C as eqs. 13-16 give it.
 
     def __post_init__(self) -> None:
         """Check the ranges."""

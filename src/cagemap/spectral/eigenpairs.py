@@ -24,21 +24,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EigenPairs:
-    """Consecutive eigenpairs of one level, W X = M X Lambda.
+    """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
-    Attributes
-    ----------
-    values : (m,) array
-        Ascending. Unit 1 / length^2 (unit area: none).
-    vectors : (n, m) array
-        M-orthonormal; in single precision where the accuracy that they were computed with left no more.
-    first_index : int
-        True index of the first pair in the level's whole spectrum, counted from 0.
-    """
-
-    values: FloatArray
+    values: FloatArray  #: (m,) Ascending. Unit 1 / length^2 (unit area: none).
+    #: (n, m) M-orthonormal; in single precision where the accuracy that they were computed with left no more
     vectors: NDArray[Any]
-    first_index: int
+    first_index: int  #: True index of the first pair in the level's whole spectrum, counted from 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", read_only(self.values))

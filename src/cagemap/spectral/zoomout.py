@@ -26,21 +26,12 @@ BLOCK = 512
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Vertices of one surface with their basis rows and their coordinates in common with the other surface.
+    """Vertices of one surface with their basis rows and their coordinates in common with the other surface."""
 
-    Attributes
-    ----------
-    rows : (b, k) array
-        Basis rows Phi~(x, :).
-    areas : (b,) array
-        Weights in the inner product.
-    coordinates : (b, c) array
-        Extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to sqrt(k),
-        so that their share of a distance does not fade as spectral coordinates are added.
-    """
-
-    rows: FloatArray
-    areas: FloatArray
+    rows: FloatArray  #: (b, k) basis rows Phi~(x, :)
+    areas: FloatArray  #: (b,) weights in the inner product
+    #: (b, c) extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to
+    #: sqrt(k), so that their share of a distance does not fade as spectral coordinates are added.
     coordinates: FloatArray
 
 

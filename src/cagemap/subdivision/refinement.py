@@ -19,7 +19,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.state import MeshState, control_state, next_state
+from cagemap.subdivision.sharpness import MeshState, control_state, next_state
 from cagemap.subdivision.topology import BoolArray, CornerTable, children, control_topology
 from cagemap.surface.triangles import triangles as triangles
 
@@ -29,23 +29,13 @@ ENTRIES_PER_CORNER = 25
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Level:
-    """One level's mesh.
+    """One level's mesh."""
 
-    Attributes
-    ----------
-    positions : (n, 3) float64
-        Vertices, in the control mesh's length unit; refined positions, not limit positions.
-    faces : (m, 4) or (m, 3) int64, or None
-        None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``.
-    face_parents : (m,) int64
-        Control face that every face comes from.
-    lay : callable or None
-        Returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`.
-    """
-
-    positions: FloatArray
+    positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
+    #: (m, 4) or (m, 3) None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``
     faces: IndexArray | None
-    face_parents: IndexArray
+    face_parents: IndexArray  #: (m,) control face that every face comes from
+    #: returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`
     lay: Callable[[], Layout] | None = None
 
     @kept
