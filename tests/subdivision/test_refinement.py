@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import (
     CatmullClark,
     Loop,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import evenly_spaced

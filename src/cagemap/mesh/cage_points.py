@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.closest_points import build_tree, closest_points

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, face_extents, keep_faces, signed_volume
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import face_areas, face_extents, signed_volume
 from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, listed, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems

@@ -14,8 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"

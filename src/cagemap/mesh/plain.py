@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces, with_corners_of
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, keep_faces, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import face_areas
 from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import require_structure

@@ -10,8 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import IndexArray, components
 
 
 @dataclass(frozen=True, eq=False)

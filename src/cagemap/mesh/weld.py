@@ -14,8 +14,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.parts import extract, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import edge_table, face_components, used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, pair_keys
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.

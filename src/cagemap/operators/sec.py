@@ -11,11 +11,10 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.operators.laplacian import gathered
-from cagemap.operators.polygons import Laplacian, MeanTriangulation
+from cagemap.operators.laplacian import Laplacian, MeanTriangulation, gathered
 from cagemap.subdivision import Refinement
 
 

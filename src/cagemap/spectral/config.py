@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.operators.polygons import named_laplacian
+from cagemap.operators.laplacian import named_laplacian
 from cagemap.subdivision import Refinement
 
 
@@ -34,7 +34,7 @@ class BasisConfig:
         finest level's, as in the paper.
     laplacian : str
         Of the finest level's quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
-        "de-goes-butts-desbrun"; see `cagemap.operators.polygons`.
+        "de-goes-butts-desbrun"; see `cagemap.operators.laplacian`.
     stabilisation : float
         lambda of the last two.
     """

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cagemap.errors import InvalidMeshError, ParameterError, SolverError
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked

@@ -20,7 +20,7 @@ from cagemap.spectral.bands import hierarchical_basis
 from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
 from cagemap.spectral.surface import Surface, operators_for
 from cagemap.subdivision import default_scheme
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangles import load_kernels
 
 Progress = Callable[[str], None]

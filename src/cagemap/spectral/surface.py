@@ -8,12 +8,12 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
 from cagemap.operators.coarse_levels import coarsened
-from cagemap.operators.polygons import named_laplacian
+from cagemap.operators.laplacian import named_laplacian
 from cagemap.spectral.bands import hierarchical_basis
 from cagemap.spectral.basis import HierarchicalBasis
 from cagemap.spectral.config import MAP_BASIS, BasisConfig

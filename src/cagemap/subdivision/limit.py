@@ -14,8 +14,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, Loop
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.subdivision.limit_rings import Entries, SmoothScheme, matrix_of, ring_limits, ring_tangents
 from cagemap.subdivision.matrices import rings_of, subdivision_matrix
 from cagemap.subdivision.refinement import Refinement, state_of

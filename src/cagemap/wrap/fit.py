@@ -20,9 +20,7 @@ from cagemap.deform.fit import similarity
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Energy, minimise
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, nearest_rotations
 from cagemap.wrap.config import NetConfig, WrapConfig
 from cagemap.wrap.net import ControlNet
 from cagemap.wrap.terms import NetTerms, Samples
