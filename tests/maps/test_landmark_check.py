@@ -260,7 +260,7 @@ def test_the_cost_of_a_map_of_mirrored_landmarks_is_its_own(pair, monkeypatch):
     given, exchanged = doubt.readings
     assert given.cost == with_cost(prepared, near).cost
     assert exchanged.cost == other.cost
-    assert (doubt.cost, doubt.gap) == (1e4 * given.cost, other.cost / given.cost)
+    assert doubt.signs == {"cost": 1e4 * given.cost, "turned": 0.0, "runner_up": given.cost / other.cost}
 
 
 def test_the_quadratic_form_is_the_elastic_energy(graphs):

@@ -9,7 +9,7 @@ from cagemap.deform.fit import with_cost
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.candidates import found_readings
-from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, Reading, cost_signs
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.maps.point_map import PointMap
@@ -47,7 +47,7 @@ def mirrored_readings(
         Reading(AS_GIVEN, cost, places),
         Reading(EXCHANGED, best.cost, best.positions, exchange=tuple(map(tuple, exchange.tolist()))),
     )
-    return Confidence(TWO, 1e4 * cost, best.cost / max(cost, 1e-12), readings, None, MapShape.of(given))
+    return Confidence(TWO, readings, cost_signs(readings))
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray) -> IndexArray:
