@@ -242,7 +242,8 @@ def match_pair(
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
                 confidence = turned_limbs(ends, prepared)
                 if MIRRORED_NOTE in check.notes:
-                    confidence = mirrored_readings(prepared, pair, point_map, progress)
+                    mirrored, check = mirrored_readings(prepared, pair, ends[0], check, progress)
+                    confidence = mirrored or confidence
             else:
                 point_map = elastic_map(Problem(prepared, pair), progress)[0]
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)

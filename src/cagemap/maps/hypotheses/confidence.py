@@ -98,14 +98,14 @@ class Confidence:
         vertex = self.deciding if self.file_vertex is None else self.file_vertex
         if any(reading.exchange for reading in self.readings):
             return (
-                "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map "
-                f"meets them {best.name}; `answer=1` meets them {others[0].name}"
+                "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
+                f"made {best.name}; `answer=1` is made {others[0].name}"
             )
         if best.name == AS_GIVEN:
             times = others[0].cost / max(best.cost, 1e-12)
             return (
-                f"look at it: {others[0].name}, another map meets the landmarks at {times:.2f} times the cost "
-                f"(`answer=1`). A landmark at target vertex {vertex} decides"
+                f"look at it: a map {others[0].name} fits almost as well ({times:.2f} times the cost, `answer=1`). A "
+                f"landmark at target vertex {vertex} decides"
             )
         answer = f"the target is aligned with the source {best.name}"
         if self.verdict == SURE:

@@ -43,7 +43,7 @@ SIGNS: dict[str, Sign] = {
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 of others.
-    "turned": Sign(1.0, "the files then stand in different directions"),
+    "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
     "cost": Sign(7.0, "the shapes differ much"),
     # Cost, of that of the best different alignment; 0 where there is none.
