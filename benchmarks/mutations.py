@@ -85,16 +85,14 @@ def executed_lines(copy: Path, file: Path) -> CoverageData:
         configuration = copy.parent / "coveragerc"
         configuration.write_text(f"[run]\nsource = {SOURCE}\nrelative_files = true\ndata_file = {file}\n")
         coverage = ["--cov", f"--cov-config={configuration}", "--cov-context=test", "--cov-report="]
-        subprocess.run(
-            [sys.executable, "-m", "pytest", "-q", *coverage], cwd=copy, env=environment(copy), check=True
-        )
+        subprocess.run([sys.executable, "-m", "pytest", "-q", *coverage], cwd=copy, env=environment(copy), check=True)
     data = CoverageData(str(file))
     data.read()
     return data
 
 
 def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[str], list[int], str]]:
-    """File, changed lines, their numbers and mutated text; files in proportion to their lines, places of a file alike."""
+    """File, changed lines, their numbers and mutated text; files are drawn in proportion to their lines."""
     files = sorted(path.relative_to(copy) for path in (copy / SOURCE).rglob("*.py"))
     texts = {path: (copy / path).read_text(encoding="utf-8") for path in files}
     weights = [text.count("\n") for text in texts.values()]
