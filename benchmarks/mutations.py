@@ -92,7 +92,7 @@ def executed_lines(copy: Path, file: Path) -> CoverageData:
 
 
 def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[str], list[int], str]]:
-    """File, changed lines, their numbers, mutated text; files in proportion to their lines, places of a file alike."""
+    """File, changed lines, their numbers and mutated text; files are drawn in proportion to their lines."""
     files = sorted(path.relative_to(copy) for path in (copy / SOURCE).rglob("*.py"))
     texts = {path: (copy / path).read_text(encoding="utf-8") for path in files}
     weights = [text.count("\n") for text in texts.values()]

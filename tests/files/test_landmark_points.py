@@ -21,8 +21,8 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.maps.pair import NEAR_VERTICES
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
-from cagemap.mesh.measures import cage_triangles
 
 from quick_match import QUICK
 

@@ -12,14 +12,14 @@ from scipy import sparse
 
 from cagemap import BasisConfig, Landmarks, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.deform.energy import energy_matrix
-from cagemap.deform.fit import with_cost
 from cagemap.deform.graph import ElasticGraph, cluster_graph
+from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.folder import landmark_messages
-from cagemap.maps.hypotheses.confidence import Reading
+from cagemap.maps.hypotheses.confidence import TWO, Reading
 from cagemap.maps.landmarks import check, mirrored
-from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
+from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
     misplaced_pairs,
@@ -238,8 +238,8 @@ def test_mirrored_landmarks_turn_the_other_way_round(pair, graphs):
     assert orientation_agreement(target, (source[0] * mirror, source[1] * mirror)) < -0.4
 
 
-def test_the_cost_of_a_map_of_mirrored_landmarks_is_its_own(pair, monkeypatch):
-    """The manifest said the other answer's cost, and that both fit alike."""
+def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(pair, monkeypatch):
+    """Where arms are crossed, correct ones seem mirrored, and were called 'two answers'."""
     target, source, landmarks = pair
     prepared = prepare_pair(target, source, QUICK)
     points = Pair(target, source, point_pairs(target, source, landmarks))
@@ -247,11 +247,15 @@ def test_the_cost_of_a_map_of_mirrored_landmarks_is_its_own(pair, monkeypatch):
     near = np.asarray(found.images.positions[: prepared.mesh.n])
     other = Reading("another", 3e-4, near * [-1.0, 1.0, 1.0])
     monkeypatch.setattr(mirrored, "found_readings", lambda problem, progress: (other,))
-    doubt = mirrored.mirrored_readings(prepared, points, found)
-    given, exchanged = doubt.readings
-    assert given.cost == with_cost(prepared, near).cost
-    assert exchanged.cost == other.cost
-    assert (doubt.cost, doubt.gap) == (1e4 * given.cost, other.cost / given.cost)
+    known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
+    dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
+    doubt, kept = mirrored.mirrored_readings(prepared, points, dear, known)
+    assert (doubt.verdict, kept) == (TWO, known)
+    assert [reading.cost for reading in doubt.readings] == [dear.cost, other.cost]
+    assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
+    none, kept = mirrored.mirrored_readings(prepared, points, cheap, known)
+    assert none is None
+    assert kept.notes == ("another note",)
 
 
 def test_the_quadratic_form_is_the_elastic_energy(graphs):

@@ -28,7 +28,7 @@ from cagemap.subdivision import (
 )
 from cagemap.subdivision.face_varying import control_layout
 from cagemap.subdivision.limit import limit_tangents
-from cagemap.subdivision.state import control_state
+from cagemap.subdivision.sharpness import control_state
 from cagemap.subdivision.topology import control_table, control_topology, topology_of_table
 
 from locations import FIXTURES

@@ -12,7 +12,7 @@ from cagemap.errors import CagemapError, FormatError, InvalidMeshError
 from cagemap.files.meshes.formats import read_whole
 from cagemap.jobs.job_schema import Asset
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles, face_areas
+from cagemap.mesh.faces import cage_triangles, face_areas
 from cagemap.numerics.arrays import FloatArray
 
 SAMPLES = 4000

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (

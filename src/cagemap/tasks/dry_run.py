@@ -22,8 +22,7 @@ from cagemap.jobs.costs import (
 from cagemap.jobs.farm import farm_steps, numbered
 from cagemap.pipeline import choose_level
 from cagemap.spectral.prepare import DEFAULT_VERTICES
-from cagemap.subdivision.counts import vertex_counts
-from cagemap.subdivision.refinement import default_scheme
+from cagemap.subdivision.refinement import default_scheme, vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest
 
 # Side of an image that is baked, unless the job says otherwise.

@@ -32,8 +32,8 @@ from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.mesh.measures import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles

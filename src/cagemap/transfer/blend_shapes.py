@@ -22,9 +22,8 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import weighted_percentiles
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
-from cagemap.numerics.rotations import nearest_rotations
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.subdivision.linear_values import interpolate_linearly
 from cagemap.surface.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals

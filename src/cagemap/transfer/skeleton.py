@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
 # Weights fall with the fourth power of the distance: a joint in a limb follows the ring of surface around it.
 _POWER = 2

@@ -15,10 +15,9 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import cage_triangles
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.numerics.libraries import library
 from cagemap.subdivision import refine
 from cagemap.transfer.packing import pack_islands

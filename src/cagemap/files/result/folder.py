@@ -61,7 +61,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.subdivision import Scheme, refine
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 
 __all__ = [
     "ARRAYS",

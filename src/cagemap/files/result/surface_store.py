@@ -38,7 +38,7 @@ from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
 from cagemap.spectral.prepare import Progress, silent
 from cagemap.subdivision import Refinement, Scheme, default_scheme
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 
 FORMAT = "cagemap-surface"
 FORMAT_VERSION = 4

@@ -14,8 +14,7 @@ from scipy import sparse
 
 from cagemap.maps.projection.config import RelaxConfig
 from cagemap.maps.quality import flipped_triangles, upside_down
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, read_only
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
