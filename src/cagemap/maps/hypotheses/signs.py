@@ -41,7 +41,7 @@ SIGNS: dict[str, Sign] = {
         "and right exchanged. If so, mirror one of the files",
     ),
     # Share of the target's area.
-    "jumps": Sign(0.02, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
     # Share of the target's area that another map, which costs hardly more, turns by `TURN` degrees or more.
