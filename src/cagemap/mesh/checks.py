@@ -29,7 +29,7 @@ from cagemap.mesh.topology import (
     used_vertices,
     uv_islands,
 )
-from cagemap.mesh.weld import weld_tolerance, welded_pieces
+from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
@@ -116,14 +116,9 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
-    """Raise unless the method can take the mesh.
+    """Raise unless the method can take the mesh, but for ``allowed`` kinds of problems.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-    allowed : collection of str
-        Kinds of problems that do not matter: `SEVERAL` where each component was matched for itself, `UNREFINED` where
-        the mesh is only subdivided.
+    These are `SEVERAL` where each component was matched for itself, `UNREFINED` where the mesh is only subdivided.
 
     Raises
     ------
@@ -269,7 +264,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     tolerance = None if copied else weld_tolerance(mesh)
     seams = ""
     if tolerance is not None:
-        left = welded_pieces(mesh, tolerance)
+        left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
             f"`weld_mesh` {tolerance:g} leaves {left} piece{'s' * (left != 1)}. {'Or match' if left == 1 else 'Match'}"

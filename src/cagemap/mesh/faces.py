@@ -22,18 +22,16 @@ def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
 def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
     """Return the mesh with other faces, made of its own face corners.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-    faces : (k,) int64
-        Face that every new one comes from; ascending where there are hole faces.
-    offsets : (k + 1,) int64
-        Where each new face starts in ``corners``.
-    corners : (c,) int64
-        Corner of the mesh that every new one is.
+    New face i has the corners ``corners[offsets[i]:offsets[i + 1]]`` of the mesh and comes from its face ``faces[i]``;
+    these ascend where there are hole faces.
     """
     indices = mesh.face_indices[corners]
-    creases, sharpness = _creases_on_edges(mesh, indices, offsets)
+    creases, sharpness = mesh.crease_edges, mesh.crease_sharpness
+    if creases is not None and sharpness is not None:
+        following = ControlMesh(mesh.positions, offsets, indices).next_corners
+        edges = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
+        kept = np.isin(pair_keys(creases, mesh.n_vertices), edges)
+        creases, sharpness = creases[kept], sharpness[kept]
 
     def of_faces(values: IndexArray | None) -> IndexArray | None:
         return None if values is None else values[faces]
@@ -52,17 +50,6 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
         crease_edges=creases,
         crease_sharpness=sharpness,
     )
-
-
-def _creases_on_edges(
-    mesh: ControlMesh, indices: IndexArray, offsets: IndexArray
-) -> tuple[IndexArray | None, FloatArray | None]:
-    if mesh.crease_edges is None or mesh.crease_sharpness is None:
-        return None, None
-    following = ControlMesh(mesh.positions, offsets, indices).next_corners
-    edges = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
-    kept = np.isin(pair_keys(mesh.crease_edges, mesh.n_vertices), edges)
-    return mesh.crease_edges[kept], mesh.crease_sharpness[kept]
 
 
 def degenerate_faces(mesh: ControlMesh) -> IndexArray:

@@ -44,10 +44,6 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     A plane starts through the centroid, across a coordinate axis or a principal one, and moves to where the vertices'
     mirror images lie on vertices. It counts if 95 % of them do, within `MOST_WITHIN`, and none is far off; faces need
     not mirror, for cages are often triangulated without regard to it.
-
-    Parameters
-    ----------
-    control : ControlMesh
     """
     positions = control.positions
     diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))

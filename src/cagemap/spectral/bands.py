@@ -40,7 +40,13 @@ def hierarchical_basis(
     """
     counts = config.bands(refinement, operators.finest)
     if config.schedule is None:
-        counts = (*counts[:-1], _count_on(operators.mass[len(counts) - 1].shape[0], config))
+        size = operators.mass[len(counts) - 1].shape[0]
+        if config.count > size and config.count != BasisConfig.count:
+            raise ParameterError(
+                f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count};"
+                " refine further or ask for fewer"
+            )
+        counts = (*counts[:-1], min(config.count, size))
     else:
         _check_schedule(operators, counts)
     while not counts[-1]:
@@ -153,16 +159,6 @@ def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
     band = np.array(vectors, dtype=np.float64)
     factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)
-
-
-def _count_on(size: int, config: BasisConfig) -> int:
-    """The functions asked for; of a surface with fewer vertices than the default count, as many as it has."""
-    if config.count > size and config.count != BasisConfig.count:
-        raise ParameterError(
-            f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count}; "
-            "refine further or ask for fewer"
-        )
-    return min(config.count, size)
 
 
 def _check_schedule(operators: Operators, counts: tuple[int, ...]) -> None:

@@ -7,8 +7,6 @@ matrix where one infinite crease ends (dart). Semi-sharp vertices are refined lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_array, diags_array, eye_array
 
@@ -108,17 +106,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Features:
-    """Vertices (n,) that are sharp beyond the boundary's rules, by kind."""
-
-    semi: BoolArray
-    dart: BoolArray
-    crease: BoolArray
-    corner: BoolArray
-
-
-def _features(topology: Topology, sharpness: Sharpness) -> _Features:
+def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
+    """Vertices (n,) that are sharp beyond the boundary's rules: semi-sharp, darts, creases, corners."""
     ends, n = edge_ends(topology), topology.table.n_vertices
     inside = topology.edge_corners[:, 1] >= 0
     infinite = sharpness.edges >= INFINITE_SHARPNESS
@@ -128,7 +117,7 @@ def _features(topology: Topology, sharpness: Sharpness) -> _Features:
     inner = np.bincount(ends[infinite & inside].ravel(), minlength=n) > 0
     corner = (sharpness.vertices >= INFINITE_SHARPNESS) | (inner & (count > 2))
     infinite_only = ~semi & ~corner & inner
-    return _Features(semi, infinite_only & (count == 1), infinite_only & (count == 2), corner & ~semi)
+    return semi, infinite_only & (count == 1), infinite_only & (count == 2), corner & ~semi
 
 
 def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_array:
@@ -137,11 +126,12 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     rows = ring_limits(topology, scheme, state.corner)
     if sharpness is None:
         return rows
-    features, ends, n = _features(topology, sharpness), edge_ends(topology), topology.table.n_vertices
-    smooth = ~(features.semi | features.dart | features.crease | features.corner)
+    semi, dart, crease_vertices, corner = _features(topology, sharpness)
+    ends, n = edge_ends(topology), topology.table.n_vertices
+    smooth = ~(semi | dart | crease_vertices | corner)
     own, other = CREASE_LIMIT
-    along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & features.crease[ends]
-    fixed, crease = np.flatnonzero(features.corner), np.flatnonzero(features.crease)
+    along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease_vertices[ends]
+    fixed, crease = np.flatnonzero(corner), np.flatnonzero(crease_vertices)
     entries: list[Entries] = [
         (fixed, fixed, np.ones(len(fixed))),
         (crease, crease, np.full(len(crease), own)),
@@ -149,9 +139,9 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
         (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), other)),
     ]
     result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, n)
-    result = result + _dart_rows(topology, sharpness, scheme, features.dart & wanted)[0]
-    if np.any(features.semi & wanted):
-        part, vertices, child, followed = _refined_around(state, scheme, features.semi & wanted)
+    result = result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0]
+    if np.any(semi & wanted):
+        part, vertices, child, followed = _refined_around(state, scheme, semi & wanted)
         chosen = followed[: len(vertices)]
         finer = _limits(child, scheme, followed)[np.flatnonzero(chosen)] @ subdivision_matrix(part, scheme)
         finer = finer.tocoo()
@@ -180,13 +170,13 @@ def _tangents(
     """Two tangents of every vertex; rows that are not wanted mean nothing."""
     if state.sharpness is None:
         return ring_tangents(state.topology, scheme, state.corner, positions)
-    features = _features(state.topology, state.sharpness)
-    tangents = _tangents_of_sides(state, scheme, positions, features.corner)
-    dart_rows = _dart_rows(state.topology, state.sharpness, scheme, features.dart)
+    semi, dart, _, corner = _features(state.topology, state.sharpness)
+    tangents = _tangents_of_sides(state, scheme, positions, corner)
+    dart_rows = _dart_rows(state.topology, state.sharpness, scheme, dart)
     for tangent, rows in zip(tangents, dart_rows[1:], strict=True):
-        tangent[features.dart] = (rows @ positions)[features.dart]
-    if np.any(features.semi & wanted):
-        part, vertices, child, followed = _refined_around(state, scheme, features.semi & wanted)
+        tangent[dart] = (rows @ positions)[dart]
+    if np.any(semi & wanted):
+        part, vertices, child, followed = _refined_around(state, scheme, semi & wanted)
         chosen = followed[: len(vertices)]
         finer = _tangents(child, scheme, subdivision_matrix(part, scheme) @ positions[vertices], followed)
         for tangent, values in zip(tangents, finer, strict=True):
@@ -296,7 +286,11 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     local = matrix[ring].toarray()
     # The ring is symmetric about the crease: one tangent is even, one odd, and neither eigenvalue is repeated.
     mirror = np.concatenate([[0], 1 + (-here) % valence, *([1 + valence + (-1 - here) % valence] if quads else [])])
-    even, odd = (_left_eigenvectors(0.5 * (local + sign * local[:, mirror])) for sign in (1, -1))
+    sides = []
+    for sign in (1, -1):
+        values, vectors = np.linalg.eig((0.5 * (local + sign * local[:, mirror])).T)
+        sides.append(vectors[:, np.argsort(-values.real)].real.T)
+    even, odd = sides
     weights = np.stack([even[0] / even[0].sum(), even[1], odd[0]])
     # Counter-clockwise on a flat ring, the second tangent is on the left of the first.
     angles = 2 * np.pi * np.concatenate([here, here + 0.5]) / valence
@@ -304,9 +298,3 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     if np.linalg.det(weights[1:, 1:] @ flat) < 0:
         weights[2] *= -1
     return weights
-
-
-def _left_eigenvectors(matrix: FloatArray) -> FloatArray:
-    """Left eigenvectors in rows, that of the largest eigenvalue first."""
-    values, vectors = np.linalg.eig(matrix.T)
-    return np.asarray(vectors[:, np.argsort(-values.real)].real.T)

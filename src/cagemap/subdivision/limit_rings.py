@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from cagemap.mesh.schemes import CREASE_LIMIT, CatmullClark, Loop
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision.matrices import RowFiller, put_boundary_rows, put_inner_rows, rings_of, vertex_row_lengths
 from cagemap.subdivision.topology import BoolArray, Topology
 
@@ -60,9 +60,10 @@ def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_arr
     valences = np.repeat(present, present)
     ranks = np.arange(len(valences)) - first_of[valences]
     masks: tuple[FloatArray, ...] = scheme.tangent_weights(valences, ranks)
-    if isinstance(scheme, CatmullClark):
-        masks = _with_valence_2_tangents(valences, ranks, masks)
-
+    if isinstance(scheme, CatmullClark):  # at valence 2, where no tangent plane exists, those of the ring's polygon
+        sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
+        polygon = sign, none, none, sign
+        masks = tuple(np.where(valences == 2, new, old) for new, old in zip(polygon, masks, strict=True))
     inside = np.flatnonzero(~topology.boundary[table.vertices])
     centres, rank = table.vertices[inside], topology.ranks[inside]
     mask = first_of[topology.valences[centres]] + rank
@@ -73,15 +74,6 @@ def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_arr
             rows.put(centres, len(rings) * rank + offset, ring[inside], weights[mask])
         result.append(csr_array((rows.data, rows.indices, rows.indptr), shape=(table.n_vertices, table.n_vertices)))
     return result
-
-
-def _with_valence_2_tangents(
-    valences: IndexArray, ranks: IndexArray, masks: tuple[FloatArray, ...]
-) -> tuple[FloatArray, ...]:
-    """At valence 2, where no tangent plane exists, tangents of the ring's polygon."""
-    sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
-    replaced = (sign, none, none, sign)
-    return tuple(np.where(valences == 2, new, old) for new, old in zip(replaced, masks, strict=True))
 
 
 def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:
