@@ -120,21 +120,9 @@ def new_directions(
 
     A repeated eigenvalue may be cut by the end of a band: its eigenvectors are rotated so that each is in the refined
     span as far as possible or out of it. ``present`` directions are there already: those with the largest overlap.
-
-    Parameters
-    ----------
-    values : (m,) array
-        Ascending eigenvalues of a window of M-orthonormal eigenvectors.
-    overlap, gram : (k, m), (k, k) arrays
-        Inner products of the refined basis with the window and with itself.
-    present : int
-
-    Returns
-    -------
-    rotation : (m, m - present) array
-        Window vectors times this are the new directions, in ascending order.
-    positions : (m - present,) array
-        Place of each in the window.
+    Given are the window's eigenvalues (m,), ascending, of M-orthonormal vectors, and inner products of the refined
+    basis with the window (k, m) and with itself (k, k). Returned are the new directions in the window (m, m - present),
+    and the place of each.
     """
     m = len(values)
     # In an orthonormal basis of the refined span a squared column norm is the share of a vector inside that span.

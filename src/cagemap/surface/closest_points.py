@@ -90,9 +90,8 @@ def closest_points(
     Parameters
     ----------
     tree : TriangleTree
-    points : (m, 3) float64
-    normals : (m, 3) float64, optional
-        Unit normals of the queries; needed by the two options below.
+    points, normals : (m, 3) float64
+        Queries and, needed by the two options below, their unit normals.
     normal_weight : float
         ``w``, a length: opposite normals cost as much as a distance of ``2 w``.
     minimum_cosine : float
@@ -165,16 +164,10 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
 def closest_among(
     corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Triangle (m,) and barycentric coordinates (m, 3) of the closest point among each query's own candidates.
+    """Triangle (m,) and barycentric coordinates (m, 3) of the closest points among each query's own candidates.
 
-    Parameters
-    ----------
-    corners : (t, 3, 3) float64
-        Positions of the triangles' corners.
-    starts : (m, 2) int64
-        Begin and end of every query's triangles in ``candidates`` (c,); at least one. The first of equally near wins.
-    candidates : (c,) int64
-    points : (m, 3) float64
+    Query i of ``points`` (m, 3) has the triangles ``candidates[starts[i, 0]:starts[i, 1]]``, at least one, of the
+    ``corners`` (t, 3, 3). The first of equally near ones wins.
     """
     triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
     c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
