@@ -25,8 +25,8 @@ def solve_functional_map(
 ) -> FloatArray:
     """C12 (k1, k2) of least ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 
-    A ``known`` leading block C_l (a, b) stays as it is (eq. 14); the three blocks beside it are found together. Operators
-    without entries between low and high functions let them fall apart into eq. 16 and its companion.
+    A ``known`` leading block C_l (a, b) stays as it is (eq. 14); the three blocks beside it are found together.
+    Operators without entries between low and high functions let them fall apart into eq. 16 and its companion.
 
     Raises
     ------
