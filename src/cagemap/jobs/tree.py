@@ -1,4 +1,4 @@
-"""Which pairs join a collection with the fewest matches: a spanning tree along shapes that are alike."""
+"""Spanning tree of a collection along similar shapes: the fewest matches that connect all models."""
 
 from __future__ import annotations
 

@@ -75,8 +75,8 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         total, memory, disk = total + seconds, max(memory, worker_memory(both)), disk + _bytes(task, own)
         shown = " + ".join(f"{size.finest:,}" for size in own)
         lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, own)}")
-    hired = max(min(workers, len(missing)), 1)
-    minutes = (total / hired + STARTUP * bool(missing)) / 60
+    used = max(min(workers, len(missing)), 1)
+    minutes = (total / used + STARTUP * bool(missing)) / 60
     return "\n".join(
         [
             f"{len(plan.tasks)} tasks for {len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, {len(missing)} to do",

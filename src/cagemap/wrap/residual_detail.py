@@ -1,4 +1,4 @@
-"""What a wrapped cage still misses of the source: the source, as the detail over the wrapped surface."""
+"""Residual of a wrap: the source as a detailed mesh over the wrapped surface."""
 
 from __future__ import annotations
 

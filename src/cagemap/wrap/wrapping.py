@@ -1,4 +1,4 @@
-"""Wrap a target's cage onto a source along a map, and tell how well it lies there."""
+"""Wrap a target's cage onto a source along a map, and measure the distance."""
 
 from __future__ import annotations
 
