@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -32,24 +33,24 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
         edges = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
         kept = np.isin(pair_keys(creases, mesh.n_vertices), edges)
         creases, sharpness = creases[kept], sharpness[kept]
-
-    def of_faces(values: IndexArray | None) -> IndexArray | None:
-        return None if values is None else values[faces]
-
     return replace(
         mesh,
         face_offsets=offsets,
         face_indices=indices,
         uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
         uv_sets=tuple(UvSet(one.name, one.uvs, one.uv_indices[corners]) for one in mesh.uv_sets),
-        face_materials=of_faces(mesh.face_materials),
-        face_objects=of_faces(mesh.face_objects),
-        face_groups=of_faces(mesh.face_groups),
-        file_faces=of_faces(mesh.file_faces),
+        **labels_of(mesh, faces),
+        file_faces=None if mesh.file_faces is None else mesh.file_faces[faces],
         hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
         crease_edges=creases,
         crease_sharpness=sharpness,
     )
+
+
+def labels_of(mesh: ControlMesh, faces: IndexArray) -> dict[str, Any]:
+    """Materials, objects and groups of some faces (k,), as arguments of `ControlMesh`."""
+    labels = {"face_materials": mesh.face_materials, "face_objects": mesh.face_objects, "face_groups": mesh.face_groups}
+    return {name: None if values is None else values[faces] for name, values in labels.items()}
 
 
 def degenerate_faces(mesh: ControlMesh) -> IndexArray:

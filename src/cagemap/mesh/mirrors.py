@@ -14,7 +14,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
 MOST = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
-SAMPLES, STEPS = 1000, 10
+PLANE_SAMPLES, STEPS = 1000, 10
 # A move that leaves this share of the mirror images' median distance leads nowhere, unless most of them lie near
 # vertices already: within so many tolerances.
 NO_NEARER, ALREADY = 0.9, 10.0
@@ -50,7 +50,7 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     centre = positions.mean(axis=0)
     _, principal = np.linalg.eigh((positions - centre).T @ (positions - centre))
     tree = cKDTree(positions)
-    sample = positions[:: max(1, len(positions) // SAMPLES)]
+    sample = positions[:: max(1, len(positions) // PLANE_SAMPLES)]
     found: list[Mirror] = []
     for start in (*np.eye(3), *principal.T):
         settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal)

@@ -16,7 +16,7 @@ from cagemap.subdivision import Refinement
 SAME_ROW = 1e-9
 UNKNOWN = -1
 # Basis functions that an operator is applied to at once: at a million vertices 256 MB.
-COLUMNS = 32
+OPERATOR_COLUMNS = 32
 
 
 def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
@@ -78,7 +78,7 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     """
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):
-        for start in range(0, band.shape[1], COLUMNS):
-            values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
+        for start in range(0, band.shape[1], OPERATOR_COLUMNS):
+            values = basis.refinement.prolong(band[:, start : start + OPERATOR_COLUMNS], i, level)
             columns.append(basis.project(np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]), level))
     return np.triu(np.tril(np.hstack(columns), 1), -1)
