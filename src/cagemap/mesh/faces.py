@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -104,3 +105,20 @@ def signed_volume(mesh: ControlMesh) -> float:
     triangles, _ = cage_triangles(mesh)
     a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
+    """Close every boundary loop with triangles to its centroid."""
+    if not loops:
+        return mesh
+    centres = np.array([mesh.positions[loop].mean(axis=0) for loop in loops])
+    cones = [
+        np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), mesh.n_vertices + i)])
+        for i, loop in enumerate(loops)
+    ]
+    caps = np.concatenate(cones)
+    return ControlMesh(
+        np.concatenate([mesh.positions, centres]),
+        np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + 3 * np.arange(1, len(caps) + 1)]),
+        np.concatenate([mesh.face_indices, caps.ravel()]),
+    )
