@@ -125,8 +125,8 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
         If the edges branch or fall into pieces; names the vertices.
     """
     vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
-    graph = sparse.csr_array((np.ones(len(edges)), local.reshape(-1, 2).T), shape=(len(vertices), len(vertices)))
-    graph = sparse.csr_array(graph + graph.T)
+    heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
+    graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
     degrees = np.diff(graph.indptr)
     branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
     if branching or len(ends) > 2:
