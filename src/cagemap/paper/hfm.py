@@ -93,16 +93,7 @@ def hfm_map(
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of the search levels and of all finer ones, and the point map T12 of the finest ones.
 
-    Parameters
-    ----------
-    pair : Pair
-    config : HfmConfig
-    progress : callable
-    constraints : Constraints, optional
-        One's own, instead of `gather_constraints`.
-    start : map, optional
-        A functional map of the first functions from elsewhere, instead of the solution of eq. 13, a source vertex for
-        every target vertex of a level, or a point map.
+    The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions.
 
     Raises
     ------

@@ -59,19 +59,11 @@ def band_pairs(
     *,
     accuracy: float = 1e-9,
 ) -> EigenPairs:
-    """Eigenpairs first..last-1 of the spectrum, complete whatever their multiplicity.
+    """Eigenpairs first..last-1 of the spectrum of W (n, n) and M, complete whatever their multiplicity.
 
     Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W - sigma M
     says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was missed.
-
-    Parameters
-    ----------
-    stiffness, mass : (n, n) CSR arrays
-        W positive semi-definite, M positive definite.
-    first, last : int
-        Range of indices, 0 <= first < last <= n.
-    accuracy : float
-        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+    ``accuracy`` of the iteration is relative to each eigenvalue of the inverted operator.
 
     Raises
     ------
