@@ -21,6 +21,7 @@ from cagemap.files.gltf.document import Document, glb_bytes, read_document, writ
 from cagemap.mesh.checks import check_mesh
 from cagemap.tasks.mesh_commands import check_files
 
+from fbx_scenes import fbx_arm
 from gltf_scenes import arm
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
@@ -131,6 +132,22 @@ def test_damaged_copies_of_files_as_they_come(name: str, tmp_path: Path, shared_
     blob = read_document(path).buffers[0]
     count, refused = _mutate(path, Document(raw, (blob,), path), 30 if "draco" in name else 80)
     assert 0 < refused < count
+
+
+@pytest.mark.slow
+def test_damaged_copies_of_an_fbx_file(tmp_path: Path) -> None:
+    """The library reads them in a process of its own, which may stop: this one goes on with a named error."""
+    pytest.importorskip("ufbx")
+    path, rng = tmp_path / "made.fbx", np.random.default_rng(7)
+    content = fbx_arm(image=b"\x89PNG" + bytes(60), leaf=True, posed=True).bytes()
+    path.write_bytes(content)
+    use(path)
+    refused = 0
+    for _ in range(40):
+        path.write_bytes(mutated_bytes(content, rng))
+        refused += not outcome(lambda: use(path))
+    assert list(tmp_path.iterdir()) == [path]
+    assert 0 < refused < 40
 
 
 def _json_of(content: bytes) -> Any:

@@ -12,7 +12,7 @@ from typing import Any
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.gltf.contents import Contents, read_contents
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
@@ -93,7 +93,7 @@ def _checked(path: Path, subdivision: SubdivisionRequest, weld: str | None) -> t
 
 def _contents(path: Path) -> Contents | None:
     """What a glTF file holds beside its surface."""
-    return read_contents(path) if path.suffix.lower() in GLTF_SUFFIXES else None
+    return read_contents(path) if path.suffix.lower() in SCENE_SUFFIXES else None
 
 
 def _parts(mesh: ControlMesh) -> tuple[Part, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.values import gltf_skeleton
 from cagemap.files.meshes.mhclo import bind, write_mhclo
 from cagemap.files.result.folder import note_transfer, read_files, stated_path
@@ -57,7 +57,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         _require_joints(given, skeleton, request)
     elif request.weights.suffix.lower() in USD_SUFFIXES:
         skeleton = read_usd_skeleton(request.weights, result.source.control)
-    elif request.weights.suffix.lower() in GLTF_SUFFIXES:
+    elif request.weights.suffix.lower() in SCENE_SUFFIXES:
         skeleton = gltf_skeleton(request.weights)
     stages("weights")
     try:

@@ -16,7 +16,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of
-from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document, write_document
+from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import (
     MaterialImage,
@@ -83,10 +83,13 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
 
 
 def _require_paths(request: RigRequest) -> None:
-    for path, what in ((request.like, "the character"), (request.output, "the file to write")):
-        if path.suffix.lower() not in GLTF_SUFFIXES:
+    for path, what, suffixes in (
+        (request.like, "the character", SCENE_SUFFIXES),
+        (request.output, "the file to write", GLTF_SUFFIXES),
+    ):
+        if path.suffix.lower() not in suffixes:
             raise FormatError(
-                f"{path}: expected {what} as {', '.join(GLTF_SUFFIXES)}, got '{path.suffix}'. Export it as GLB."
+                f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. Export it as GLB."
             )
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
     outputs = [request.output, *([] if request.report is None else [request.report])]
@@ -96,8 +99,8 @@ def _require_paths(request: RigRequest) -> None:
 
 
 def read_body(path: Path) -> Character:
-    """The parts of a glTF file, or the mesh of any other, as a character without rig."""
-    if path.suffix.lower() in GLTF_SUFFIXES:
+    """The parts of a glTF or FBX file, or the mesh of any other, as a character without rig."""
+    if path.suffix.lower() in SCENE_SUFFIXES:
         found = character_of(read_document(path))
         return Character(found.parts)
     mesh = read_mesh(path)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.files.gltf.animations import animation_lengths, animation_names
+from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import humanoid_bones
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, image_bytes
@@ -96,7 +97,7 @@ def read_contents(path: str | Path) -> Contents:
     parts = [one.part for one in scene.parts]
     body = int(np.argmax([face_areas(part.mesh).sum() for part in parts]))
     weights = [part.weights for part in parts if part.weights is not None]
-    used = [whole_characters(name) for name in document.entries("extensionsUsed") if isinstance(name, str)]
+    named = [name for name in document.entries("extensionsUsed") if isinstance(name, str) and name != NGONS]
     return Contents(
         body=parts[body].name,
         passengers=tuple(part.name for number, part in enumerate(parts) if number != body),
@@ -108,7 +109,7 @@ def read_contents(path: str | Path) -> Contents:
         shapes=tuple(dict.fromkeys(name for part in parts for name in part.shapes)),
         textures=_textures(document),
         animations=tuple(zip(animation_names(document), animation_lengths(document), strict=True)),
-        extensions=tuple(used),
+        extensions=tuple(map(whole_characters, named)),
         welded=tuple(note for one in scene.parts for note in one.notes),
     )
 

@@ -1,4 +1,7 @@
-"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at UV seams."""
+"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at UV seams.
+
+Polygons are marked as such (FB_ngon_encoding), and read back by programs that know it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from cagemap.files.gltf.binary import VERTICES, Binary
+from cagemap.files.gltf.binary import NGONS, VERTICES, Binary
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -36,9 +39,15 @@ def mesh_entry(
         Of the joints of the skin of its node; all influences are written, four a set.
     shapes : dict of str to (n, 3) float64, optional
     """
-    corners, corner_faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     sets = _uv_sets(mesh)
     first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets)])
+    numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
+    polygons = bool((mesh.face_sizes != 3).any())
+    begun = np.arange(len(numbers))
+    if polygons:
+        begun = _begun(mesh, numbers, np.argsort(numbers_of, kind="stable"))
+        binary.extensions.add(NGONS)
+    corners, corner_faces = fan_triangles(mesh.face_offsets, begun)
     triangles, vertices = numbers[corners], mesh.face_indices[first]
     normals = vertex_normals(mesh.positions, mesh.face_indices[corners])
     normals[~normals.any(axis=1)] = [0.0, 0.0, 1.0]
@@ -54,10 +63,9 @@ def mesh_entry(
         attributes["COLOR_0"] = binary.accessor(mesh.vertex_colors[vertices].astype("<f4"), VERTICES)
     if weights is not None:
         attributes |= _skinning(binary, weights[vertices])
-    common: dict[str, Any] = {"attributes": attributes}
+    common: dict[str, Any] = {"attributes": attributes} | ({"extensions": {NGONS: {}}} if polygons else {})
     if shapes:
         common["targets"] = [{"POSITION": binary.offsets(offsets[vertices])} for offsets in shapes.values()]
-    numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     primitives = []
     for number in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == number].ravel()
@@ -66,6 +74,22 @@ def mesh_entry(
         primitives.append(primitive if material is None else primitive | {"material": material})
     named = {"extras": {"targetNames": list(shapes)}} if shapes else {}
     return {"primitives": primitives} | named
+
+
+def _begun(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
+    """Corners of all faces; each face begins with another vertex than its neighbours in the order of writing.
+
+    So no two fans in a row can be taken for one. Every second face begins where it does in the mesh.
+    """
+    sizes, first = mesh.face_sizes, mesh.face_offsets[:-1]
+    moved = order[1::2]
+    heads = np.append(numbers[first[order[::2]]], -1)
+    choice = numbers[first[moved][:, None] + np.arange(3)]
+    free = (choice != heads[: len(moved), None]) & (choice != heads[1 : len(moved) + 1, None])
+    start = np.zeros(mesh.n_faces, dtype=np.int64)
+    start[moved] = free.argmax(axis=1)
+    place = np.arange(len(numbers)) - np.repeat(first, sizes) + np.repeat(start, sizes)
+    return np.repeat(first, sizes) + place % np.repeat(sizes, sizes)
 
 
 def _uv_sets(mesh: ControlMesh) -> list[UvSet]:

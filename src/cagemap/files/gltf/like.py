@@ -16,7 +16,7 @@ from cagemap.mesh import ControlMesh
 
 
 def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
-    """Write a mesh as ``.glb``: where it has the vertices and faces of a glTF file, in place of that file's meshes.
+    """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file where it has their vertices and faces.
 
     Materials, textures, skins, blend shapes, animations and extensions of the file are kept then. Another mesh is
     written alone.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.accessors import read_accessor
+from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct
 from cagemap.files.text import whole_characters
@@ -32,7 +33,7 @@ class VertexArrays:
     Attributes
     ----------
     control : ControlMesh
-        Triangles with materials, UV sets and colours.
+        Triangles, or polygons, with materials, UV sets and colours.
     joints : (n, q) int64
         Numbers in the skin's list of joints; no columns where a mesh has none.
     weights : (n, q) float64
@@ -115,10 +116,11 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         place = f"{where}: {attribute}"
         return read_accessor(document, attributes[attribute], place, shapes, count).astype(np.float64)
 
-    triangles = [_triangles(document, where, primitive, count) for primitive in group]
-    corners = np.concatenate(triangles)
-    control = ControlMesh(positions, np.arange(0, 3 * len(corners) + 1, 3), corners.ravel(), scheme=Plain(), name=name)
-    control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], triangles)
+    sizes, corners = zip(*(_faces(document, where, primitive, count) for primitive in group), strict=True)
+    offsets = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
+    control = ControlMesh(positions, offsets, np.concatenate(corners), scheme=Plain(), name=name)
+    counts = [len(own) for own in sizes]
+    control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], counts)
     sets = [attribute for attribute in attributes if attribute.startswith("TEXCOORD_")]
     for attribute in sorted(sets, reverse=True):
         # glTF counts v from the top.
@@ -157,7 +159,7 @@ def _shapes(
 
 
 def _with_materials(
-    document: Document, where: str, control: ControlMesh, stated: list[Any], triangles: list[IndexArray]
+    document: Document, where: str, control: ControlMesh, stated: list[Any], counts: list[int]
 ) -> ControlMesh:
     if all(material is None for material in stated):
         return control
@@ -173,7 +175,7 @@ def _with_materials(
         numbers.append(words[word])
     return replace(
         control,
-        face_materials=np.repeat(np.array(numbers, dtype=np.int64), [len(faces) for faces in triangles]),
+        face_materials=np.repeat(np.array(numbers, dtype=np.int64), counts),
         material_names=tuple(words),
         material_colors=np.array(colors),
     )
@@ -182,6 +184,16 @@ def _with_materials(
 def _color(document: Document, material: dict[str, Any], where: str) -> list[float]:
     factor = document.table(material, "pbrMetallicRoughness", where).get("baseColorFactor")
     return [np.nan] * 3 if factor is None else document.numbers(factor, f"{where}: color", 4)[:3].tolist()
+
+
+def _faces(document: Document, where: str, primitive: dict[str, Any], count: int) -> tuple[IndexArray, IndexArray]:
+    """Sizes of a primitive's faces, and the vertices of all their corners: polygons where it says that it has some."""
+    triangles = _triangles(document, where, primitive, count)
+    starts = np.ones(len(triangles), dtype=bool)
+    if NGONS in document.table(primitive, "extensions", where):
+        starts[1:] = (triangles[1:, 0] != triangles[:-1, 0]) | (triangles[1:, 1] != triangles[:-1, 2])
+    chosen = np.column_stack([starts, starts, np.ones(len(triangles), dtype=bool)])
+    return 2 + np.diff(np.append(np.flatnonzero(starts), len(triangles))), triangles[chosen]
 
 
 def _triangles(document: Document, where: str, primitive: dict[str, Any], count: int) -> IndexArray:

@@ -13,8 +13,10 @@ from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, F
 class RigRequest:
     """What the user asked for."""
 
-    body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .obj, .ply or USD.")]
-    like: Annotated[Path, Option("--like", group=INPUT, help="Character to take it all from: .glb, .gltf or .vrm.")]
+    body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
+    like: Annotated[
+        Path, Option("--like", group=INPUT, help="Character to take it all from: .glb, .gltf, .vrm or .fbx.")
+    ]
     output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
     landmarks: Annotated[
         Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
