@@ -16,8 +16,9 @@ from test_damaged_files import mutated_bytes, mutated_entries, outcome
 from cagemap.errors import FormatError
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, humanoid_bones
-from cagemap.files.gltf.contents import read_contents
+from cagemap.files.gltf.contents import contents_of
 from cagemap.files.gltf.document import Document, glb_bytes, read_document, write_document
+from cagemap.files.gltf.parts import read_scene
 from cagemap.mesh.checks import check_mesh
 from cagemap.tasks.mesh_commands import check_files
 
@@ -194,5 +195,5 @@ def _all_of(document: Document, path: Path) -> None:
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
     character = character_of(read_document(path))
     humanoid_bones(read_document(path))
-    read_contents(path)
+    contents_of(read_scene(read_document(path)))
     check_mesh(character.parts[0].mesh)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from pathlib import Path
 from typing import Any
 
@@ -280,6 +279,5 @@ def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
 def test_check_says_what_a_file_holds(tmp_path: Path) -> None:
     text, _ = check_files([_file(tmp_path, fbx_arm(leaf=True))])
     assert "2 joints" in text
-    assert "1: raise" in text
-    assert "1: bend (2 s)" in text
-    assert os.fspath(tmp_path) in text or "arm.fbx" in text
+    assert "1 (raise)" in text
+    assert "1 (bend (2 s))" in text
