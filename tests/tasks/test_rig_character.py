@@ -149,7 +149,7 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
     [
         (["--passengers", "cape"], "expected names of parts of the character (eye, hat), got cape"),
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
-        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, got '.obj'"),
+        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, .fbx, got '.obj'"),
         (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),

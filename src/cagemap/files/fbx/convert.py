@@ -86,7 +86,7 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     """
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):
-        note(f"{get(warning, 'description')} ({get(warning, 'count')})")
+        note(f"the FBX library says: {get(warning, 'description')} ({get(warning, 'count')} times)")
     left = [f"{len(found)} {words}" for name, words in _LEFT_OUT.items() if (found := items(scene, name))]
     if left:
         note(f"left out: {', '.join(left)}")
@@ -216,7 +216,9 @@ class _Scene:
 
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
         numbers = [materials[one] if one < len(materials) else None for one in range(len(mesh.control.material_names))]
-        entry = mesh_entry(self._binary, mesh.control, numbers, weights=mesh.weights, shapes=mesh.shapes)
+        entry = mesh_entry(
+            self._binary, mesh.control, numbers, weights=mesh.weights, shapes=mesh.shapes, normals=mesh.normals
+        )
         amounts = [float(get(channel, "weight")) for channel in mesh.channels]
         return entry | ({"weights": amounts} if any(amounts) else {})
 

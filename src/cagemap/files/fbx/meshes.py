@@ -34,6 +34,8 @@ class FbxMesh:
     shapes : dict of str to (n, 3) float64
     channels : tuple
         The blend channel of each shape.
+    normals : (c, 3) float64 or None
+        Of the face corners.
     """
 
     control: ControlMesh
@@ -42,6 +44,7 @@ class FbxMesh:
     inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
     shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)
     channels: tuple[Any, ...] = ()
+    normals: FloatArray | None = field(default=None, repr=False)
 
 
 def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
@@ -72,7 +75,11 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
         note(f"{name}: creases are left out; OBJ and USD files keep them")
     shapes = _shapes(mesh, control, note)
     made = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
-    made = replace(made, channels=tuple(channel for _, channel in shapes.values()))
+    normals = get(mesh, "vertex_normal")
+    stated = (
+        floats(normals, "values", columns=3)[whole(normals, "indices")[corners]] if get(normals, "exists") else None
+    )
+    made = replace(made, channels=tuple(channel for _, channel in shapes.values()), normals=stated)
     return _skinned(mesh, made, note)
 
 

@@ -1,6 +1,6 @@
-"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at UV seams.
+"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at seams.
 
-Polygons are marked as such (FB_ngon_encoding), and read back by programs that know it.
+Seams are those of UVs and of hard edges. Polygons are marked (FB_ngon_encoding), for programs that know it.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from cagemap.character.normals import normal_groups
 from cagemap.files.gltf.binary import NGONS, VERTICES, Binary
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import fan_triangles, vertex_normals
+from cagemap.surface.triangles import fan_triangles, normalized, vertex_normals
 
 
 def mesh_entry(
@@ -25,6 +26,7 @@ def mesh_entry(
     *,
     weights: sparse.csr_array | None = None,
     shapes: Mapping[str, FloatArray] | None = None,
+    normals: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Entry of ``meshes`` for a control mesh, its arrays added to ``binary``.
 
@@ -32,15 +34,18 @@ def mesh_entry(
     ----------
     binary : Binary
     mesh : ControlMesh
-        Normals are those of its vertices. Creases and infinite colours have no place in the format.
+        Creases and infinite colours have no place in the format.
     materials : sequence of int or None
         Number in the document of each of its materials.
     weights : (n, j) csr_array, optional
         Of the joints of the skin of its node; all influences are written, four a set.
     shapes : dict of str to (n, 3) float64, optional
+    normals : (c, 3) float64, optional
+        Of the face corners. Default: those of the vertices.
     """
     sets = _uv_sets(mesh)
-    first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets)])
+    hard = [] if normals is None else [normal_groups(mesh, normals)]
+    first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
     begun = np.arange(len(numbers))
@@ -49,11 +54,13 @@ def mesh_entry(
         binary.extensions.add(NGONS)
     corners, corner_faces = fan_triangles(mesh.face_offsets, begun)
     triangles, vertices = numbers[corners], mesh.face_indices[first]
-    normals = vertex_normals(mesh.positions, mesh.face_indices[corners])
-    normals[~normals.any(axis=1)] = [0.0, 0.0, 1.0]
+    smooth = vertex_normals(mesh.positions, mesh.face_indices[corners])[vertices]
+    stated = smooth if normals is None else normalized(normals[first])
+    written = np.where(np.any(stated != 0.0, axis=1, keepdims=True), stated, smooth)
+    written[~written.any(axis=1)] = [0.0, 0.0, 1.0]
     attributes = {
         "POSITION": binary.places(mesh.positions[vertices]),
-        "NORMAL": binary.accessor(normals[vertices].astype("<f4"), VERTICES),
+        "NORMAL": binary.accessor(written.astype("<f4"), VERTICES),
     }
     for number, one in enumerate(sets):
         # glTF counts v from the top.

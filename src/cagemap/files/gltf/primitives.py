@@ -38,12 +38,14 @@ class VertexArrays:
         Numbers in the skin's list of joints; no columns where a mesh has none.
     weights : (n, q) float64
     shapes : dict of str to (n, 3) float64
+    normals : (n, 3) float64 or None
     """
 
     control: ControlMesh
     joints: IndexArray = field(repr=False)
     weights: FloatArray = field(repr=False)
     shapes: dict[str, FloatArray] = field(repr=False)
+    normals: FloatArray | None = field(default=None, repr=False)
 
 
 def material_names(document: Document) -> tuple[str, ...]:
@@ -91,6 +93,7 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
     width = max(one.joints.shape[1] for one in read)
     sizes = [one.control.n_vertices for one in read]
     names = dict.fromkeys(shape for one in read for shape in one.shapes)
+    normals = [one.normals for one in read if one.normals is not None]
     return VertexArrays(
         join_meshes([one.control for one in read]),
         np.concatenate([np.pad(one.joints, ((0, 0), (0, width - one.joints.shape[1]))) for one in read]),
@@ -101,6 +104,7 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
             )
             for shape in names
         },
+        np.concatenate(normals) if len(normals) == len(read) else None,
     )
 
 
@@ -141,6 +145,7 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         np.concatenate(joints, axis=1).astype(np.int64),
         np.concatenate(weights, axis=1),
         _shapes(document, where, number, group[0], count),
+        read("NORMAL", "VEC3") if "NORMAL" in attributes else None,
     )
 
 
