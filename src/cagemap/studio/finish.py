@@ -58,7 +58,7 @@ CARRIES = (
     Carry("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE)),
     Carry("attribute", "attribute", ("usd", "bases", "force")),
     Carry("UVs of the source", "source_uvs", ("force",)),
-    Carry("skin weights", "weights", ("influences", "joints", "usd", "bases", "force")),
+    Carry("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
     Carry("joints", "joints", ("force",)),
     Carry("blend shapes", "blend_shapes", ("usd", "force")),
     Carry("map for other programs", "write_map", ("force",)),

@@ -97,6 +97,8 @@ FOLDS = (
             "transfer",
             ("weights", "Skin weights", (".csv", ".npz", *_RIGGED), "of the source's cage, a column a joint"),
             ("influences", "Influences", (), "joints a vertex at most; 0: all"),
+            ("only", "Joints carried", (), "names with commas; the target's own weights stay for all others"),
+            ("mirror", "Both sides alike", (), "by left and right in the joints' names"),
             ("joints", "Joints", (".json", *_RIGGED), "skeleton of the source"),
             ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIGGED, FOLDERS), "of the source's cage"),
             (

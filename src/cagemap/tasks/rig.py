@@ -26,6 +26,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
+from cagemap.tasks.joint_choice import with_choice
 from cagemap.tasks.masked_base import in_file, keep_base
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -64,12 +65,15 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         carried = carry_weights(result, skin, influences=request.influences or None)
     except ParameterError as error:
         raise ParameterError(f"{request.weights}: {error}") from None
+    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    named = all(array.ndim == 1 for array in given.values())
+    names = tuple(given) if named else () if skeleton is None else skeleton.names
+    carried = with_choice(request, result.target.control, carried, names, own)
     ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in given.values()])[:-1]
     parts = np.split(carried, ends, axis=1)
     columns = {
         name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
     }
-    own = file_rows(request.result, result.manifest, "target", result.target.control)
     columns, notes = keep_base(request, result, columns, own)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)

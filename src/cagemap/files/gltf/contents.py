@@ -81,7 +81,7 @@ class Contents:
             ("vertices", welded, "copies along seams are welded"),
         )
         lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]
-        return "\n".join(["  holds, and what `cagemap rig --like` does with it", *lines])
+        return "\n".join(["  holds, and what `cagemap rig` does with it", *lines])
 
 
 def _listed(names: tuple[str, ...] | list[str]) -> str:
