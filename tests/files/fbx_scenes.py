@@ -6,9 +6,12 @@ import itertools
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from cagemap.mesh import ControlMesh
 
 SECOND = 46_186_158_000  # in FBX's unit of time
 # Metres, Y up, as rows, to centimetres, Z up.
@@ -124,6 +127,18 @@ def geometry(points: np.ndarray, faces: Sequence[Sequence[int]], *elements: Node
         *elements,
         Node("Layer", (0,), [Node("Version", (100,)), *kinds]),
     ]
+
+
+def write_fbx(path: Path, mesh: ControlMesh) -> None:
+    """Write a mesh in metres with Y up, with its UVs."""
+    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
+    faces = [mesh.face(number).tolist() for number in range(mesh.n_faces)]
+    assert mesh.uvs is not None
+    assert mesh.uv_indices is not None
+    uv = layer("UV", "map", "ByPolygonVertex", UV=mesh.uvs.ravel(), UVIndex=mesh.uv_indices.astype("<i4"))
+    model = made.add("Model", mesh.name, "Mesh")
+    made.add("Geometry", mesh.name, "Mesh", *geometry(mesh.positions, faces, uv), to=model)
+    path.write_bytes(made.bytes())
 
 
 def fbx_arm(*, image: bytes = b"", leaf: bool = False, posed: bool = False) -> Fbx:

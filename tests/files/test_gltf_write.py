@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples.shapes import icosahedron
+from examples.shapes import cube, icosahedron
 
 from cagemap.character.values import Character
 from cagemap.errors import FormatError
@@ -78,10 +78,8 @@ def _same(one: Character, other: Character, tolerance: float = 1e-6) -> None:
                 np.testing.assert_allclose(track.values, also.values, atol=tolerance)
 
 
-def _face_sets(mesh: ControlMesh) -> list[tuple[int, ...]]:
-    """Vertices of every face, from its smallest on."""
-    faces = [mesh.face(number).tolist() for number in range(mesh.n_faces)]
-    return [tuple(face[face.index(min(face)) :] + face[: face.index(min(face))]) for face in faces]
+def _faces(mesh: ControlMesh) -> list[tuple[int, ...]]:
+    return [tuple(mesh.face(number).tolist()) for number in range(mesh.n_faces)]
 
 
 def test_polygons_come_back_as_polygons(tmp_path: Path) -> None:
@@ -94,7 +92,7 @@ def test_polygons_come_back_as_polygons(tmp_path: Path) -> None:
     write_mesh(tmp_path / "disk.glb", disk)
     read = read_mesh(tmp_path / "disk.glb")
     # The primitives of the materials follow each other.
-    assert _face_sets(read) == [_face_sets(disk)[number] for number in (0, 2, 3, 5, 1, 4)]
+    assert _faces(read) == [_faces(disk)[number] for number in (0, 2, 3, 5, 1, 4)]
     np.testing.assert_allclose(read.positions, disk.positions, atol=1e-6)
     assert read_document(tmp_path / "disk.glb").json["extensionsUsed"] == ["FB_ngon_encoding"]
     rng = np.random.default_rng(3)
@@ -102,7 +100,16 @@ def test_polygons_come_back_as_polygons(tmp_path: Path) -> None:
         turned = [tuple(np.roll(face, rng.integers(len(face)))) for face in faces]
         other = ControlMesh.from_faces(disk.positions, [turned[k] for k in rng.permutation(6)])
         write_mesh(tmp_path / f"{number}.glb", other)
-        assert _face_sets(read_mesh(tmp_path / f"{number}.glb")) == _face_sets(other)
+        assert _faces(read_mesh(tmp_path / f"{number}.glb")) == _faces(other)
+
+
+@pytest.mark.parametrize("stated", [3, [[0]], [[0, 1], [2]], [[9, 1]], [[0, 4]], [[-1, 0]], [[0.5, 1]], "a", [{}]])
+def test_corners_of_polygons_that_are_none_are_refused(stated: Any, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.glb", cube())
+    document = read_document(tmp_path / "box.glb")
+    document.json["meshes"][0]["primitives"][0]["extras"] = {"cagemap_fan_starts": stated}
+    with pytest.raises(FormatError, match="expected faces and their corners"):
+        character_of(document)
 
 
 def test_triangles_need_no_extension(tmp_path: Path) -> None:

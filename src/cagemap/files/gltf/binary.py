@@ -15,6 +15,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 VERTICES, INDICES = 34962, 34963
 # Extension by which triangles that follow each other as a fan are one polygon.
 NGONS = "FB_ngon_encoding"
+# Extra of a primitive: polygons whose fan does not begin at their first corner, and where it does.
+STARTS = "cagemap_fan_starts"
 # By kind and size: one type has different letters on different systems.
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -94,3 +96,10 @@ def _form(array: NDArray[Any]) -> dict[str, Any]:
 def _small(numbers: IndexArray) -> NDArray[Any]:
     """Numbers in two bytes where they fit; the largest of a type means something else."""
     return numbers.astype("<u2" if numbers.max(initial=0) < 65535 else "<u4")
+
+
+def corners_from(offsets: IndexArray, starts: IndexArray) -> IndexArray:
+    """(c,) corners of all faces, each from its corner ``starts`` on, round the face."""
+    sizes = np.diff(offsets)
+    place = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - starts, sizes)
+    return np.asarray(np.repeat(offsets[:-1], sizes) + place % np.repeat(sizes, sizes))

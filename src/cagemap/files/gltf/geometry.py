@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.character.normals import normal_groups
-from cagemap.files.gltf.binary import NGONS, VERTICES, Binary
+from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_from
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -48,11 +48,11 @@ def mesh_entry(
     first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
-    begun = np.arange(len(numbers))
+    starts = np.zeros(mesh.n_faces, dtype=np.int64)
     if polygons:
-        begun = _begun(mesh, numbers, np.argsort(numbers_of, kind="stable"))
+        starts = _fan_starts(mesh, numbers, np.argsort(numbers_of, kind="stable"))
         binary.extensions.add(NGONS)
-    corners, corner_faces = fan_triangles(mesh.face_offsets, begun)
+    corners, corner_faces = fan_triangles(mesh.face_offsets, corners_from(mesh.face_offsets, starts))
     triangles, vertices = numbers[corners], mesh.face_indices[first]
     smooth = vertex_normals(mesh.positions, mesh.face_indices[corners])[vertices]
     stated = smooth if normals is None else normalized(normals[first])
@@ -77,26 +77,29 @@ def mesh_entry(
     for number in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == number].ravel()
         primitive = common | {"indices": binary.indices(chosen)}
+        own = starts[numbers_of == number]
+        if own.any():
+            turned = np.flatnonzero(own)
+            primitive["extras"] = {STARTS: np.column_stack([turned, own[turned]]).tolist()}
         material = materials[number] if mesh.face_materials is not None else None
         primitives.append(primitive if material is None else primitive | {"material": material})
     named = {"extras": {"targetNames": list(shapes)}} if shapes else {}
     return {"primitives": primitives} | named
 
 
-def _begun(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
-    """Corners of all faces; each face begins with another vertex than its neighbours in the order of writing.
+def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
+    """(m,) corner at which the fan of each face begins: with another vertex than its neighbours in order.
 
-    So no two fans in a row can be taken for one. Every second face begins where it does in the mesh.
+    So no two fans in a row can be taken for one. Every second face begins at its first corner, most others too.
     """
-    sizes, first = mesh.face_sizes, mesh.face_offsets[:-1]
+    first = mesh.face_offsets[:-1]
     moved = order[1::2]
     heads = np.append(numbers[first[order[::2]]], -1)
     choice = numbers[first[moved][:, None] + np.arange(3)]
     free = (choice != heads[: len(moved), None]) & (choice != heads[1 : len(moved) + 1, None])
-    start = np.zeros(mesh.n_faces, dtype=np.int64)
-    start[moved] = free.argmax(axis=1)
-    place = np.arange(len(numbers)) - np.repeat(first, sizes) + np.repeat(start, sizes)
-    return np.repeat(first, sizes) + place % np.repeat(sizes, sizes)
+    starts = np.zeros(mesh.n_faces, dtype=np.int64)
+    starts[moved] = free.argmax(axis=1)
+    return starts
 
 
 def _uv_sets(mesh: ControlMesh) -> list[UvSet]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.accessors import read_accessor
-from cagemap.files.gltf.binary import NGONS
+from cagemap.files.gltf.binary import NGONS, STARTS, corners_from
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct
 from cagemap.files.text import whole_characters
@@ -194,11 +194,26 @@ def _color(document: Document, material: dict[str, Any], where: str) -> list[flo
 def _faces(document: Document, where: str, primitive: dict[str, Any], count: int) -> tuple[IndexArray, IndexArray]:
     """Sizes of a primitive's faces, and the vertices of all their corners: polygons where it says that it has some."""
     triangles = _triangles(document, where, primitive, count)
-    starts = np.ones(len(triangles), dtype=bool)
-    if NGONS in document.table(primitive, "extensions", where):
-        starts[1:] = (triangles[1:, 0] != triangles[:-1, 0]) | (triangles[1:, 1] != triangles[:-1, 2])
-    chosen = np.column_stack([starts, starts, np.ones(len(triangles), dtype=bool)])
-    return 2 + np.diff(np.append(np.flatnonzero(starts), len(triangles))), triangles[chosen]
+    begins = np.ones(len(triangles), dtype=bool)
+    polygons = NGONS in document.table(primitive, "extensions", where)
+    if polygons:
+        begins[1:] = (triangles[1:, 0] != triangles[:-1, 0]) | (triangles[1:, 1] != triangles[:-1, 2])
+    sizes = 2 + np.diff(np.append(np.flatnonzero(begins), len(triangles)))
+    corners = triangles[np.column_stack([begins, begins, np.ones(len(triangles), dtype=bool)])]
+    extras = primitive.get("extras")
+    stated = extras.get(STARTS) if polygons and isinstance(extras, dict) else None
+    if stated is None:
+        return sizes, corners
+    try:
+        rows = np.asarray(stated)
+    except ValueError:  # lists of different lengths
+        rows = np.zeros(0)
+    whole = rows.dtype.kind == "i" and rows.ndim == 2 and rows.shape[1] == 2 and rows.min() >= 0
+    if not whole or rows[:, 0].max() >= len(sizes) or (rows[:, 1] >= sizes[rows[:, 0]]).any():
+        document.refuse(where, f"expected faces and their corners as {STARTS}, got {shown(stated)}")
+    starts = np.zeros(len(sizes), dtype=np.int64)
+    starts[rows[:, 0]] = -rows[:, 1]
+    return sizes, corners[corners_from(np.concatenate([[0], np.cumsum(sizes)]), starts)]
 
 
 def _triangles(document: Document, where: str, primitive: dict[str, Any], count: int) -> IndexArray:
