@@ -112,6 +112,16 @@ def test_corners_of_polygons_that_are_none_are_refused(stated: Any, tmp_path: Pa
         character_of(document)
 
 
+def test_a_rig_that_cannot_go_along_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_document(tmp_path / "arm.glb", arm())
+    write_mesh(tmp_path / "box.glb", cube(), like=tmp_path / "arm.glb")
+    assert "its skeleton, shapes, animations are left out" in caplog.text
+    assert "skins" not in read_document(tmp_path / "box.glb").json
+    caplog.clear()
+    write_mesh(tmp_path / "same.glb", read_mesh(tmp_path / "arm.glb"), like=tmp_path / "arm.glb")
+    assert caplog.text == ""
+
+
 def test_triangles_need_no_extension(tmp_path: Path) -> None:
     write_mesh(tmp_path / "ball.glb", icosahedron())
     assert "extensionsUsed" not in read_document(tmp_path / "ball.glb").json

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +16,14 @@ from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.write import write_glb
 from cagemap.mesh import ControlMesh
 
+_log = logging.getLogger(__name__)
+
 
 def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
     """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file where it has their vertices and faces.
 
     Materials, textures, skins, blend shapes, animations and extensions of the file are kept then. Another mesh is
-    written alone.
+    written alone, with a warning where the file has a skeleton, shapes or animations.
 
     Raises
     ------
@@ -39,6 +42,10 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
         [part.mesh.face_indices + start for part, start in zip(character.parts, starts[:-1], strict=True)]
     )
     if mesh.n_vertices != starts[-1] or not np.array_equal(mesh.face_indices, faces):
+        if character.rig is not None or character.animations or any(part.shapes for part in character.parts):
+            _log.warning(
+                "%s: other vertices or faces than %s: its skeleton, shapes, animations are left out", path, like
+            )
         write_glb(path, mesh, force=force)
         return
     places = np.split(mesh.positions, starts[1:-1])
