@@ -36,6 +36,9 @@ class RigRequest:
     )
     cloth: Annotated[str | None, Option(group=INPUT, help="Passengers that follow the skin: mask,belt.")] = None
     influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints that move a vertex; 0 for all.")] = 4
+    keep_textures: Annotated[
+        bool, Option("--keep-textures", group=OUTPUT, help="BODY keeps its own materials and textures.")
+    ] = False
     size: Annotated[
         int | None, Option(group=OUTPUT, min=1, help="Side of baked textures.  [default: as the character's]")
     ] = None
