@@ -131,6 +131,10 @@ class _Scene:
         for stack, entry in zip(items(self._scene, "anim_stacks"), moving, strict=True):
             if not entry["channels"]:
                 self._note(f"animation {get(stack, 'name')} moves nothing and is left out")
+        for entry in entries:
+            if "skin" in entry and "children" not in entry:  # moves nothing: joints place the mesh
+                for name in ("translation", "rotation", "scale"):
+                    entry.pop(name)
         lists = {
             "meshes": self._meshes,
             "skins": self._skins,
