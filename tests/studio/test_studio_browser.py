@@ -515,7 +515,8 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
             cancelable: true, clientX: at.left + 5, clientY: at.top + 5}))"""
     page.run(drop, (tmp_path / "scan.obj").read_text())
     page.until(lambda: page.state("models") and page.state("models")["target"]["name"] == "dropped.obj", "the drop")
-    page.until(lambda: page.state("models")["target"]["dense"], "the offer")
+    dense_target = "return window.studio.state.models?.target.dense"
+    page.until(lambda: page.run(dense_target), "the offer")
     page.press("cancel")  # its map as a cage
     page.press("plain-target")
-    page.until(lambda: not page.state("models")["target"]["dense"], "the scan as it is")
+    page.until(lambda: page.run(dense_target) is False, "the scan as it is")

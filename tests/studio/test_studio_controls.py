@@ -89,7 +89,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         assert page.landmarks() == 0
         before = page.state("said")
         page.set("part-target", "object:eye")
-        page.until(lambda: page.state("models")["target"]["opened"] == "object:eye", "the eye")
+        page.until(lambda: page.opened("target") == "object:eye", "the eye")
         page.until(lambda: page.revision() == 1 and page.state("said") != before, "the map of it")
         assert page.text("verdict").startswith("Two ways fit")
         assert "Next landmark" in page.state("said")[0]
@@ -100,7 +100,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         page.until(lambda: page.revision() == 2, "the other answer")
         assert page.state("chosen") == 1
         page.set("part-source", "object:body")
-        page.until(lambda: page.state("models")["source"]["opened"] == "object:body", "the body")
+        page.until(lambda: page.opened("source") == "object:body", "the body")
         page.until(lambda: page.text("verdict").startswith("Have a look"), "that a body on a box is not sure")
         page.set("part-target", "object:body")
         page.until(lambda: page.text("verdict").startswith("Sure"), "that a body on a body is")

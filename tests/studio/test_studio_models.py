@@ -36,6 +36,7 @@ from cagemap.studio.compute import (
     perform,
     told_apart,
 )
+from cagemap.studio.downloads import textured
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.glb import Drawn, glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
@@ -46,6 +47,7 @@ from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
 from cagemap.studio.skins import Images, Look, crossing_triangles, faced, source_skin, target_skin, texture_colors
+from cagemap.studio.state import Output, Studio
 from cagemap.studio.worker import DROPPED, Failure, Worker, _serve
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
@@ -276,6 +278,27 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     drawn = attributes_of(source_skin(shape, look), "model")
     assert shape.uvs.max() > 1.9
     assert 0.9 < drawn["TEXCOORD_0"].max() < 1.0
+
+
+def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.obj", unwrapped_cube())
+    write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
+    files = default_files(tmp_path, tmp_path / "box.obj", tmp_path / "box.obj", None)
+    model = textured(Studio(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)))
+    (tmp_path / "box.glb").write_bytes(model)
+    opening = Opening(tmp_path / "box.obj", tmp_path / "box.glb", None, 300, tmp_path)
+    for _ in range(2):  # the file that was put there is used again
+        _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+        assert opened.source.texture == tmp_path / "box_texture.png"
+    assert opened.source.look.texture is not None
+    np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
+    (tmp_path / "box_texture.png").write_bytes(b"another's")
+    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+    assert opened.source.texture == tmp_path / "box_texture1.png"
+    assert (tmp_path / "box_texture.png").read_bytes() == b"another's"
+    named = replace(opening, texture=tmp_path / "t.png")
+    _, opened = perform(Bench(), OpenModels(named), lambda _: None)
+    assert opened.source.texture == tmp_path / "t.png"
 
 
 def test_seams_are_found_where_texture_coordinates_jump() -> None:

@@ -17,6 +17,7 @@ from cagemap.files.gltf.material_images import material_images
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes.formats import read_whole
+from cagemap.files.ownership import is_own
 from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd.space import upright_turn
 from cagemap.mesh import ControlMesh
@@ -123,8 +124,8 @@ def own_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
     if suffix not in IMAGE_SUFFIXES:
         return None
     files = (folder / f"{path.stem}_texture{number or ''}{suffix}" for number in itertools.count())
-    file = next(file for file in files if not file.exists() or file.read_bytes() == data)
-    if not file.exists():
+    file = next(file for file in files if not file.exists() or is_own(file) or file.read_bytes() == data)
+    if is_own(file) or not file.exists():
         write_whole(file, data)
     return file
 

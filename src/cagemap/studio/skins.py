@@ -26,7 +26,7 @@ DOUBTFUL = 0.5
 # predicted step: beyond it a seam lies between.
 _SEAM = 0.6
 # Samples along a side of a triangle that a seam or a border of materials crosses, and of all these triangles together.
-_FEWEST, _MOST, _SAMPLES = 3, 12, 400_000
+_FEWEST, _MOST, _SAMPLES = 3, 8, 200_000
 
 
 @dataclass(frozen=True, eq=False)

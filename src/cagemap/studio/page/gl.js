@@ -33,9 +33,14 @@ export const FRAGMENT = `
 export const LINES = [`attribute vec3 plain; varying vec3 vPlain;
   void main() { vPlain = plain; gl_Position = projectionMatrix * (viewMatrix * vec4(position, 1.0) + vec4(0.0, 0.0, 0.004, 0.0)); }`,
   'varying vec3 vPlain; void main() { gl_FragColor = vec4(vPlain, 1.0); }'];
-export const MARKS = [`attribute vec3 place; attribute vec2 cell; uniform float morph, size; varying vec2 vCell;
-  void main() { vCell = cell; gl_PointSize = size;
-    gl_Position = projectionMatrix * (viewMatrix * vec4(mix(position, place, morph), 1.0) + vec4(0.0, 0.0, 0.05, 0.0)); }`,
+// Marks whose surface looks away are not drawn.
+export const MARKS = [`attribute vec3 place, placeNormal; attribute vec2 cell; uniform float morph, size; varying vec2 vCell;
+  void main() {
+    vec3 p = mix(position, place, morph), n = mix(normal, placeNormal, morph);
+    vCell = cell; gl_PointSize = dot(n, cameraPosition - p) < -0.1 ? 0.0 : size;
+    gl_Position = projectionMatrix * (viewMatrix * vec4(p, 1.0) + vec4(0.0, 0.0, 0.05, 0.0));
+    if (gl_PointSize == 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  }`,
   `uniform sampler2D atlas; uniform float cells; varying vec2 vCell;
   void main() {
     vec4 c = texture2D(atlas, (vCell + gl_PointCoord) / cells);

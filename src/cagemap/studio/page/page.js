@@ -52,7 +52,7 @@ function show() {
   if (status.fraction === null) $('progress').removeAttribute('value');
   else $('progress').value = status.fraction;
   $('cancel').hidden = !status.cancel;
-  text('verdict', state.verdict || (models ? 'No map yet' : 'No models are open'));
+  text('verdict', state.verdict);
   showMessages();
   showViews();
   showMap();
@@ -89,7 +89,7 @@ function showViews() {
       number: one.number, name: one.name, color: one.color, at: one[side], place: side === 'target' ? one[other] : null,
       solid: one.proposed !== side, selected: one.number === state.selected, wrong: !!one.wrong}));
     const asked = state.probe?.[side];
-    if (asked) marks.push({number: 0, name: '', color: '#fff', at: asked, place: state.probe[other], solid: true, selected: true});
+    if (asked) marks.push({number: 0, name: '', color: '#fff', at: [...asked, 0, 0, 0], place: null, solid: true, selected: true});
     views.setMarks(side, marks);
   }
   views.set({look: view.mode, doubts: view.doubts, cages: view.cages, linked: view.linked, rest: view.rest});
@@ -122,7 +122,7 @@ function showLandmarks() {
       element('td', {textContent: off}));
     row.setAttribute('aria-selected', one.number === selected);
     row.dataset.number = one.number;
-    row.onclick = () => send('select', {number: one.number === selected ? null : one.number});
+    row.onclick = () => send('select', {number: one.number});
     return row;
   });
   $('list').querySelector('tbody').replaceChildren(...rows);

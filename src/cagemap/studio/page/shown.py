@@ -13,7 +13,7 @@ from cagemap.studio.downloads import ALL, archive_name, textured_name
 from cagemap.studio.finish_layout import FOLDERS
 from cagemap.studio.glb import Drawn, glb
 from cagemap.studio.landmark_files import FORMS
-from cagemap.studio.landmarks import SIDES, Side
+from cagemap.studio.landmarks import SIDES, Place, Side
 from cagemap.studio.page.words import confidence_text, status, verdict
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import Shape
@@ -64,6 +64,7 @@ def page_state(state: Studio, scene: Scene | None, workspace: Workspace, keys: d
         "redo": bool(state.history.future),
         "saved": state.saved,
         "revision": known.revision,
+        "seconds": known.seconds,
         "suggests": known.suggestion is not None,
         "said": [
             *([confidence_text(known.confidence)] if known.confidence else []),
@@ -118,7 +119,7 @@ def _model(scene: Scene, side: Side) -> dict[str, Any]:
 
 
 def _landmarks(state: Studio, scene: Scene) -> list[dict[str, Any]]:
-    """Rows of the list and marks on the models, in the order of their making."""
+    """Rows of the list, in the order of their making, with position and normal on either model."""
     rows = []
     proposal, known = state.proposal, state.map
     for item in state.history.present.items:
@@ -128,7 +129,9 @@ def _landmarks(state: Studio, scene: Scene) -> list[dict[str, Any]]:
             proposed = proposal.side
             places[proposed] = proposal.place
         at = {
-            side: None if place is None else _in_view(scene.shape(side), place.position)
+            side: None
+            if place is None
+            else _in_view(scene.shape(side), place.position) + _facing(scene.shape(side), place)
             for side, place in places.items()
         }
         rows.append(
@@ -138,6 +141,12 @@ def _landmarks(state: Studio, scene: Scene) -> list[dict[str, Any]]:
             | at
         )
     return rows
+
+
+def _facing(shape: Shape, place: Place) -> list[float]:
+    """Where the surface looks to at a place, in the view."""
+    normal = shape.turned(np.array(place.weights) @ shape.normals[list(place.corners)])
+    return [round(value, 3) for value in normal.tolist()]
 
 
 def _css(number: int) -> str:

@@ -113,7 +113,8 @@ export class Views {
     this.changed();
   }
 
-  // Landmarks of a side and the asked place: {number, name, color, at, place, solid, selected, wrong}.
+  // Landmarks of a side and the asked place: {number, name, color, at, place, solid, selected, wrong}; `at` and `place`
+  // are position and normal here and on the other model.
   setMarks(name, marks) {
     const side = this.sides[name];
     if (side.dragged) return;
@@ -134,8 +135,8 @@ export class Views {
     if (marks.length) {
       const geometry = new THREE.BufferGeometry();
       const values = (list, columns) => new THREE.BufferAttribute(new Float32Array(list.flat()), columns);
-      geometry.setAttribute('position', values(marks.map(mark => mark.at), 3));
-      geometry.setAttribute('place', values(marks.map(mark => mark.place ?? mark.at), 3));
+      for (const [name, of, from] of [['position', 'at', 0], ['normal', 'at', 3], ['place', 'place', 0], ['placeNormal', 'place', 3]])
+        geometry.setAttribute(name, values(marks.map(mark => (mark[of] ?? mark.at).slice(from, from + 3)), 3));
       geometry.setAttribute('cell', values(marks.map((_, i) => [i % cells, Math.floor(i / cells)]), 2));
       const uniforms = {atlas: {value: texture(paper, true)}, cells: {value: cells}, size: {value: cell}, morph: {value: 0}};
       const material = new THREE.ShaderMaterial({vertexShader: MARKS[0], fragmentShader: MARKS[1], uniforms, transparent: true});
@@ -309,7 +310,8 @@ export class Views {
     let best = null, least = GRIP;
     for (const mark of side.marks) {
       if (!mark.number) continue;
-      const at = v.set(...mark.at).lerp(end.set(...(mark.place ?? mark.at)), morph).clone();
+      const [x, y, z] = mark.at, [px, py, pz] = mark.place ?? mark.at;
+      const at = v.set(x, y, z).lerp(end.set(px, py, pz), morph).clone();
       v.project(side.camera);
       const away = Math.hypot((v.x + 1) / 2 * box.width + box.left - event.clientX, (1 - v.y) / 2 * box.height + box.top - event.clientY);
       if (away < least) [best, least] = [{mark, at}, away];
@@ -347,7 +349,7 @@ export class Views {
 
   place(side, mark, at) {
     const positions = side.points.geometry.getAttribute('position');
-    positions.setXYZ(side.marks.indexOf(mark), ...at);
+    positions.setXYZ(side.marks.indexOf(mark), at[0], at[1], at[2]);
     positions.needsUpdate = true;
     this.changed();
   }

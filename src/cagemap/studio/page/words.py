@@ -95,6 +95,4 @@ def _next_step(state: Studio) -> str:
         return "Click the same place on the other model, or press Enter to accept the proposed one."
     if state.view.mode == "baked":
         return "The baked image is on the target."
-    return (
-        f"Map found in {state.map.seconds:.1f} s. Where it is wrong, click that place on one model, then on the other."
-    )
+    return "Map found. Where it is wrong, click that place on one model, then on the other."
