@@ -1,8 +1,7 @@
-"""One address for the whole page: serves the frame around both views and passes their connections on to viser.
+"""Serves the page: its files, what it draws, and one web socket for each window that shows it.
 
-viser has neither tokens nor a check of who asks, so both are here: a connection must come from a page of this very
-address (another site open in the same browser is refused) and, where other machines may connect, show the token. Its
-own ports let nobody in but this door (`guard`).
+A connection must come from a page of this very address (another site open in the same browser is refused) and, where
+other machines may connect, show the token.
 """
 
 from __future__ import annotations
@@ -12,34 +11,32 @@ import contextlib
 import hmac
 import http
 import logging
+import mimetypes
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from http.cookies import SimpleCookie
 from importlib import resources
-from pathlib import Path
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
-import viser
-import websockets.asyncio.client
 import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
-from websockets.typing import Subprotocol
 
 from cagemap.errors import ParameterError
-from cagemap.studio.landmarks import SIDES
-from cagemap.studio.page.viser_auth import HEADER, refusal
 
 COOKIE = "cagemap_studio"
 EVERYWHERE = ("0.0.0.0", "::")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-# The page asks nothing of other machines, whatever viser's scripts would.
-_POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; frame-ancestors 'self'"
+_POLICY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; frame-ancestors 'none'"
 # What a finish wrote is looked at alone: a page of its own origin, which can reach nothing.
 _SANDBOX = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:"
-FILES = "/files/"
+FILES, DRAWN, SOCKET = "/files/", "/drawn/", "/socket"
+# Files of the page.
+_PAGE = ("index.html", "page.css", "page.js", "form.js", "gl.js", "view.js")
 # Seconds that open pages are given to close.
 _FAREWELL = 3.0
 # Strangers' broken requests are refused; what is wrong with each, nobody in front of the terminal asks.
@@ -70,42 +67,46 @@ def admits(request: Request, token: str | None) -> bool:
     return any(hmac.compare_digest(word.encode(), token.encode()) for word in (given, cookie.value if cookie else ""))
 
 
-class Door:
+class Server:
     """Serves until `close`.
 
     Parameters
     ----------
-    ports : dict of str to int
-        Where viser serves each side, on loopback.
     host : str
     port : int
         The first one tried.
     token : str or None
         None only on loopback.
-    secret : str
-        What viser's ports ask for.
     given_out : callable
         Content and media type of a file to download, by its name; None where there is no such file.
+    drawn : callable
+        A binary glTF file for the page, by its name; None where there is none of that name now.
+    hello : callable
+        What a page is told first.
+    heard : callable
+        Told of a page's message, and a function that answers that page alone; called in a thread, one at a time.
     """
 
     def __init__(
         self,
-        ports: dict[str, int],
         host: str,
         port: int,
         token: str | None,
-        secret: str,
         given_out: Callable[[str], tuple[bytes, str] | None],
+        drawn: Callable[[str], bytes | None],
+        hello: Callable[[], Iterable[str]],
+        heard: Callable[[str | bytes, Callable[[str], None]], None],
     ) -> None:
-        self._ports, self._host, self._token = ports, host, token
-        self._secret, self._given_out = secret, given_out
-        self._files = _pages()
+        self._host, self._token = host, token
+        self._given_out, self._drawn, self._hello, self._heard = given_out, drawn, hello, heard
+        self._files = _page_files()
+        self._pages: set[ServerConnection] = set()
         self._loop = asyncio.new_event_loop()
         self._ready = threading.Event()
         self._stop = asyncio.Event()
         self.port = 0
         self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._serve, args=(port,), name="studio door", daemon=True)
+        self._thread = threading.Thread(target=self._serve, args=(port,), name="studio server", daemon=True)
         self._thread.start()
         self._ready.wait()
         if self._error is not None:
@@ -117,6 +118,11 @@ class Door:
         host = socket.gethostname() if self._host in EVERYWHERE else self._host
         shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/" + (f"?token={self._token}" if self._token else "")
+
+    def tell(self, message: str) -> None:
+        """Send a message to every page; returns at once."""
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
+            self._loop.call_soon_threadsafe(lambda: websockets.asyncio.server.broadcast(self._pages, message))
 
     def close(self) -> None:
         """Stop serving."""
@@ -131,11 +137,10 @@ class Door:
         for port in [*range(first, first + _PORTS), 0]:
             try:
                 server = await websockets.asyncio.server.serve(
-                    self._pass_on,
+                    self._talk,
                     self._host,
                     port,
                     process_request=self._answer,
-                    select_subprotocol=lambda _, offered: offered[0] if offered else None,
                     compression=None,
                     max_size=None,
                     logger=_log,
@@ -152,91 +157,88 @@ class Door:
             return
         self._ready.set()
 
-    async def _answer(self, _: websockets.asyncio.server.ServerConnection, request: Request) -> Response | None:
-        """Serve a page; None lets a web socket through."""
+    async def _answer(self, _: ServerConnection, request: Request) -> Response | None:
+        """Serve a file; None lets a web socket through."""
         try:
             path = urlsplit(request.path).path
             admitted = admits(request, self._token)
         except (ValueError, LookupError):  # two hosts, an address that is none
             admitted = False
         if not admitted:
-            return refusal()
+            return _refusal()
         if request.headers.get("Upgrade", "").lower() == "websocket":
-            known = path.strip("/") in self._ports
-            return None if known else _response(http.HTTPStatus.NOT_FOUND, b"not found")
+            return None if path == SOCKET else _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
+        found: Response | None = None
         if path.startswith(FILES):
             name = unquote(path.removeprefix(FILES))
-            found = await asyncio.to_thread(self._given_out, name)
-            return _response(http.HTTPStatus.NOT_FOUND, b"not found") if found is None else _file(name, *found)
-        if path not in self._files:
-            return _response(http.HTTPStatus.NOT_FOUND, b"not found")
-        cookie = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict" if self._token else None
-        return _response(http.HTTPStatus.OK, self._files[path], cookie)
+            file = await asyncio.to_thread(self._given_out, name)
+            found = None if file is None else _file(name, *file)
+        elif path.startswith(DRAWN):
+            drawn = await asyncio.to_thread(self._drawn, path.removeprefix(DRAWN))
+            found = None if drawn is None else _response(drawn, "model/gltf-binary")
+        elif path in self._files:
+            found = _response(*self._files[path])
+            if self._token:
+                found.headers["Set-Cookie"] = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+        return found or _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
 
-    async def _pass_on(self, page: websockets.asyncio.server.ServerConnection) -> None:
-        """Both directions of one connection, until either ends."""
-        assert page.request is not None
-        port = self._ports[urlsplit(page.request.path).path.strip("/")]
-        offered = None if page.subprotocol is None else [Subprotocol(page.subprotocol)]
-        async with websockets.asyncio.client.connect(
-            f"ws://127.0.0.1:{port}/",
-            subprotocols=offered,
-            compression=None,
-            max_size=None,
-            additional_headers={HEADER: self._secret},
-        ) as inside:
-            both = [asyncio.create_task(_pump(page, inside)), asyncio.create_task(_pump(inside, page))]
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-            for task in both:
-                task.cancel()
+    async def _talk(self, page: ServerConnection) -> None:
+        """Tell a page what there is, then listen to it until it closes."""
+
+        def reply(message: str) -> None:
+            asyncio.run_coroutine_threadsafe(page.send(message), self._loop)
+
+        try:
+            for message in self._hello():
+                await page.send(message)
+            self._pages.add(page)
+            try:
+                async for heard in page:
+                    await asyncio.to_thread(self._heard, heard, reply)
+            finally:
+                self._pages.discard(page)
+        except ConnectionClosed:
+            pass
+        except Exception:  # the server's own log is silent
+            logging.getLogger("cagemap").exception("a page was not answered")
+            raise
 
 
-_Socket = websockets.asyncio.server.ServerConnection | websockets.asyncio.client.ClientConnection
-
-
-async def _pump(here: _Socket, there: _Socket) -> None:
-    async for message in here:
-        await there.send(message)
-
-
-def _pages() -> dict[str, bytes]:
-    """Everything that is served as a file: the frame, and viser's own page for each side."""
-    frame, first = (
-        resources.files("cagemap.studio.page").joinpath(name).read_bytes() for name in ("frame.html", "jagged.html")
-    )
-    client = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
-    client = client.replace(b"<head>", b"<head>" + first, 1)
-    # The name of this run: a page that hears another one loads itself anew.
-    return {"/": frame, "/alive": new_token().encode()} | {f"/{side}/": client for side in SIDES}
+def _page_files() -> dict[str, tuple[bytes, str]]:
+    """Content and kind of what is served as a file."""
+    page, three = resources.files("cagemap.studio.page"), resources.files("cagemap.report.three")
+    found = {f"/{name}": page.joinpath(name).read_bytes() for name in _PAGE}
+    found |= {"/three.min.js": three.joinpath("three.min.js").read_bytes()}
+    kinds = {path: mimetypes.guess_type(path)[0] or "text/html" for path in found}
+    return {path.replace("/index.html", "/"): (body, f"{kinds[path]}; charset=utf-8") for path, body in found.items()}
 
 
 def _file(name: str, body: bytes, kind: str) -> Response:
     """A file to keep; a page to look at."""
-    response = _response(http.HTTPStatus.OK, body)
     shown = kind == "text/html"
-    for header, value in (
-        ("Content-Type", f"{kind}; charset=utf-8" if shown else kind),
-        ("Content-Disposition", "inline" if shown else f"attachment; filename*=UTF-8''{quote(name)}"),
-        ("Content-Security-Policy", _SANDBOX),
-        ("X-Content-Type-Options", "nosniff"),
-    ):
-        response.headers.pop(header, None)
-        response.headers[header] = value
+    response = _response(body, f"{kind}; charset=utf-8" if shown else kind)
+    del response.headers["Content-Security-Policy"]
+    response.headers["Content-Security-Policy"] = _SANDBOX
+    response.headers["Content-Disposition"] = "inline" if shown else f"attachment; filename*=UTF-8''{quote(name)}"
     return response
 
 
-def _response(status: http.HTTPStatus, body: bytes, cookie: str | None = None) -> Response:
+def _refusal() -> Response:
+    """What a stranger is told."""
+    return _response(b"open the address that `cagemap studio` printed", status=http.HTTPStatus.FORBIDDEN)
+
+
+def _response(body: bytes, kind: str = "text/plain", status: http.HTTPStatus = http.HTTPStatus.OK) -> Response:
     headers = Headers(
         {
-            "Content-Type": "text/html; charset=utf-8",
+            "Content-Type": kind,
             "Content-Length": str(len(body)),
             "Connection": "close",
             "Cache-Control": "no-store",
             "Referrer-Policy": "no-referrer",
-            "X-Frame-Options": "SAMEORIGIN",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
             "Content-Security-Policy": _POLICY,
         }
     )
-    if cookie is not None:
-        headers["Set-Cookie"] = cookie
     return Response(status.value, status.phrase, headers, body)
