@@ -29,15 +29,12 @@ def landmark_moved(scene, depsgraph):
 def follow():
     """Ask for the map of the landmarks as they are now, or show it; seconds until the next look."""
     global _moved, _requests
-    if Work.running:
-        _requests = None
-        return _SECONDS
     try:
         if _requests is not None:
             message = WORKER.receive()
-            if message is not None and proceed(_requests, message) is not True:
+            if (message is not None and proceed(_requests, message) is not True) or not WORKER.busy:
                 _requests = None
-        elif _moved and not WORKER.busy and WORKER.has_match:
+        elif _moved and not Work.running and not WORKER.busy and WORKER.has_match:
             _moved = False
             _requests = following(bpy.context)
             begin(_requests)

@@ -118,10 +118,11 @@ def _textures(context):
 
 def _weights(context):
     """Vertex groups; what writes them."""
-    _, source = sides(context)
+    target, source = sides(context)
     groups, bones = reading.vertex_groups(source), reading.bone_names(source)
     if not groups:
         raise RefusedError(f"{source.name} has no vertex groups.")
+    writing.require_free(target, "vertex group", groups)
     skin = [name for name in groups if name in bones]
     found = {}
     if skin:
@@ -139,10 +140,11 @@ def _weights(context):
 
 def _shapes(context):
     """Shape keys; what writes them."""
-    _, source = sides(context)
+    target, source = sides(context)
     offsets = reading.shape_offsets(source)
     if not offsets:
         raise RefusedError(f"{source.name} has no shape keys.")
+    writing.require_free(target, "shape key", offsets)
     found = (yield "shapes", {"shapes": offsets})["shapes"]
 
     def write(context):
@@ -154,10 +156,11 @@ def _shapes(context):
 
 def _uvs(context):
     """UV maps; what writes them."""
-    _, source = sides(context)
+    target, source = sides(context)
     layers = reading.uv_layers(source)
     if not layers:
         raise RefusedError(f"{source.name} has no UV maps.")
+    writing.require_free(target, "UV map", layers)
     found = (yield "values", {"vertices": {}, "corners": layers})["corners"]
 
     def write(context):
@@ -169,10 +172,11 @@ def _uvs(context):
 
 def _colors(context):
     """Colour attributes; what writes them."""
-    _, source = sides(context)
+    target, source = sides(context)
     colors = reading.color_attributes(source)
     if not colors:
         raise RefusedError(f"{source.name} has no colour attributes.")
+    writing.require_free(target, "colour attribute", colors)
     given = {
         domain: {name: values for name, (values, own, _) in colors.items() if own == domain}
         for domain in ("POINT", "CORNER")

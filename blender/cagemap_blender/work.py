@@ -69,6 +69,7 @@ def proceed(requests, message):
 def stop(*_):
     """End what runs: another file that is opened would leave it to nobody."""
     WORKER.stop()
+    Work.running = False
 
 
 class Work:
@@ -117,17 +118,21 @@ class Work:
             return {"CANCELLED"}
 
     def _all(self, context):
-        self._start(context)
-        answer = self._answer
+        while WORKER.busy:  # a landmark was dragged just now
+            WORKER.receive(timeout=1.0)
+            WORKER.matched = ("", "")
+        answer = self._start(context)
         while answer is True:
-            message = WORKER.receive(timeout=3600.0)
-            answer = proceed(self._requests, message)
+            message = WORKER.receive(timeout=1.0)
+            answer = True if message is None else proceed(self._requests, message)
         return self._finish(context, answer)
 
     def _begin(self, context):
-        self._start(context)
-        if self._answer is not True:
-            return self._finish(context, self._answer)
+        self._names = [thing.name for thing in sides(context)]
+        self._requests = None
+        answer = WORKER.busy or self._start(context)
+        if answer is not True:
+            return self._finish(context, answer)
         Work.running = True
         self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -135,23 +140,26 @@ class Work:
         return {"RUNNING_MODAL"}
 
     def _start(self, context):
-        self._names = [thing.name for thing in sides(context)]
+        """Send the first request; True, or what is said where there is nothing to compute."""
         self._requests = self.requests(context)
-        self._answer = True
         try:
             begin(self._requests)
         except StopIteration as end:
-            self._answer = end.value
+            return end.value
+        return True
 
     def _next(self, context):
         if [thing.name for thing in sides(context)] != self._names:
             raise RefusedError(f"Other objects were chosen than {' and '.join(self._names)}. Choose them again.")
-        message = WORKER.receive()
-        if message is None:
-            return {"PASS_THROUGH"}
-        if message[0] == "stage":
-            context.workspace.status_text_set(f"cagemap, {self.bl_label}: {message[1]}. Esc stops it.")
-        answer = proceed(self._requests, message)
+        if self._requests is None:  # a landmark was dragged just now, `live` takes the reply
+            answer = WORKER.busy or self._start(context)
+        else:
+            message = WORKER.receive()
+            if message is None:
+                return {"PASS_THROUGH"}
+            if message[0] == "stage":
+                context.workspace.status_text_set(f"cagemap, {self.bl_label}: {message[1]}. Esc stops it.")
+            answer = proceed(self._requests, message)
         return {"PASS_THROUGH"} if answer is True else self._finish(context, answer)
 
     def _finish(self, context, said):

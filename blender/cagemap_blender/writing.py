@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from .client import RefusedError
-from .reading import MAP_COLORS, from_frame, image_nodes, rest_positions, world
+from .reading import MAP_COLORS, from_frame, image_nodes, numbers, rest_positions, world
 
 # Weights below this are rounding and are not written.
 _LEAST_WEIGHT = 1e-6
@@ -27,15 +27,33 @@ def require_rows(thing, rows):
         raise RefusedError(f"{thing.name} was changed while cagemap computed. Press the button again.")
 
 
-def claim(thing, kind, names, taken):
-    """Names that may be written: new ones, and those that an earlier run of ours made; others of the user are kept."""
-    own = set(json.loads(thing.get("cagemap_made", "[]")))
+def require_free(thing, kind, names):
+    """Refuse names that the user has given, but for those that an earlier run of ours made."""
+    own, taken = json.loads(thing.get("cagemap_made", "[]")), taken_names(thing, kind)
     foreign = sorted(name for name in names if name in taken and f"{kind} {name}" not in own)
     if foreign:
         raise RefusedError(
             f"{thing.name} has {kind}s of its own called {', '.join(foreign[:8])}. Rename or delete them."
         )
+
+
+def claim(thing, kind, names):
+    """Note names that are written now, so that a later run may replace them."""
+    require_free(thing, kind, names)
+    own = set(json.loads(thing.get("cagemap_made", "[]")))
     thing["cagemap_made"] = json.dumps(sorted(own | {f"{kind} {name}" for name in names}))
+
+
+def taken_names(thing, kind):
+    """Names of the groups, shape keys, UV maps or colour attributes of an object."""
+    keys = thing.data.shape_keys
+    collections = {
+        "vertex group": thing.vertex_groups,
+        "shape key": keys.key_blocks if keys else (),
+        "UV map": thing.data.uv_layers,
+        "colour attribute": thing.data.color_attributes,
+    }
+    return {one.name for one in collections[kind]}
 
 
 def show_map(thing, colors):
@@ -52,7 +70,7 @@ def show_map(thing, colors):
 
 def set_groups(thing, groups):
     """Write vertex groups, weights (n,) by name."""
-    claim(thing, "vertex group", groups, {group.name for group in thing.vertex_groups})
+    claim(thing, "vertex group", groups)
     for name, weights in groups.items():
         require_rows(thing, len(weights))
         known = thing.vertex_groups.get(name)
@@ -74,7 +92,7 @@ def set_positions(thing, shapes):
     for positions in shapes.values():
         require_rows(thing, len(positions))
     keys = thing.data.shape_keys
-    claim(thing, "shape key", shapes, {key.name for key in keys.key_blocks} if keys else set())
+    claim(thing, "shape key", shapes)
     if keys is None:
         thing.shape_key_add(name="Basis", from_mix=False)
     for name, positions in shapes.items():
@@ -86,7 +104,7 @@ def set_positions(thing, shapes):
 
 def set_uvs(thing, layers):
     """Write UV layers (c, 2) by name; corners without values keep what they have."""
-    claim(thing, "UV map", layers, {layer.name for layer in thing.data.uv_layers})
+    claim(thing, "UV map", layers)
     for name, uvs in layers.items():
         layer = thing.data.uv_layers.get(name) or thing.data.uv_layers.new(name=name, do_init=False)
         layer.uv.foreach_set("vector", np.nan_to_num(uvs).astype(np.float32).ravel())
@@ -95,7 +113,7 @@ def set_uvs(thing, layers):
 def set_colors(thing, colors):
     """Write colour attributes: values, domain and type by name."""
     attributes = thing.data.color_attributes
-    claim(thing, "colour attribute", colors, {one.name for one in attributes})
+    claim(thing, "colour attribute", colors)
     for name, (values, domain, kind) in colors.items():
         known = attributes.get(name)
         if known is not None:
@@ -105,9 +123,11 @@ def set_colors(thing, colors):
 
 def new_image(name, tiles, like):
     """An image of pixels (h, w, channels), row 0 at the top, by UDIM number or 0; kept in the .blend file."""
+    name = short_name(name)
     if list(tiles) == [0]:
         image = _plain_image(name, tiles[0], like)
         image.pack()
+        image["cagemap_made"] = name
         return image
     stem, suffix = re.sub(r"[^\w-]+", "_", name), "exr" if like.is_float else "png"
     with tempfile.TemporaryDirectory() as folder:
@@ -118,7 +138,7 @@ def new_image(name, tiles, like):
             tile.save()
             bpy.data.images.remove(tile)
         image = bpy.data.images.load(f"{folder}/{stem}.{min(tiles)}.{suffix}")
-        image.source, image.name = "TILED", short_name(name)
+        image.source, image.name = "TILED", name
         image.filepath = f"{folder}/{stem}.<UDIM>.{suffix}"
         there = {tile.number for tile in image.tiles}
         for number in sorted(set(tiles) - there):
@@ -129,6 +149,7 @@ def new_image(name, tiles, like):
         image.reload()
         image.pack()
     image.filepath_raw = f"//textures/{stem}.<UDIM>.{suffix}"  # where it goes if it is unpacked
+    image["cagemap_made"] = name
     return image
 
 
@@ -137,7 +158,7 @@ def _plain_image(name, pixels, like):
     values = np.ones((height, width, 4), dtype=np.float32)
     scale = 255.0 if pixels.dtype == np.uint8 else 1.0
     values[:, :, :channels] = pixels[::-1] / np.float32(scale)
-    image = bpy.data.images.new(short_name(name), width, height, alpha=True, float_buffer=like.is_float)
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=like.is_float)
     image.colorspace_settings.name, image.alpha_mode = like.colorspace_settings.name, like.alpha_mode
     image.pixels.foreach_set(values.ravel())
     image.update()
@@ -152,19 +173,36 @@ def set_materials(target, source, faces, images):
             continue
         name = short_name(f"{slot.material.name} on {target.name}")
         material = slot.material.copy()
-        material.name = name
         for node in image_nodes(material):
             if node.image.name in images:
                 node.image = images[node.image.name]
                 for link in node.inputs["Vector"].links:  # the layout is now the target's own
                     material.node_tree.links.remove(link)
-        target.data.materials.append(material)
-        slots[number] = len(target.data.materials) - 1
-    kept = np.empty(len(faces), dtype=np.int32)
-    target.data.polygons.foreach_get("material_index", kept)
+        slots[number] = _slot_of(target, name, material)
+    kept = numbers(target.data.polygons, "material_index", kind=np.int32)
     chosen = [slots.get(number, int(before)) for number, before in zip(faces.tolist(), kept, strict=True)]
     target.data.polygons.foreach_set("material_index", np.array(chosen, dtype=np.int32))
+    for image in [image for image in bpy.data.images if image.get("cagemap_made") and not image.users]:
+        bpy.data.images.remove(image)  # of the materials that were replaced
+    for image in images.values():
+        image.name = image["cagemap_made"]
     target.data.update()
+
+
+def _slot_of(target, name, material):
+    """Number of a slot with the material: that of an earlier run, or a new one."""
+    material["cagemap_made"] = name
+    own = [slot.material.get("cagemap_made") if slot.material else None for slot in target.material_slots]
+    if name in own:
+        before = target.material_slots[own.index(name)].material
+        target.material_slots[own.index(name)].material = material
+        if not before.users:
+            bpy.data.materials.remove(before)
+    else:
+        target.data.materials.append(material)
+        own.append(name)
+    material.name = name
+    return own.index(name)
 
 
 def dressed(context, thing, target, source, positions, offsets):

@@ -223,6 +223,16 @@ def test_all_buttons_in_blender(tmp_path: Path, request: pytest.FixtureRequest) 
     )
     assert done.returncode == 0, done.stdout + done.stderr
     said = json.loads(done.stdout.splitlines()[-1])
+    window = said["background"]
+    assert window["answers"] == ["RUNNING_MODAL", "PASS_THROUGH", "CANCELLED", "FINISHED"]
+    assert window["returned after"] < 2.0  # a loaded machine
+    assert window["second"] == "CANCELLED"
+    assert window["stopped"] == [0, False, False]
+    assert window["written"] == [0, False, True]
+    assert any("prepare" in text for text in window["status"] if text)
+    assert window["status"][-1] is None
+    assert window["changed"] == "CANCELLED"
+    assert "same mesh" in window["why"][1]
     assert max(said["texels that differ"]) < 0.01  # faces smaller than a texel
     for name, apart in said.items():
         if name.startswith("identity"):
@@ -242,6 +252,8 @@ def test_all_buttons_in_blender(tmp_path: Path, request: pytest.FixtureRequest) 
         assert walk["groups"] == ["high", "root", "tip"]
         assert walk["wider"] == pytest.approx(1.2, abs=0.1)
         assert walk["materials"][-2:] == ["coat on deer", "hoof on deer"]
+        assert walk["materials again"] == walk["materials"]  # those of the earlier run are replaced
+        assert walk["images"] == ["tiled.1001.png on deer"]
         assert walk["image"][:3] == [64, 64, True]
         assert walk["image"][3] > 0.01  # not of one colour
         assert walk["tiles"] == ["TILED", [1001, 1002], 2, 64, 64]
