@@ -16,7 +16,16 @@ from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.report import CarriedShape, Gallery, Rides, Weights, build_page, draw_gallery, draw_rides, write_report
+from cagemap.report import (
+    CarriedData,
+    CarriedShape,
+    Gallery,
+    Weights,
+    build_page,
+    draw_carried,
+    draw_gallery,
+    write_report,
+)
 from cagemap.report.figures import PAPER, for_display
 from cagemap.report.rig_panels import _edges, control_edges
 from cagemap.report.verdicts import explain, overall
@@ -153,7 +162,7 @@ def test_large_textures_are_averaged_down() -> None:
 
 def test_verdicts_follow_the_figures() -> None:
     good = explain({"flipped_area": 0.001, "coverage": 0.999})
-    assert [merit.verdict for merit in good] == ["good", "good"]
+    assert [rating.verdict for rating in good] == ["good", "good"]
     assert overall(good, []) == "good"
     assert overall(good, ["look at the ears"]) == "fair"
     assert overall(explain({"flipped_area": 0.01}), []) == "fair"
@@ -252,12 +261,12 @@ def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult
     moves = [np.zeros((mesh.n_vertices, 3)) for mesh in (source, control)]
     for move in moves:
         move[:5] = 0.2
-    rides = Rides(
+    carried = CarriedData(
         wrapped=control.with_positions(source.positions),
         weights=Weights(*skins),
         shapes=tuple(CarriedShape(name, *moves) for name in ("smile", "blink")),
     )
-    panels = draw_rides(result, rides, SIZE)
+    panels = draw_carried(result, carried, SIZE)
     assert [len(panel.pictures) for panel in panels] == [8, 4, 4]
     page = build_page(result, gallery, panels)
     assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 16
@@ -273,4 +282,4 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     segments = control_edges(refinement)
     edges = _edges(refinement.control)
     assert len(segments) == len(edges) * 2**refinement.n_levels
-    assert draw_rides(result, Rides(), SIZE) == ()
+    assert draw_carried(result, CarriedData(), SIZE) == ()

@@ -1,4 +1,4 @@
-"""The words in cagemap's own files as typed records, so that nothing of another type gets past the door."""
+"""Records of cagemap's own files, validated by type."""
 
 from __future__ import annotations
 

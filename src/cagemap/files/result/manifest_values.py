@@ -1,4 +1,4 @@
-"""What the manifest of a RESULT folder says of a map, as the values that a match has."""
+"""Values of a match from the records of its manifest."""
 
 from __future__ import annotations
 
