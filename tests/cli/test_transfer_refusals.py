@@ -85,6 +85,8 @@ def fail() -> str:
         ("detail_texture", Path("d.png")),
         ("rays", 3),
         ("influences", 3),
+        ("only", "hip"),
+        ("mirror", True),
         ("size", 8),
         ("bits", 16),
         ("scale", 2.0),

@@ -34,6 +34,7 @@ FILES = [
 ]
 
 
+@cache
 def deer() -> ControlMesh:
     return example_pair(8).target
 

@@ -195,7 +195,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     places = result.point_map.images.positions[:count]
     exchanged = places * [-1.0, 1.0, 1.0]
     answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored & all", 1.1e-4, exchanged))
-    unsure = replace(result, confidence=Confidence(TWO, 1.0, 1.1, answers, 0))
+    unsure = replace(result, confidence=Confidence(TWO, answers, deciding=0))
     gallery = draw_gallery(unsure, size=SIZE)
     page = build_page(unsure, gallery)
     assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 8
@@ -206,10 +206,10 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
         return picture[np.abs(picture / 255.0 - PAPER).max(axis=2) > 0.02].astype(float)
 
     # The same answer again differs nowhere, so all of it is clay; the mirrored one differs away from the plane x = 0.
-    same = replace(unsure, confidence=Confidence(LOOK, 1.0, 1.1, (answers[0], answers[0]), 0))
+    same = replace(unsure, confidence=Confidence(LOOK, (answers[0], answers[0]), deciding=0))
     redness = [np.ptp(drawn(draw_gallery(one, size=SIZE).answers[0][1].target), axis=1).max() for one in (same, unsure)]
     assert redness[0] < 20 < 60 < redness[1]
-    for sure in (result, replace(unsure, confidence=Confidence(SURE, 1.0, 2.0, answers, 0))):
+    for sure in (result, replace(unsure, confidence=Confidence(SURE, answers, deciding=0))):
         assert not draw_gallery(sure, size=(30, 20)).answers
 
 
@@ -221,10 +221,10 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
     result: MatchResult, gallery: Gallery, verdict: str, heading: str
 ) -> None:
     answers = tuple(Reading(name, 1e-4, result.point_map.images.positions) for name in ("one", "another"))
-    page = build_page(replace(result, confidence=Confidence(verdict, 1.0, 1.5, answers, 0)), gallery)
+    page = build_page(replace(result, confidence=Confidence(verdict, answers, deciding=0)), gallery)
     assert heading in page
-    shown = "the target lies on the source one"
-    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{verdict}: {shown}' in page
+    shown = f"{verdict}: the target is aligned with the source one"
+    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{shown}' in page
 
 
 def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, gallery: Gallery) -> None:
@@ -236,14 +236,14 @@ def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, g
         landmark_check=LandmarkCheck(),
         quality=replace(result.quality, landmark_errors=np.zeros(0), warnings=()),
     )
-    sure = build_page(replace(free, confidence=Confidence(SURE, 1.0, 2.0, answers[:1], 0)), gallery)
+    sure = build_page(replace(free, confidence=Confidence(SURE, answers[:1], deciding=0)), gallery)
     assert "The map looks sound." in sure
-    assert "no other way fits nearly as well: sure" in sure
+    assert "no other alignment fits nearly as well" in sure
     assert 'class="warning"' not in sure
     for empty in ("<summary>Landmarks", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
         assert empty not in sure
     # A page speaks the words of the command line.
-    two = build_page(replace(free, confidence=Confidence(TWO, 1.0, 1.1, answers, 0)), gallery)
+    two = build_page(replace(free, confidence=Confidence(TWO, answers, deciding=0)), gallery)
     assert "(--answer 1)" in two
     assert "answer=1" not in two
 

@@ -174,7 +174,7 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
     places = result.point_map.images.positions[:8]
     answers = (Reading("one", 1e-4, places), Reading("another", 1.1e-4, -places))
-    unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, 1.0, 1.1, answers, 5))
+    unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
     unsure = replace(unsure, quality=replace(result.quality, landmark_errors=np.zeros(3)))
     models = report_models(unsure, seen(unsure))
     assert [(mark.number, mark.side, mark.vertex) for mark in models.marks] == [

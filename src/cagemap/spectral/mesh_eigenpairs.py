@@ -178,17 +178,14 @@ def operators_for_diffusion_net(
     areas = vertex_areas(triangles.positions, triangles.triangles)
     with one_blas_thread():
         pairs = mass_lumped_pairs(weights, areas, count, DIFFUSION_NET_ACCURACY)
-    gradients = _edge_gradients(triangles, weights, regularisation)
+    gradients = _edge_gradients(triangles, regularisation)
     return areas, weights, np.maximum(pairs.values, 0.0), np.asarray(pairs.vectors), *gradients
 
 
-def _edge_gradients(
-    triangles: TriangleSurface, weights: sparse.csr_array, regularisation: float
-) -> tuple[sparse.csr_array, sparse.csr_array]:
+def _edge_gradients(triangles: TriangleSurface, regularisation: float) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Least-squares gradients in tangent axes: at vertex i, (sum_j e_j e_j^T + eps)^-1 sum_j e_j (f_j - f_i)."""
-    rows, columns = (np.asarray(at, dtype=np.int64) for at in weights.tocoo().coords)
-    edges = np.flatnonzero(rows != columns)
-    rows, columns = rows[edges], columns[edges]
+    ends = triangles.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+    rows, columns = np.unique(ends, axis=0).T
     along = triangles.positions[columns] - triangles.positions[rows]
     components = np.stack([np.einsum("ed,ed->e", along, axis[rows]) for axis in _tangent_axes(triangles)], axis=1)
     n = triangles.n
