@@ -14,7 +14,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.errors import FormatError, ParameterError, explained
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import write_result
-from cagemap.paper import HfmConfig
+from cagemap.paper.hfm import HfmConfig
 from cagemap.tasks import transfer as door
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest

@@ -26,10 +26,10 @@ _log = logging.getLogger(__name__)
 class EigenPairs:
     """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
-    values: FloatArray  #: (m,) Ascending. Unit 1 / length^2 (unit area: none).
+    values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
     #: (n, m) M-orthonormal; in single precision where the accuracy that they were computed with left no more
     vectors: NDArray[Any]
-    first_index: int  #: True index of the first pair in the level's whole spectrum, counted from 0
+    first_index: int  #: true index of the first pair in the level's whole spectrum, counted from 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", read_only(self.values))
