@@ -17,6 +17,7 @@ from cagemap.errors import FormatError
 from cagemap.files.fbx import read as fbx_read
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import image_bytes, read_document
+from cagemap.files.gltf.material_images import material_images
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.usd.primvars import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
@@ -110,6 +111,25 @@ def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> N
     document = read_document(_file(tmp_path, made))
     assert image_bytes(document, 0) == (PNG, ".png")
     assert document.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+
+
+@pytest.mark.parametrize(("angle", "across"), [(30.0, 4.0), (0.0, 2.0), (30.0, 2.0)])
+def test_a_texture_that_is_moved_turned_and_scaled(
+    angle: float, across: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say."""
+    made = fbx_arm(image=PNG)
+    texture = next(one for one in made.objects if one.name == "Texture")
+    moved = {"Translation": (0.25, 0.5, 0.0), "Rotation": (0.0, 0.0, angle), "Scaling": (across, 4.0, 1.0)}
+    texture.inside.append(properties(**moved))
+    (image,) = material_images(read_document(_file(tmp_path, made)), "skin")
+    on_image = np.random.default_rng(2).uniform(size=(5, 2))
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    uvs = on_image * [across, 4.0] @ np.array([[c, s], [-s, c]]) + [0.25, 0.5]
+    if angle and across != 4.0:
+        assert "is turned and stretched" in caplog.text
+        on_image = uvs
+    np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)
 
 
 def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
