@@ -205,6 +205,22 @@ def test_a_new_image_for_one_of_two_materials_that_share_one() -> None:
     assert made.json["textures"][slots[0]["index"]]["sampler"] == 0
     with pytest.raises(FormatError, match="sleeve, ball"):
         character_glb(character_of(document), document, {("hat", "baseColorTexture"): other})
+    for slot, data, message in (
+        ("baseColorTexture", b"text", "PNG or JPEG"),
+        ("shine", other, "a texture slot of glTF"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            character_glb(character_of(document), document, {("sleeve", slot): data})
+
+
+def test_documents_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    document = arm()
+    with pytest.raises(FormatError, match=r"a name ending in \.glb, \.gltf, \.vrm"):
+        write_document(tmp_path / "a.obj", document)
+    document.json["asset"]["generator"] = float("nan")
+    with pytest.raises(FormatError, match="not finite"):
+        write_document(tmp_path / "a.glb", document)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_new_image_of_one_material_replaces_the_old_one() -> None:

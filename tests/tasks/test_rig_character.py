@@ -18,7 +18,7 @@ from cagemap.files.gltf.material_images import material_images, png_bytes, read_
 from cagemap.files.images.image import Image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import face_areas
+from cagemap.mesh.faces import face_areas
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -26,7 +26,7 @@ from example_character import ball, bare_body, character, with_material, write_c
 
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:
-    return bare_body(2)
+    return bare_body(1)
 
 
 @pytest.fixture

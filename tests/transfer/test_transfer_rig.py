@@ -21,7 +21,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.maps import dense_map, read_images, source_level, write_map
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
@@ -132,6 +132,8 @@ def test_shapes_come_back_under_the_identity_and_zero_stays_zero(ring: Refinemen
     shape = 0.2 * np.random.default_rng(3).normal(size=ring.control.positions.shape)
     np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
     np.testing.assert_allclose(carry_shape(carrier, 0 * shape), 0, rtol=0, atol=1e-12)
+    # Constants have no gradient, so that the sum is the anchor's: the ridge is nothing beside it.
+    assert 0 < carrier.ridge.sum() < 1e-6 * carrier.matrix.sum()
     with pytest.raises(ParameterError, match="one a control vertex"):
         carry_shape(carrier, shape[1:])
 

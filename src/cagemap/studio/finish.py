@@ -33,8 +33,6 @@ SHARED: dict[Key, Key] = {
 }
 # What the first command makes.
 MAP = "the map"
-# Titles of the commands that carry nothing.
-MAP_ALONE = ("match", "report")
 # The open texture among other maps of its material.
 COLOR = "color"
 _IMAGE = ("size", "bits", "filter", "unwrap", "bases", "force")
