@@ -56,16 +56,19 @@ _LEFT_OUT = {
 def main() -> None:
     """Read FBX from standard input, write GLB to standard output, notes and errors to standard error."""
     warnings.simplefilter("ignore")
+    status = 0
     try:
-        made = fbx_glb(sys.stdin.buffer.read(), Path(sys.argv[2]), lambda text: print(text, file=sys.stderr))  # noqa: T201
+        sys.stdout.buffer.write(fbx_glb(sys.stdin.buffer.read(), Path(sys.argv[2]), _note))
     except (ufbx.UfbxError, FormatError) as error:
-        print(str(error).replace("\n", " "), file=sys.stderr)  # noqa: T201
-        sys.stderr.flush()
-        os._exit(REFUSED)
-    sys.stdout.buffer.write(made)
+        _note(str(error).replace("\n", " "))
+        status = REFUSED
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(0)  # without freeing anything, see `cagemap.files.fbx.held`
+    os._exit(status)  # without freeing anything, see `cagemap.files.fbx.held`
+
+
+def _note(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
 
 
 def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:

@@ -22,6 +22,8 @@ _SLOTS = {
     "emission_color": "emissiveTexture",
     "ambient_occlusion": "occlusionTexture",
 }
+# Of the largest number of a transform.
+_ROUNDING = 1e-5
 
 
 class Materials:
@@ -80,9 +82,11 @@ class Materials:
             if number is not None:
                 self.lists["textures"].append({"source": number})
                 transform = _transform(one) if get(one, "has_uv_transform") else {}
-                if transform:
+                if transform is None:
+                    self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
+                elif transform:
                     self._binary.extensions.add("KHR_texture_transform")
-                return {"index": len(self.lists["textures"]) - 1} | transform
+                return {"index": len(self.lists["textures"]) - 1} | (transform or {})
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
         self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
         return None
@@ -142,8 +146,8 @@ def _color(pbr: Any, name: str) -> list[float]:
     return np.clip(color * _value(pbr, f"{name}_factor", 1.0), 0.0, 1.0).tolist()
 
 
-def _transform(texture: Any) -> dict[str, Any]:
-    """KHR_texture_transform of a texture whose coordinates are moved, turned or scaled."""
+def _transform(texture: Any) -> dict[str, Any] | None:
+    """KHR_texture_transform of a texture whose coordinates are scaled, turned, moved; None where that is not all."""
     flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 1.0]])  # v down in glTF; for rows
     stated = np.array(list(get(texture, "uv_to_texture")), dtype=np.float64)
     rows = np.eye(3)
@@ -152,5 +156,8 @@ def _transform(texture: Any) -> dict[str, Any]:
     across = float(np.hypot(*down[0, :2]))
     angle = float(np.arctan2(-down[0, 1], down[0, 0]))
     scale = [across, float(np.linalg.det(down[:2, :2])) / max(across, 1e-30)]
+    c, s = np.cos(angle), np.sin(angle)
+    if np.abs(np.diag(scale) @ [[c, -s], [s, c]] - down[:2, :2]).max() > _ROUNDING * max(map(abs, scale)):
+        return None
     moved = {"offset": down[2, :2].tolist(), "rotation": angle, "scale": scale}
     return {"extensions": {"KHR_texture_transform": moved}}
