@@ -126,8 +126,7 @@ class Case:
         """Carry something; ``base`` has the target's own values where they stay outside a mask."""
         own = (("", self.folder / base),) if self.kind.masked and base else ()
         request = TransferRequest(self.folder / "R", self.folder / output, bases=own, force=True, **options)
-        with Stages() as stages:
-            run_transfer(request, stages)
+        run_transfer(request, Stages())
         return request.output
 
     def expected(self, name: str, values: np.ndarray, base: np.ndarray | float = 0.0) -> np.ndarray:
@@ -170,8 +169,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         part="bar" if kind.parts else None,
         target_mask=str(folder / "mask.csv") if kind.masked else None,
     )
-    with Stages() as stages:
-        said, _ = run_match(request, stages)
+    said, _ = run_match(request, Stages())
     manifest = json.loads((folder / "R" / "manifest.json").read_text())
     known = "as it stands, 0.00 % of the model's size apart" if numbers == "others" else "they are one surface"
     assert known in said
