@@ -10,10 +10,8 @@ from scipy.spatial import cKDTree
 from cagemap.deform.fit import similarity
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import keep_faces
-from cagemap.mesh.measures import face_centres
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.mesh.faces import face_centres, keep_faces
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles
