@@ -55,7 +55,7 @@ def build(platform: str, own: Path, folder: Path) -> Path:
         download(platform, Path(scratch))
         wheels = [own, *sorted(Path(scratch).glob("*.whl"))]
         listed = ",\n".join(f'  "./wheels/{wheel.name}"' for wheel in wheels)
-        whole = f'{manifest}platforms = ["{platform}"]\nwheels = [\n{listed},\n]\n'
+        whole = f'platforms = ["{platform}"]\nwheels = [\n{listed},\n]\n{manifest}'
         with zipfile.ZipFile(output.with_suffix(".part"), "w", zipfile.ZIP_DEFLATED) as made:
             made.writestr("blender_manifest.toml", whole)
             made.write(ROOT / "LICENSE", "LICENSE")
