@@ -37,7 +37,7 @@ export const LINES = [`attribute vec3 plain; varying vec3 vPlain;
 export const MARKS = [`attribute vec3 place, placeNormal; attribute vec2 cell; uniform float morph, size; varying vec2 vCell;
   void main() {
     vec3 p = mix(position, place, morph), n = mix(normal, placeNormal, morph);
-    vCell = cell; gl_PointSize = dot(n, cameraPosition - p) < -0.1 ? 0.0 : size;
+    vCell = cell; gl_PointSize = dot(n, normalize(cameraPosition - p)) < -0.4 ? 0.0 : size;
     gl_Position = projectionMatrix * (viewMatrix * vec4(p, 1.0) + vec4(0.0, 0.0, 0.05, 0.0));
     if (gl_PointSize == 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   }`,

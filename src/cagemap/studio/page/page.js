@@ -6,10 +6,12 @@ const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
 let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', typed = null;
 
+$('empty').textContent = 'This browser draws no 3D. Turn WebGL on, or open the page in another browser.';
 const views = new Views($('views'), {
   click: ray => send('click', ray), probe: ray => send('probe', ray), move: ray => send('move', ray),
   select: number => send('select', {number}), hint: text => { $('status').textContent = text; },
 });
+$('empty').textContent = 'Drop two models here, or press Open.';
 window.studio = {views, get state() { return state; }};
 
 // The server
