@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cagemap.operators.polygons import named_laplacian
 from examples.shapes import creature, cube
 from scipy import sparse
 
@@ -37,6 +36,7 @@ from cagemap.character.roles import body_of
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.numerics.kinds import _expected, kinds_checked
+from cagemap.operators.laplacian import named_laplacian
 from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.wrap.config import WrapConfig
 
