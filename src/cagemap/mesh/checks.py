@@ -24,7 +24,7 @@ from cagemap.mesh.faces import (
     with_openings_closed,
 )
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, listed, problem_at
+from cagemap.mesh.mesh_report import MeshProblem, MeshReport, first_few, listed, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -174,7 +174,7 @@ def _counts(
     )
 
 
-def _edge_manifold_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArray) -> Problem | None:
+def _edge_manifold_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArray) -> MeshProblem | None:
     """Edges of more than two faces, and the remedy for each; ``numbers`` (m,) are those of the file."""
     bad = edges.face_counts > 2
     if not bad.any():
@@ -198,7 +198,7 @@ def _edge_manifold_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexAr
             f"At edge(s) {first_few(_pairs(edges, split))} delete the inner ones of faces "
             f"{first_few(numbers[at].tolist())}, or split the edge so that each sheet has its own."
         )
-    return Problem(
+    return MeshProblem(
         "non-manifold edges",
         f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to {edges.face_counts.max()}, "
         "between vertices",
@@ -238,7 +238,7 @@ def _pairs(edges: EdgeTable, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int]
     return tuple((a, b) for a, b in edges.vertices[chosen].tolist())
 
 
-def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> Problem | None:
+def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> MeshProblem | None:
     """Vertices of several fans. Edges of too many faces are named elsewhere and count as joined here."""
     _, first_corners = np.unique(fans, return_index=True)
     bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners]) > 1)
@@ -251,9 +251,9 @@ def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> Problem | N
     )
 
 
-def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> Problem | None:
+def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> MeshProblem | None:
     if turned is None:
-        return Problem(
+        return MeshProblem(
             "one-sided surface",
             "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
             "all edges (as on a Moebius strip)",
@@ -270,7 +270,7 @@ def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) 
     )
 
 
-def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None:
+def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | None:
     sizes = np.bincount(labels)
     if len(sizes) == 1:
         return None
@@ -284,7 +284,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
             f"`weld_mesh` {tolerance:g} leaves {left} piece{'s' * (left != 1)}. {'Or match' if left == 1 else 'Match'}"
         )
-    return Problem(
+    return MeshProblem(
         SEVERAL,
         f"expected one connected piece, got {len(sizes)} of {first_few(sizes.tolist())} faces, which begin at faces",
         tuple(first_faces.tolist()),
@@ -314,20 +314,20 @@ def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
         return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * usual)
 
 
-def _extent_problem(mesh: ControlMesh) -> Problem | None:
+def _extent_problem(mesh: ControlMesh) -> MeshProblem | None:
     """Vertices all at one point or on one line, or a size that overflows."""
     points = mesh.positions[used_vertices(mesh)]
     with np.errstate(over="ignore"):
         extent = float(np.max(points.max(axis=0) - points.min(axis=0)))
     if extent == 0.0:
-        return Problem(
+        return MeshProblem(
             "no size",
             "expected vertices in different places, got all in one point",
             (),
             "Export the mesh again; the transform may have a scale of zero.",
         )
     if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
-        return Problem(
+        return MeshProblem(
             "size",
             f"expected an extent between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} file units, got {extent:.3g}",
             (),
@@ -339,7 +339,7 @@ def _extent_problem(mesh: ControlMesh) -> Problem | None:
     farthest = offsets[np.argmax(lengths)]
     widths = np.linalg.norm(np.cross(offsets, farthest), axis=1) / lengths.max() ** 2
     if widths.max() <= RELATIVE_WIDTH:
-        return Problem(
+        return MeshProblem(
             "no area",
             "expected a surface, got all vertices on one line",
             (),
@@ -348,7 +348,7 @@ def _extent_problem(mesh: ControlMesh) -> Problem | None:
     return None
 
 
-def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> Problem | None:
+def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | None:
     """Faces, of those examined, whose corners are on one line or in one point."""
     unit = _unit_sized(mesh)
     areas, extents = face_areas(unit), face_extents(unit)
@@ -362,7 +362,7 @@ def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> Problem | None
     )
 
 
-def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Problem | None:
+def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshProblem | None:
     """Faces that look inwards, or a closed mesh that encloses nothing.
 
     An open mesh is closed with a cone over every loop first, and judged only where that encloses a good part of what
@@ -372,7 +372,7 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
     roundness = 36.0 * np.pi * volume * abs(volume) / area**3
     if not loops and abs(roundness) < RELATIVE_WIDTH:
-        return Problem(
+        return MeshProblem(
             "no volume",
             "expected a closed mesh to enclose a volume, got one that is folded flat",
             (),
@@ -380,7 +380,7 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
         )
     if roundness < (-OPEN_ROUNDNESS if loops else 0.0):
         opened = ", judged with its openings closed," if loops else ""
-        return Problem(
+        return MeshProblem(
             "inside out",
             f"expected faces counter-clockwise seen from outside, got a mesh{opened} whose faces all look inwards",
             (),

@@ -18,7 +18,7 @@ def first_few(values: Iterable[object]) -> str:
 
 
 @dataclass(frozen=True)
-class Problem:
+class MeshProblem:
     """One kind of fault in a control mesh."""
 
     kind: str  #: short name, such as ``non-manifold edges``
@@ -32,9 +32,9 @@ class Problem:
         return f"{self.kind}: {self.found}{where}. {self.remedy}"
 
 
-def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> Problem | None:
+def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> MeshProblem | None:
     """A problem of some elements (k,); None where there are none."""
-    return Problem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
+    return MeshProblem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
 
 
 def listed(problems: Iterable[object]) -> str:
@@ -63,7 +63,7 @@ class MeshReport:
     valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
     uv_islands: int | None = None  #: None without texture coordinates
     sharp: tuple[int, int, int] = (0, 0, 0)  #: numbers of creased edges, sharp vertices and hole faces
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[MeshProblem, ...] = ()
     notes: tuple[str, ...] = ()  #: what is allowed but looks like an accident
 
     @property

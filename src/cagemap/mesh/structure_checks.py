@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.mesh_report import Problem, listed, problem_at
+from cagemap.mesh.mesh_report import MeshProblem, listed, problem_at
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
 
-def structure_problems(mesh: ControlMesh) -> tuple[Problem, ...]:
+def structure_problems(mesh: ControlMesh) -> tuple[MeshProblem, ...]:
     """List what keeps the arrays from describing a mesh; other checks need it to be empty."""
     found = [_positions(mesh), _offsets(mesh)]
     if not any(found):
@@ -28,15 +28,15 @@ def require_structure(mesh: ControlMesh) -> None:
         raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{listed(broken)}")
 
 
-def _problem(found: str, remedy: str = _EXPORT) -> Problem:
-    return Problem("broken data", found, (), remedy)
+def _problem(found: str, remedy: str = _EXPORT) -> MeshProblem:
+    return MeshProblem("broken data", found, (), remedy)
 
 
-def _problem_at(found: str, elements: NDArray[np.int64]) -> Problem | None:
+def _problem_at(found: str, elements: NDArray[np.int64]) -> MeshProblem | None:
     return problem_at("broken data", found, elements, _EXPORT)
 
 
-def _positions(mesh: ControlMesh) -> Problem | None:
+def _positions(mesh: ControlMesh) -> MeshProblem | None:
     positions = mesh.positions
     if positions.ndim != 2 or positions.shape[1] != 3 or positions.dtype != np.float64:
         return _problem(f"expected positions of shape (n, 3) and type float64, got {positions.shape} {positions.dtype}")
@@ -49,7 +49,7 @@ def _positions(mesh: ControlMesh) -> Problem | None:
     )
 
 
-def _offsets(mesh: ControlMesh) -> Problem | None:
+def _offsets(mesh: ControlMesh) -> MeshProblem | None:
     offsets, indices = mesh.face_offsets, mesh.face_indices
     if offsets.ndim != 1 or indices.ndim != 1 or not _integers(offsets) or not _integers(indices):
         return _problem("expected face_offsets and face_indices to be one-dimensional integer arrays")
@@ -61,7 +61,7 @@ def _offsets(mesh: ControlMesh) -> Problem | None:
     return _problem_at(f"expected corners on every face, got {len(empty)} face(s) without, faces", empty)
 
 
-def _indices(mesh: ControlMesh) -> Problem | None:
+def _indices(mesh: ControlMesh) -> MeshProblem | None:
     outside = (mesh.face_indices < 0) | (mesh.face_indices >= mesh.n_vertices)
     faces = np.unique(mesh.corner_faces[outside])
     return _problem_at(
@@ -69,7 +69,7 @@ def _indices(mesh: ControlMesh) -> Problem | None:
     )
 
 
-def _uvs(mesh: ControlMesh) -> Problem | None:
+def _uvs(mesh: ControlMesh) -> MeshProblem | None:
     uvs, indices = mesh.uvs, mesh.uv_indices
     if uvs is None and indices is None:
         return None
@@ -84,7 +84,7 @@ def _uvs(mesh: ControlMesh) -> Problem | None:
     ) or _problem_at(f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs", bad)
 
 
-def _materials(mesh: ControlMesh) -> Problem | None:
+def _materials(mesh: ControlMesh) -> MeshProblem | None:
     colors, count = mesh.material_colors, len(mesh.material_names)
     if colors is not None and colors.shape != (count, 3):
         return _problem(f"expected material_colors of shape ({count}, 3), got {colors.shape}")
@@ -99,7 +99,7 @@ def _materials(mesh: ControlMesh) -> Problem | None:
     return next((problem for problem in found if problem is not None), None)
 
 
-def _partition(what: str, numbers: IndexArray | None, count: int, n_faces: int) -> Problem | None:
+def _partition(what: str, numbers: IndexArray | None, count: int, n_faces: int) -> MeshProblem | None:
     if numbers is None:
         return None
     if numbers.shape != (n_faces,) or not _integers(numbers):
@@ -108,7 +108,7 @@ def _partition(what: str, numbers: IndexArray | None, count: int, n_faces: int) 
     return _problem_at(f"expected {what} numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad)
 
 
-def _creases(mesh: ControlMesh) -> Problem | None:
+def _creases(mesh: ControlMesh) -> MeshProblem | None:
     edges, sharpness = mesh.crease_edges, mesh.crease_sharpness
     if edges is None and sharpness is None:
         return None
@@ -125,7 +125,7 @@ def _creases(mesh: ControlMesh) -> Problem | None:
     of_faces = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
     loose = ~np.isin(pair_keys(edges, mesh.n_vertices), pair_keys(of_faces, mesh.n_vertices))
     if loose.any():
-        return Problem(
+        return MeshProblem(
             "creases beside the mesh",
             f"expected creases on edges of the mesh, got {loose.sum()} where no edge is, between vertices",
             tuple((a, b) for a, b in edges[loose].tolist()),
@@ -134,7 +134,7 @@ def _creases(mesh: ControlMesh) -> Problem | None:
     return _sharpness(sharpness, "creases")
 
 
-def _corners(mesh: ControlMesh) -> Problem | None:
+def _corners(mesh: ControlMesh) -> MeshProblem | None:
     vertices, sharpness = mesh.corner_vertices, mesh.corner_sharpness
     if vertices is None and sharpness is None:
         return None
@@ -148,12 +148,12 @@ def _corners(mesh: ControlMesh) -> Problem | None:
     ) or _sharpness(sharpness, "corners")
 
 
-def _sharpness(sharpness: FloatArray, what: str) -> Problem | None:
+def _sharpness(sharpness: FloatArray, what: str) -> MeshProblem | None:
     bad = np.flatnonzero(~(sharpness >= 0))
     return _problem_at(f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}", bad)
 
 
-def _holes(mesh: ControlMesh) -> Problem | None:
+def _holes(mesh: ControlMesh) -> MeshProblem | None:
     holes = mesh.hole_faces
     if holes is None:
         return None

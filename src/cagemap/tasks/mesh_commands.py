@@ -18,7 +18,7 @@ from cagemap.files.gltf.read import scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
-from cagemap.mesh.mesh_report import MeshReport, Problem
+from cagemap.mesh.mesh_report import MeshProblem, MeshReport
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.quads import join_quads
@@ -107,7 +107,7 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
         repairs = (*repairs, *(() if done is None else done.sentences()))
     except InvalidMeshError as error:
         report = check_mesh(mesh)
-        own = Problem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
+        own = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
         report = replace(report, problems=(*report.problems, own))
     said = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
     said += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]

@@ -1,4 +1,4 @@
-"""Bake images: every texel of the target takes the value at its image under T12 on the source (method 9).
+"""Bake images: every texel of the target takes the value at its image under T12 on the source.
 
     texel -> point of the target -> T12 -> point of the source -> value there
 

@@ -1,4 +1,4 @@
-"""Scalar displacement maps: heights along the normal, scaled with the surfaces (method 9).
+"""Scalar displacement maps: heights along the normal, scaled with the surfaces.
 
 A displacement image says height = (value - midlevel) * scale, in the length unit of its model; integer images hold
 values from 0 to 1. A bump of the source keeps its shape on the target if its height grows like lengths do.

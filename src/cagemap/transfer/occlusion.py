@@ -14,12 +14,12 @@ from cagemap.transfer.tangents import plane_basis
 _LIFT = 1e-4
 # Rays at a time: 40 bytes each.
 _RAYS_AT_ONCE = 1 << 20
-# Turns the directions of one vertex against those of the next, so that no pattern shows.
+# Golden ratio: angle between directions of one vertex, and between the patterns of two vertices (no pattern shows).
 _GOLDEN = 0.618033988749895
 
 
 def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
-    """(n,) open part of the cosine-weighted hemisphere over every vertex: 1 in the open, 0 where nothing gets in.
+    """(n,) visible share of the cosine-weighted hemisphere over every vertex, from 0 to 1.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
 def _sky(rays: int) -> FloatArray:
     """(rays, 3) directions about the axis z, as dense as their cosine: a sunflower on the disk, lifted up."""
     index = np.arange(rays) + 0.5
-    squared = index / rays
+    squared_radius = index / rays
     angle = 2 * np.pi * _GOLDEN * index
-    radius = np.sqrt(squared)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - squared)])
+    radius = np.sqrt(squared_radius)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - squared_radius)])

@@ -57,27 +57,28 @@ def relax_folds(
     flipped = flipped_triangles(images, triangles)
     if not flipped.any():
         return images, flipped
-    # Only the last round's patch can change: continue with the triangles around it, renumbered.
+    # Only vertices within the largest number of rings can change: continue with the triangles around them, renumbered.
     inner = around(triangles, flipped, config.rings[-1], len(images))
     region = touched_triangles(triangles, inner)
-    vertices, near = _renumbered(triangles[region], len(images))
-    # Folds may spread while they are relaxed; what lies at the border has triangles beyond it.
+    vertices, local_triangles = _renumbered(triangles[region], len(images))
+    # Folds may spread while they are relaxed. Vertices at the border stay: some of their triangles are not here.
     movable = inner[vertices] & ~np.isin(vertices, held)
     local, folded = images.at(vertices), flipped[region]
-    means = neighbour_means(near, np.ones(len(vertices), dtype=bool))
+    means = neighbour_means(local_triangles, np.ones(len(vertices), dtype=bool))
     places = np.hstack([local.positions, local.normals])
     for ring in config.rings:
         before = folded.sum()
-        inside = _ringed(means, near[folded], ring) & movable
+        inside = _around_by_means(means, local_triangles[folded], ring) & movable
         moved = np.flatnonzero(inside)
         new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight, config.sweeps)
         tried = places.copy()
         tried[moved] = np.hstack([new.positions, new.normals])
-        touched = touched_triangles(near, inside)
+        touched = touched_triangles(local_triangles, inside)
         positions, normals = np.ascontiguousarray(tried[:, :3]), np.ascontiguousarray(tried[:, 3:])
-        still = upside_down(positions, normals, near[touched])
-        kept = _improved(near[touched], inside, folded[touched], still)
-        settled = touched_triangles(near[touched], kept)  # whole, for all moved corners of one are of one patch
+        still = upside_down(positions, normals, local_triangles[touched])
+        kept = _improved(local_triangles[touched], inside, folded[touched], still)
+        # A triangle's moved corners belong to one patch: all of them are kept, or none.
+        settled = touched_triangles(local_triangles[touched], kept)
         folded[touched] = np.where(settled, still, folded[touched])
         local = local.replaced(np.flatnonzero(kept), new.at(np.flatnonzero(kept[moved])))
         places[kept] = tried[kept]
@@ -94,7 +95,7 @@ def _renumbered(triangles: IndexArray, n: int) -> tuple[IndexArray, IndexArray]:
     return np.flatnonzero(used), (np.cumsum(used) - 1)[triangles]
 
 
-def _ringed(means: sparse.csr_array, folded: IndexArray, rings: int) -> BoolArray:
+def _around_by_means(means: sparse.csr_array, folded: IndexArray, rings: int) -> BoolArray:
     """`around` of folded triangles (f, 3), from a matrix that is positive where vertices are neighbours."""
     inside = np.zeros(means.shape[0])
     inside[folded.ravel()] = 1.0
