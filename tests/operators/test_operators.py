@@ -286,3 +286,12 @@ def test_a_stabilisation_is_positive(wrong):
     for kind in (AlexaWardetzky, DeGoesButtsDesbrun, partial(named_laplacian, "mean")):
         with pytest.raises(ParameterError, match="stabilisation"):
             kind(wrong)
+
+
+def test_edges_with_a_cotangent_of_zero_stay_entries():
+    """Both diagonals of a square, and the longest side of a right triangle: graphs take their edges from W."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert stiffness(corners, np.array([[0, 1, 2, 3]])).nnz == 16
+    right = stiffness(corners, np.array([[0, 1, 2]]))
+    assert right[[0], [2]][0] == 0.0
+    assert right[:3].nnz == 9

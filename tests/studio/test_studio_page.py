@@ -85,7 +85,7 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     scene: Any = MagicMock()
     scene.images.trust = np.array([1.0, 0.2, 1.0, 1.0])
     assert verdict(Studio(), scene) == ""
-    known = MapState(revision=1, confidence="the target lies on the source as filed; no other way fits: sure")
+    known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
     assert verdict(Studio(map=known), scene) == "Sure, 25 % doubtful"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
     assert verdict(Studio(map=doubt), scene).startswith("Two ways fit")

@@ -45,10 +45,13 @@ def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array
     size = faces.shape[1]
     pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS
     rows, columns = (faces[:, side].ravel().astype(np.int32) for side in np.transpose(pairs))
-    sums = sparse.csr_array(sparse.coo_array((weights.ravel(), (rows, columns)), shape=(n, n)))
     of_corner = [[k for j in range(size) for k, pair in enumerate(pairs) if {i, j} == {*pair}] for i in range(size)]
     diagonal = np.bincount(np.repeat(faces.ravel(), size - 1), weights[:, of_corner].ravel(), minlength=n)
-    return sparse.csr_array(sparse.diags_array(diagonal) - sparse.csr_array(sums + sums.T))
+    every = np.arange(n, dtype=np.int32)
+    # Summed entry by entry: sums of matrices drop edges with cotangents of 0, and graphs take their edges from here.
+    values = np.concatenate([-weights.ravel(), -weights.ravel(), diagonal])
+    places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
+    return sparse.csr_array(sparse.coo_array((values, places), shape=(n, n)))
 
 
 # Corner pairs that are edges of a face's triangulations: sides, then both diagonals of a quad.

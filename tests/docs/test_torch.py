@@ -10,7 +10,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import read_only
-from cagemap.numerics.tensors import tensors
+from cagemap.research import tensors
 
 
 def test_tensors_are_copies_with_the_same_numbers():
