@@ -136,11 +136,16 @@ def _landmarks(state: Studio, scene: Scene) -> list[dict[str, Any]]:
         }
         rows.append(
             {"number": item.number, "name": item.name, "color": _css(item.number)}
-            | {"complete": item.complete, "proposed": proposed, "strain": known.strain.get(item.name)}
+            | {"complete": item.complete, "proposed": proposed, "strain": _finite(known.strain.get(item.name))}
             | {"wrong": known.contradictions.get(item.name, "")}
             | at
         )
     return rows
+
+
+def _finite(value: float | None) -> float | None:
+    """A number that JSON has; None for others."""
+    return value if value is not None and np.isfinite(value) else None
 
 
 def _facing(shape: Shape, place: Place) -> list[float]:
