@@ -228,6 +228,14 @@ def test_what_is_no_fbx_is_refused_by_name(content: bytes, message: str, tmp_pat
         read_mesh(path)
 
 
+def test_weights_of_vertices_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
+    made = fbx_arm()
+    cluster = next(one for one in made.objects if one.properties[2] == "Cluster")
+    next(one for one in cluster.inside if one.name == "Indexes").properties[0][0] = 29445
+    with pytest.raises(FormatError, match="strip: a skin or shape of 6 vertices lists 29445"):
+        read_mesh(_file(tmp_path, made))
+
+
 @pytest.mark.parametrize("child", ["import os; os.abort()", "raise RuntimeError"])
 def test_a_crash_of_the_library_is_an_error_message(
     child: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

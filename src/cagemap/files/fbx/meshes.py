@@ -11,6 +11,7 @@ import ufbx
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cagemap.errors import FormatError
 from cagemap.files.fbx.held import floats, get, items, whole
 from cagemap.files.gltf.nodes import distinct
 from cagemap.mesh import ControlMesh, Plain
@@ -120,7 +121,7 @@ def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dic
             note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
-        offsets[whole(shape, "offset_vertices")] = floats(shape, "position_offsets", columns=3) / amount
+        offsets[_vertices(shape, "offset_vertices", control)] = floats(shape, "position_offsets", columns=3) / amount
         found[name] = offsets, channel
     return found
 
@@ -140,7 +141,7 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     stated = [get(one, "bone_node", "typed_id") for one in clusters]
     bones = tuple(dict.fromkeys(stated))
     matrices = {bone: row_matrix(get(one, "geometry_to_bone")) for bone, one in zip(stated, clusters, strict=True)}
-    vertices = [whole(one, "vertices") for one in clusters]
+    vertices = [_vertices(one, "vertices", made.control) for one in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(own) for own in vertices])
     values = np.concatenate([np.array(get(one, "weights"), dtype=np.float64) for one in clusters])
     shape = made.control.n_vertices, len(bones)
@@ -149,6 +150,14 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     weights.eliminate_zeros()
     inverse = np.array([matrices[bone] for bone in bones])
     return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
+
+
+def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:
+    """Vertices that a skin or a shape lists; ufbx does not check them."""
+    vertices = whole(value, name)
+    if vertices.size and (vertices.min() < 0 or vertices.max() >= control.n_vertices):
+        raise FormatError(f"{control.name}: a skin or shape of {control.n_vertices} vertices lists {vertices.max()}")
+    return vertices
 
 
 def row_matrix(matrix: Any) -> FloatArray:
