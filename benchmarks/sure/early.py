@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from cagemap.deform.problem import Problem
 from cagemap.deform.search import refine_best
+
+from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.candidates import coarse_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import SURE_COST, SURE_TURNED_COST
 from cagemap.maps.hypotheses.tips import Tips, led_by_tips

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
 from cagemap.errors import ParameterError
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match

@@ -9,13 +9,12 @@ import numpy as np
 
 from cagemap.deform.config import Stage
 from cagemap.deform.fit import coarse_fit, with_cost
+from cagemap.deform.multi_start import cheapest_first
 from cagemap.deform.placement import Placement, distinct, mean_distance
 from cagemap.deform.pose import common_rotation
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.deform.search import cheapest_first, refine, refine_best
 from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
-from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.limbs import Assignment, LimbStarts
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
@@ -25,9 +24,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_doubt,
     rotation_name,
 )
-from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.rotations import nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -40,8 +37,6 @@ ALIKE, DIFFERENT = 0.03, 0.08
 # Most candidates of the coarse stage, without assigned limbs and with them, and most that are finished. The pose of the
 # files is added to them: boxy shapes cost the same on every side, so cost alone could drop it.
 MAX_COARSE, MAX_ASSIGNED, MAX_FINISHED = 4, 2, 3
-# Suffix of an answer's name where a better answer has the same rotation, with other limbs on each other.
-ANOTHER_WAY = " in another way"
 # A fit that costs this many times the best one is not finished.
 HOPELESS = 2.5
 # Assignments of limbs that cost this many times the pose of the files are dropped, such as those of fins.
@@ -81,43 +76,6 @@ class Candidate:
         )
 
 
-def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
-    """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
-
-    Landmarks, if there are any, are held by all of them. Positions are those of the vertices of the level
-    that is deformed.
-    """
-    progress("possible alignments")
-    limbs = LimbStarts.of(problem)
-    rough = rough_fits(problem, limbs)
-    progress("rough alignment")
-    candidates = coarse_fits(problem, limbs, rough)
-    progress("elastic alignment")
-
-    def finish(candidate: Candidate) -> Placement:
-        held, first = refine(problem, candidate.held), candidate is candidates[0]
-        if held and not first:
-            found = held[0]
-        else:
-            found = refine_best(problem, candidate.coarse, None if first and not held else 1, held)[0]
-        return replace(found, name=candidate.rough.name, doubt=candidate.rough.doubt)
-
-    found = in_threads(finish, candidates)
-    if min(placed.cost for placed in found) > OF_ONE_KIND:
-        tips = Tips.of(problem)
-        worst = HOPELESS * min(placed.cost for placed in found)
-        found = in_threads(lambda one: led_by_tips(problem, tips, one) if one.cost <= worst else one, found)
-    least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
-    ranked = sorted(found, key=lambda placed: placed.doubt * max(placed.cost, least))
-    answers: dict[str, Reading] = {}
-    for placed in distinct(ranked, areas, DIFFERENT):
-        name = placed.name
-        while name in answers:
-            name += ANOTHER_WAY
-        answers[name] = Reading(name, placed.cost, placed.positions, placed.doubt)
-    return tuple(answers.values())
-
-
 def least_cost(prepared: PreparedPair) -> float:
     """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
 
@@ -136,10 +94,11 @@ def rough_problem(problem: Problem) -> Problem:
     return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
+def rough_fits(problem: Problem, limbs: LimbStarts, rigid: bool = True) -> list[Candidate]:
     """The different placements of all starts on a small graph, cheapest first.
 
-    Limbs assigned to limbs, and the files' axes; all rigid starts where no assignment is plausible.
+    Limbs assigned to limbs, and the files' axes; all rigid starts where no assignment is plausible. ``rigid`` is for
+    pairs whose landmarks start fits of their own, which need no rigid ones.
     """
     rough = rough_problem(problem)
     shape = limbs.shape(rough)
@@ -151,15 +110,15 @@ def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
         turn = nearest_axis_rotation(common_rotation(areas, nearest_rotations(found.maps)))
         return Candidate(replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn)), one)
 
-    rigid = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions)
+    starts = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions) if rigid else []
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Candidate]:
         return in_threads(lambda start: fitted(start.positions), distinct(starts, areas, ALIKE))
 
-    own = fit_rigid(rigid[:AS_FILED_STARTS] if limbs.assignments else rigid)
+    own = fit_rigid(starts[:AS_FILED_STARTS] if limbs.assignments else starts)
     led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
-    if led and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
-        led, own = [], fit_rigid(rigid)
+    if led and own and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
+        led, own = [], fit_rigid(starts)
     ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
     as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
     if not led:
@@ -179,6 +138,8 @@ def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate])
 
     Where limbs are assigned, further ones hold their tips and start by ZoomOut from these, soft and stiff.
     """
+    if not rough:
+        return []
     shape, stiff = limbs.shape(problem), problem.stiff
     stiff_shape = shape.smoothed(stiff.prepared.elastic.coarse.smoothing)
     graph, sides = shape.rest.graph, SpectralSides.build(problem, shape)

@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.deform.fit import with_cost
+from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import found_readings
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
+from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray

@@ -1,0 +1,98 @@
+"""The search for the cheapest placement: from landmarks, from limbs assigned to limbs, from how the files stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, LandmarkFits, finished, refine, refine_best
+from cagemap.deform.placement import Placement, distinct
+from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.candidates import DIFFERENT, HOPELESS, Candidate, coarse_fits, least_cost, rough_fits
+from cagemap.maps.hypotheses.confidence import Reading
+from cagemap.maps.hypotheses.limbs import LimbStarts
+from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
+from cagemap.maps.pair import Progress, silent
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import in_threads
+
+# Suffix of an answer's name where a better answer has the same rotation, with other limbs on each other.
+ANOTHER_WAY = " in another way"
+
+
+def search(problem: Problem, progress: Progress = silent, start: FloatArray | None = None) -> list[Placement]:
+    """Placements of the target's mesh, best first by cost and doubt; all of them hold the landmarks.
+
+    Enough landmarks start fits of their own. Where these disagree, or landmarks are too few, limbs are assigned to
+    limbs in the ways that the landmarks leave, and the cheapest placement wins. The best one is led to the tips that it
+    missed and finished, unless bodies of one kind stand alike.
+
+    Parameters
+    ----------
+    problem : Problem
+    progress : callable
+    start : (k, 3) float64, optional
+        Places on the source of the coarse shape's vertices, instead of the spectral map of the landmarks; no others are
+        tried. It alone counts where there are fewer than `FEWEST_LANDMARKS`.
+    """
+    landmarks = None
+    if start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS:
+        progress("first alignment")
+        landmarks = LandmarkFits.of(problem, start)
+        if landmarks.agree:
+            return list(landmarks.refined)
+    found = [] if start is not None else assigned_limbs(problem, landmarks is None, progress)
+    progress("elastic alignment")
+    if landmarks is not None:
+        found = landmarks.refined_with(problem, found)
+    least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
+
+    def best_first(placements: Sequence[Placement]) -> list[Placement]:
+        return sorted(placements, key=lambda placed: placed.doubt * max(placed.cost, least))
+
+    ranked = best_first(found)
+    cheapest = min(placed.cost for placed in ranked)
+    if cheapest > OF_ONE_KIND:
+        tips, answers = Tips.of(problem), distinct(ranked, areas, DIFFERENT)
+
+        def led(placed: Placement) -> Placement:
+            tried = placed in answers and placed.cost <= HOPELESS * cheapest
+            return led_by_tips(problem, tips, placed) if tried else placed
+
+        ranked = best_first(in_threads(led, ranked))
+    elif landmarks is None:
+        return ranked
+    return [finished(problem, ranked[0]), *ranked[1:]]
+
+
+def assigned_limbs(problem: Problem, rigid: bool, progress: Progress) -> list[Placement]:
+    """Placements that start from limbs assigned to limbs, and from rigid starts where wanted; of each way the best."""
+    progress("possible alignments")
+    limbs = LimbStarts.of(problem)
+    rough = rough_fits(problem, limbs, rigid)
+    progress("rough alignment")
+    candidates = coarse_fits(problem, limbs, rough)
+
+    def finish(candidate: Candidate) -> Placement:
+        held, first = refine(problem, candidate.held), candidate is candidates[0]
+        if held and not first:
+            found = held[0]
+        else:
+            found = refine_best(problem, candidate.coarse, None if first and not held else 1, held)[0]
+        return replace(found, name=candidate.rough.name, doubt=candidate.rough.doubt)
+
+    return in_threads(finish, candidates)
+
+
+def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
+    """Different ways in which the target lies on the source, best first, by `search`.
+
+    Positions are those of the vertices of the level that is deformed.
+    """
+    answers: dict[str, Reading] = {}
+    for placed in distinct(search(problem, progress), problem.prepared.rest.graph.areas, DIFFERENT):
+        name = placed.name
+        while name in answers:
+            name += ANOTHER_WAY
+        answers[name] = Reading(name, placed.cost, placed.answer, placed.doubt)
+    return tuple(answers.values())
