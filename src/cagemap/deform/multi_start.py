@@ -94,20 +94,22 @@ def finished(problem: Problem, placed: Placement) -> Placement:
 def refine_best(
     problem: Problem, coarse: Sequence[Placement], most: int | None = None, refined: Sequence[Placement] = ()
 ) -> list[Placement]:
-    """The fine stage from the cheapest coarse placements that are apart, by the cost of the mesh, beside refined ones.
-
-    Where a cheaper one can be made of the best parts of all (`best_parts`), it comes first.
-    """
-    prepared, config = problem.prepared, problem.prepared.elastic.search
+    """The fine stage from the cheapest coarse placements that are apart, `mixed` with refined ones."""
+    config = problem.prepared.elastic.search
     ranked, areas = cheapest_first(coarse), problem.shape.rest.graph.areas
     areas = areas if ranked[0].graph is None else ranked[0].graph.areas
     hopeful = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
     kept = distinct(hopeful, areas, config.min_distance)[: most or config.max_refined]
-    found = cheapest_first([*refine(problem, kept), *refined])
-    mixed = best_parts(prepared.rest.graph, found, config)
-    if mixed is None:
+    return mixed(problem, [*refine(problem, kept), *refined])
+
+
+def mixed(problem: Problem, refined: Sequence[Placement]) -> list[Placement]:
+    """Placements by their costs; a cheaper one that can be made of the best parts of all (`best_parts`) comes first."""
+    prepared, found = problem.prepared, cheapest_first(refined)
+    parts = best_parts(prepared.rest.graph, found, prepared.elastic.search)
+    if parts is None:
         return found
-    return cheapest_first([*found, with_cost(prepared, fine_stage(problem, mixed))])
+    return cheapest_first([*found, with_cost(prepared, fine_stage(problem, parts))])
 
 
 def refine(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:

@@ -55,25 +55,16 @@ class Candidate:
         That it started from; None for a rigid start.
     coarse : tuple of Placement
         What the coarse stage made of it, cheapest first.
-    held : tuple of Placement
-        The same with the tips of the limbs pinned.
     """
 
     rough: Placement
     limbs: Assignment | None
     coarse: tuple[Placement, ...] = ()
-    held: tuple[Placement, ...] = ()
 
     @property
     def cost(self) -> float:
         """Cost of the cheapest placement, times the doubt: a factor above 1 for unlikely rotations."""
         return self.rough.doubt * self.coarse[0].cost
-
-    def joined_with(self, other: Candidate) -> Candidate:
-        """The same with the placements of another one, which lies alike."""
-        return replace(
-            self, coarse=tuple(cheapest_first([*self.coarse, *other.coarse])), held=(*self.held, *other.held)
-        )
 
 
 def least_cost(prepared: PreparedPair) -> float:
@@ -134,9 +125,10 @@ def cheapest_rank(candidates: Sequence[Candidate]) -> float:
 
 
 def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate]) -> list[Candidate]:
-    """Coarse placements of each rough one: from where it is, and from what spectral upsampling makes of that.
+    """Coarse placements of each rough one, which are different ways to lie on the source, cheapest first.
 
-    Where limbs are assigned, further ones hold their tips and start by ZoomOut from these, soft and stiff.
+    Assigned limbs start by ZoomOut from their tips and hold them, soft and stiff; rigid starts from where the rough
+    placement is, and from what spectral upsampling makes of that.
     """
     if not rough:
         return []
@@ -146,28 +138,20 @@ def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate])
 
     def improve(one: Candidate) -> Candidate:
         with thread_limit(1):
-            own = coarse_fit(problem, one.rough.on(graph, problem.prepared.elastic.graph), shape)
-            others = [coarse_fit(problem, start, shape) for start in spectral_starts(own, sides)]
-            coarse = tuple(cheapest_first([own, *others]))
             if one.limbs is None:
-                return replace(one, coarse=coarse)
+                own = coarse_fit(problem, one.rough.on(graph, problem.prepared.elastic.graph), shape)
+                others = [coarse_fit(problem, start, shape) for start in spectral_starts(own, sides)]
+                return replace(one, coarse=tuple(cheapest_first([own, *others])))
             start = start_map(problem, shape, one.limbs.vertices)
-            held = (
-                coarse_fit(problem, start, one.limbs.hold(shape)),
-                coarse_fit(stiff, start, one.limbs.hold(stiff_shape)),
-            )
-        return replace(one, coarse=coarse, held=held)
+            soft = coarse_fit(problem, start, one.limbs.hold(shape))
+            return replace(one, coarse=(soft, coarse_fit(stiff, start, one.limbs.hold(stiff_shape))))
 
     improved: list[Candidate] = []
     for one in sorted(in_threads(improve, rough), key=lambda one: one.cost):
-        distances = [
-            mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved
-        ]
+        apart = (mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved)
         # The pose of the files is finished by itself, also near an assignment, which may be wrong.
-        if min(distances, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
+        if min(apart, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
             improved.append(one)
-        elif limbs.assignments:
-            improved[int(np.argmin(distances))] = improved[int(np.argmin(distances))].joined_with(one)
     hopeful = [one for one in improved if one.cost <= HOPELESS * improved[0].cost]
     as_filed = [one for one in hopeful[MAX_FINISHED:] if one.rough.name == AS_FILED]
     return [*hopeful[:MAX_FINISHED], *as_filed[:1]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from cagemap.deform.multi_start import FEWEST_LANDMARKS, LandmarkFits, finished, refine, refine_best
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, LandmarkFits, finished, mixed, refine, refine_best
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.candidates import DIFFERENT, HOPELESS, Candidate, coarse_fits, least_cost, rough_fits
@@ -74,11 +74,10 @@ def assigned_limbs(problem: Problem, rigid: bool, progress: Progress) -> list[Pl
     candidates = coarse_fits(problem, limbs, rough)
 
     def finish(candidate: Candidate) -> Placement:
-        held, first = refine(problem, candidate.held), candidate is candidates[0]
-        if held and not first:
-            found = held[0]
+        if candidate.limbs is None:
+            found = refine_best(problem, candidate.coarse, None if candidate is candidates[0] else 1)[0]
         else:
-            found = refine_best(problem, candidate.coarse, None if first and not held else 1, held)[0]
+            found = mixed(problem, refine(problem, candidate.coarse))[0]
         return replace(found, name=candidate.rough.name, doubt=candidate.rough.doubt)
 
     return in_threads(finish, candidates)
