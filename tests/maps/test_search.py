@@ -48,7 +48,7 @@ def found(
     surface = prepared.target
     problem = Problem(prepared, pair_of(surface, surface, Landmarks(("a", "b", "c"), vertices, vertices)))
     places = prepared.rest.graph.positions
-    beside = with_cost(prepared, places + [0.05, 0.0, 0.0])
+    beside = with_cost(prepared, places + np.array([0.05, 0.0, 0.0]))
 
     def of_limbs(problem: Problem, rigid: bool, progress: object) -> list[Placement]:
         asked.append(rigid)

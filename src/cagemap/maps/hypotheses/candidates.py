@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import replace
 
 from cagemap.deform.config import Stage
 from cagemap.deform.fit import coarse_fit, with_cost
-from cagemap.deform.multi_start import cheapest_first
-from cagemap.deform.placement import Placement, distinct, mean_distance
+from cagemap.deform.multi_start import cheapest_first, refine_best
+from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.pose import common_rotation
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.prepared import CoarseShape, PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.hypotheses.limbs import Assignment, LimbStarts
@@ -43,30 +41,6 @@ HOPELESS = 2.5
 UNLIKELY = 1.5
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One way to lie on the source, not yet finished.
-
-    Attributes
-    ----------
-    rough : Placement
-        On the small graph.
-    limbs : Assignment or None
-        That it started from; None for a rigid start.
-    coarse : tuple of Placement
-        What the coarse stage made of it, cheapest first.
-    """
-
-    rough: Placement
-    limbs: Assignment | None
-    coarse: tuple[Placement, ...] = ()
-
-    @property
-    def cost(self) -> float:
-        """Cost of the cheapest placement, times the doubt: a factor above 1 for unlikely rotations."""
-        return self.rough.doubt * self.coarse[0].cost
-
-
 def least_cost(prepared: PreparedPair) -> float:
     """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
 
@@ -85,79 +59,65 @@ def rough_problem(problem: Problem) -> Problem:
     return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(problem: Problem, limbs: LimbStarts, rigid: bool = True) -> list[Candidate]:
-    """The different placements of all starts on a small graph, cheapest first.
+def rough_fits(
+    problem: Problem, limbs: LimbStarts, rigid: bool
+) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
+    """The best different placements on a small graph, cheapest first: of assigned limbs, and of rigid starts if wanted.
 
-    Limbs assigned to limbs, and the files' axes; all rigid starts where no assignment is plausible. ``rigid`` is for
-    pairs whose landmarks start fits of their own, which need no rigid ones.
+    Of rigid ones how the files stand is enough, unless no assignment is plausible.
     """
     rough = rough_problem(problem)
     shape = limbs.shape(rough)
     areas = shape.rest.graph.areas
 
-    def fitted(start: FloatArray, one: Assignment | None = None) -> Candidate:
+    def fitted(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            found = coarse_fit(rough, start, shape if one is None else one.hold(shape))
+            found = coarse_fit(rough, start, shape)
         turn = nearest_axis_rotation(common_rotation(areas, nearest_rotations(found.maps)))
-        return Candidate(replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn)), one)
+        return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn) if rigid else 1.0)
+
+    def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
+        found = in_threads(lambda start: fitted(start.positions, shape), distinct(starts, areas, ALIKE))
+        return sorted(found, key=lambda one: one.rank)
+
+    def fit_limbs(one: Assignment) -> tuple[Assignment, Placement]:
+        return one, fitted(start_map(rough, shape, one.vertices), one.hold(shape))
 
     starts = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions) if rigid else []
-
-    def fit_rigid(starts: Sequence[Placement]) -> list[Candidate]:
-        return in_threads(lambda start: fitted(start.positions), distinct(starts, areas, ALIKE))
-
-    own = fit_rigid(starts[:AS_FILED_STARTS] if limbs.assignments else starts)
-    led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
-    if led and own and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
+    led = sorted(in_threads(fit_limbs, limbs.assignments), key=lambda one: one[1].rank)
+    own = fit_rigid(starts[:AS_FILED_STARTS] if led else starts)
+    if led and own and led[0][1].rank > UNLIKELY * own[0].rank:
         led, own = [], fit_rigid(starts)
-    ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
-    as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
+    as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
-        return _apart([*_apart(ranked, areas, DIFFERENT)[:MAX_COARSE], *as_filed], areas, DIFFERENT)
-    likely = [one for one in ranked if one.limbs][:MAX_ASSIGNED]
-    hopeful = [one for one in likely if one.rough.rank <= HOPELESS * likely[0].rough.rank]
-    return _apart([*hopeful, *as_filed], areas, ALIKE)
+        return [], distinct([*distinct(own, areas, DIFFERENT)[:MAX_COARSE], *as_filed], areas, DIFFERENT)
+    most = HOPELESS * led[0][1].rank
+    likely = distinct([one for _, one in led[:MAX_ASSIGNED] if one.rank <= most], areas, ALIKE)
+    return [one for one in led if one[1] in likely], [one for one in as_filed if one.rank <= most]
 
 
-def cheapest_rank(candidates: Sequence[Candidate]) -> float:
-    """Cost times doubt of the best rough placement."""
-    return min(one.rough.rank for one in candidates)
+def rigid_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
+    """The fine stage from rough placements that end apart, the best of each.
 
-
-def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate]) -> list[Candidate]:
-    """Coarse placements of each rough one, which are different ways to lie on the source, cheapest first.
-
-    Assigned limbs start by ZoomOut from their tips and hold them, soft and stiff; rigid starts from where the rough
-    placement is, and from what spectral upsampling makes of that.
+    Coarse placements start where a rough one is, and from what spectral upsampling makes of that.
     """
     if not rough:
         return []
-    shape, stiff = limbs.shape(problem), problem.stiff
-    stiff_shape = shape.smoothed(stiff.prepared.elastic.coarse.smoothing)
-    graph, sides = shape.rest.graph, SpectralSides.build(problem, shape)
+    graph, sides = problem.shape.rest.graph, SpectralSides.build(problem)
 
-    def improve(one: Candidate) -> Candidate:
+    def improve(one: Placement) -> list[Placement]:
         with thread_limit(1):
-            if one.limbs is None:
-                own = coarse_fit(problem, one.rough.on(graph, problem.prepared.elastic.graph), shape)
-                others = [coarse_fit(problem, start, shape) for start in spectral_starts(own, sides)]
-                return replace(one, coarse=tuple(cheapest_first([own, *others])))
-            start = start_map(problem, shape, one.limbs.vertices)
-            soft = coarse_fit(problem, start, one.limbs.hold(shape))
-            return replace(one, coarse=(soft, coarse_fit(stiff, start, one.limbs.hold(stiff_shape))))
+            own = coarse_fit(problem, one.on(graph, problem.prepared.elastic.graph))
+            coarse = cheapest_first([own, *(coarse_fit(problem, start) for start in spectral_starts(own, sides))])
+        return [replace(placed, name=one.name, doubt=one.doubt) for placed in coarse]
 
-    improved: list[Candidate] = []
-    for one in sorted(in_threads(improve, rough), key=lambda one: one.cost):
-        apart = (mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved)
-        # The pose of the files is finished by itself, also near an assignment, which may be wrong.
-        if min(apart, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
-            improved.append(one)
-    hopeful = [one for one in improved if one.cost <= HOPELESS * improved[0].cost]
-    as_filed = [one for one in hopeful[MAX_FINISHED:] if one.rough.name == AS_FILED]
-    return [*hopeful[:MAX_FINISHED], *as_filed[:1]]
+    improved = sorted(in_threads(improve, rough), key=lambda coarse: coarse[0].rank)
+    apart = distinct([coarse[0] for coarse in improved], graph.areas, DIFFERENT)
+    hopeful = [coarse for coarse in improved if coarse[0] in apart and coarse[0].rank <= HOPELESS * improved[0][0].rank]
+    as_filed = [coarse for coarse in hopeful[MAX_FINISHED:] if coarse[0].name == AS_FILED]
 
+    def finish(coarse: list[Placement]) -> Placement:
+        found = refine_best(problem, coarse, None if coarse is improved[0] else 1)[0]
+        return replace(found, name=coarse[0].name, doubt=coarse[0].doubt)
 
-def _apart(ranked: Sequence[Candidate], areas: FloatArray, least: float) -> list[Candidate]:
-    """Candidates whose rough placements are at least ``least`` away from every better one."""
-    kept = distinct([one.rough for one in ranked], areas, least)
-    return [one for one in ranked if one.rough in kept]
+    return in_threads(finish, [*hopeful[:MAX_FINISHED], *as_filed[:1]])

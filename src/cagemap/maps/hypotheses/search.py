@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-from cagemap.deform.multi_start import FEWEST_LANDMARKS, LandmarkFits, finished, mixed, refine, refine_best
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, finished
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import DIFFERENT, HOPELESS, Candidate, coarse_fits, least_cost, rough_fits
+from cagemap.maps.hypotheses.candidates import DIFFERENT, HOPELESS, least_cost, rigid_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.limbs import LimbStarts
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
@@ -35,16 +34,26 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
         Places on the source of the coarse shape's vertices, instead of the spectral map of the landmarks; no others are
         tried. It alone counts where there are fewer than `FEWEST_LANDMARKS`.
     """
-    landmarks = None
-    if start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS:
+    decided = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
+    fits, found = list[AnchoredFits](), list[Placement]()
+    if decided:
         progress("first alignment")
-        landmarks = LandmarkFits.of(problem, start)
-        if landmarks.agree:
-            return list(landmarks.refined)
-    found = [] if start is not None else assigned_limbs(problem, landmarks is None, progress)
+        fits.append(AnchoredFits.of(problem, problem.shape, problem.landmark_vertices, start))
+        if fits[0].agree:
+            return list(fits[0].refined)
+    if start is None:
+        progress("possible alignments")
+        limbs = LimbStarts.of(problem)
+        assigned, rigid = rough_fits(problem, limbs, not decided)
+        progress("rough alignment")
+        shape = limbs.shape(problem)
+        fits += [AnchoredFits.of(problem, one.hold(shape), one.vertices).like(rough) for one, rough in assigned]
+        found = rigid_fits(problem, rigid)
     progress("elastic alignment")
-    if landmarks is not None:
-        found = landmarks.refined_with(problem, found)
+    if fits:
+        first, *others = sorted(fits, key=lambda one: one.refined[0].rank)
+        kept = first.upsampled(problem).refined[: None if decided else 1]
+        found += [*kept, *(one.refined[0] for one in others)]
     least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
 
     def best_first(placements: Sequence[Placement]) -> list[Placement]:
@@ -60,27 +69,9 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
             return led_by_tips(problem, tips, placed) if tried else placed
 
         ranked = best_first(in_threads(led, ranked))
-    elif landmarks is None:
+    elif not decided:
         return ranked
     return [finished(problem, ranked[0]), *ranked[1:]]
-
-
-def assigned_limbs(problem: Problem, rigid: bool, progress: Progress) -> list[Placement]:
-    """Placements that start from limbs assigned to limbs, and from rigid starts where wanted; of each way the best."""
-    progress("possible alignments")
-    limbs = LimbStarts.of(problem)
-    rough = rough_fits(problem, limbs, rigid)
-    progress("rough alignment")
-    candidates = coarse_fits(problem, limbs, rough)
-
-    def finish(candidate: Candidate) -> Placement:
-        if candidate.limbs is None:
-            found = refine_best(problem, candidate.coarse, None if candidate is candidates[0] else 1)[0]
-        else:
-            found = mixed(problem, refine(problem, candidate.coarse))[0]
-        return replace(found, name=candidate.rough.name, doubt=candidate.rough.doubt)
-
-    return in_threads(finish, candidates)
 
 
 def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
