@@ -12,7 +12,7 @@ from cagemap.deform import inverse_consistency, multi_start
 from cagemap.deform.config import PoseConfig, SearchConfig, StartConfig
 from cagemap.deform.fit import coarse_fit, fine_stage
 from cagemap.deform.graph import mesh_graph
-from cagemap.deform.multi_start import LandmarkFits, finished
+from cagemap.deform.multi_start import AnchoredFits, finished
 from cagemap.deform.placement import Placement
 from cagemap.deform.pose import edge_stiffness, fit_in_pose, largest_limb_rotation, pose_difference, rigid_pose
 from cagemap.deform.prepared import PreparedPair, RestShape
@@ -97,10 +97,11 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     at_rest = Placement(graph.positions, 1.0, graph=graph)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(multi_start, "refine", lambda problem, coarse: list(coarse))
-    monkeypatch.setattr(multi_start, "start_map", lambda problem: problem.prepared.source.finest_triangles.positions)
+    monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
     monkeypatch.setattr(multi_start, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
-    assert LandmarkFits.of(problem_of(bent)).agree == (angle < LIMB_POSED)
+    problem = problem_of(bent)
+    assert AnchoredFits.of(problem, problem.shape, problem.landmark_vertices).agree == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: RestShape) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,7 @@ import pytest
 from examples.shapes import creature
 
 from cagemap.deform.fit import with_cost
-from cagemap.deform.multi_start import cheapest_first
+from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
@@ -23,17 +21,6 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import match, pair_of, prepare_pair, prepare_surface
 
 
-@dataclass
-class Fits:
-    """Fits from landmarks that end beside the truth."""
-
-    refined: list[Placement]
-    agree: bool
-
-    def refined_with(self, problem: Problem, others: Sequence[Placement]) -> list[Placement]:
-        return cheapest_first([*self.refined, *others])
-
-
 @pytest.fixture(scope="module")
 def prepared() -> PreparedPair:
     surface = prepare_surface(creature(), 1)
@@ -43,25 +30,29 @@ def prepared() -> PreparedPair:
 def found(
     prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch, agree: bool, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[bool]]:
-    """What `search` finds where limbs lead to the truth, and for every assignment of them whether with rigid starts."""
+    """What `search` finds where limbs lead to the truth and landmarks beside it; of rough fits whether rigid starts."""
     vertices, asked = np.array([0, 40, 80]), list[bool]()
-    surface = prepared.target
-    problem = Problem(prepared, pair_of(surface, surface, Landmarks(("a", "b", "c"), vertices, vertices)))
+    problem = Problem(
+        prepared, pair_of(prepared.target, prepared.source, Landmarks(("a", "b", "c"), vertices, vertices))
+    )
     places = prepared.rest.graph.positions
     beside = with_cost(prepared, places + np.array([0.05, 0.0, 0.0]))
 
-    def of_limbs(problem: Problem, rigid: bool, progress: object) -> list[Placement]:
+    def rough_fits(problem: Problem, rigid: bool) -> tuple[list[object], list[object]]:
         asked.append(rigid)
-        return [with_cost(prepared, places)]
+        return [], []
 
-    monkeypatch.setattr(search.LandmarkFits, "of", lambda problem, start: Fits([beside], agree))
-    monkeypatch.setattr(search, "assigned_limbs", of_limbs)
+    fits = AnchoredFits(problem.shape, (), (beside,), agree)
+    monkeypatch.setattr(AnchoredFits, "of", lambda *given: fits)
+    monkeypatch.setattr(AnchoredFits, "upsampled", lambda self, problem: self)
+    monkeypatch.setattr(search, "rough_fits", rough_fits)
+    monkeypatch.setattr(search, "rigid_fits", lambda problem, rough: [with_cost(prepared, places)])
     monkeypatch.setattr(search, "led_by_tips", lambda problem, tips, placed: placed)
     monkeypatch.setattr(search, "finished", lambda problem, placed: placed)
     return search.search(problem, start=start), asked
 
 
-def test_limbs_compete_with_landmarks_whose_fits_disagree(
+def test_other_starts_compete_with_landmarks_whose_fits_disagree(
     prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     placements, asked = found(prepared, monkeypatch, agree=False)

@@ -13,7 +13,7 @@ from cagemap.deform.pose import common_rotation
 from cagemap.deform.prepared import CoarseShape, PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
-from cagemap.maps.hypotheses.limbs import Assignment, LimbStarts
+from cagemap.maps.hypotheses.limbs import Assignment, assigned_limbs
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -59,41 +59,37 @@ def rough_problem(problem: Problem) -> Problem:
     return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(
-    problem: Problem, limbs: LimbStarts, rigid: bool
-) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
+def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
     """The best different placements on a small graph, cheapest first: of assigned limbs, and of rigid starts if wanted.
 
     Of rigid ones how the files stand is enough, unless no assignment is plausible.
     """
     rough = rough_problem(problem)
-    shape = limbs.shape(rough)
-    areas = shape.rest.graph.areas
 
     def fitted(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
             found = coarse_fit(rough, start, shape)
-        turn = nearest_axis_rotation(common_rotation(areas, nearest_rotations(found.maps)))
+        turn = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(found.maps)))
         return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn) if rigid else 1.0)
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
-        found = in_threads(lambda start: fitted(start.positions, shape), distinct(starts, areas, ALIKE))
-        return sorted(found, key=lambda one: one.rank)
+        apart = distinct(starts, graph.areas, ALIKE)
+        return sorted(in_threads(lambda start: fitted(start.positions, rough.shape), apart), key=lambda one: one.rank)
 
     def fit_limbs(one: Assignment) -> tuple[Assignment, Placement]:
-        return one, fitted(start_map(rough, shape, one.vertices), one.hold(shape))
+        shape = one.shape(rough)
+        return one, fitted(start_map(rough, shape, one.vertices), shape)
 
-    starts = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions) if rigid else []
-    led = sorted(in_threads(fit_limbs, limbs.assignments), key=lambda one: one[1].rank)
+    graph, most = rough.shape.rest.graph, problem.prepared.elastic.search.max_cost
+    starts = rigid_starts(graph.positions, problem.prepared.source_surface.positions) if rigid else []
+    led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[:MAX_ASSIGNED]
     own = fit_rigid(starts[:AS_FILED_STARTS] if led else starts)
     if led and own and led[0][1].rank > UNLIKELY * own[0].rank:
         led, own = [], fit_rigid(starts)
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
-        return [], distinct([*distinct(own, areas, DIFFERENT)[:MAX_COARSE], *as_filed], areas, DIFFERENT)
-    most = HOPELESS * led[0][1].rank
-    likely = distinct([one for _, one in led[:MAX_ASSIGNED] if one.rank <= most], areas, ALIKE)
-    return [one for one in led if one[1] in likely], [one for one in as_filed if one.rank <= most]
+        return [], distinct([*distinct(own, graph.areas, DIFFERENT)[:MAX_COARSE], *as_filed], graph.areas, DIFFERENT)
+    return [one for one in led if one[1].rank <= most * led[0][1].rank], as_filed
 
 
 def rigid_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, finished
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import DIFFERENT, HOPELESS, least_cost, rigid_fits, rough_fits
+from cagemap.maps.hypotheses.candidates import DIFFERENT, least_cost, rigid_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.limbs import LimbStarts
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
@@ -43,11 +42,9 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
             return list(fits[0].refined)
     if start is None:
         progress("possible alignments")
-        limbs = LimbStarts.of(problem)
-        assigned, rigid = rough_fits(problem, limbs, not decided)
+        assigned, rigid = rough_fits(problem, not decided)
         progress("rough alignment")
-        shape = limbs.shape(problem)
-        fits += [AnchoredFits.of(problem, one.hold(shape), one.vertices).like(rough) for one, rough in assigned]
+        fits += [AnchoredFits.of(problem, one.shape(problem), one.vertices).like(rough) for one, rough in assigned]
         found = rigid_fits(problem, rigid)
     progress("elastic alignment")
     if fits:
@@ -62,11 +59,11 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
     ranked = best_first(found)
     cheapest = min(placed.cost for placed in ranked)
     if cheapest > OF_ONE_KIND:
-        tips, answers = Tips.of(problem), distinct(ranked, areas, DIFFERENT)
+        tips, most = Tips.of(problem), problem.prepared.elastic.search.max_cost * cheapest
+        tried = [placed for placed in distinct(ranked, areas, DIFFERENT) if placed.cost <= most]
 
         def led(placed: Placement) -> Placement:
-            tried = placed in answers and placed.cost <= HOPELESS * cheapest
-            return led_by_tips(problem, tips, placed) if tried else placed
+            return led_by_tips(problem, tips, placed) if placed in tried else placed
 
         ranked = best_first(in_threads(led, ranked))
     elif not decided:
