@@ -62,7 +62,7 @@ def rough_problem(problem: Problem) -> Problem:
 def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
     """The best different placements on a small graph, cheapest first: of assigned limbs, and of rigid starts if wanted.
 
-    Of rigid ones how the files stand is enough, unless no assignment is plausible.
+    Of rigid ones how the files stand is enough, unless no assignment is plausible, and only where it lies otherwise.
     """
     rough = rough_problem(problem)
 
@@ -89,7 +89,12 @@ def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Pl
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
         return [], distinct([*distinct(own, graph.areas, DIFFERENT)[:MAX_COARSE], *as_filed], graph.areas, DIFFERENT)
-    return [one for one in led if one[1].rank <= most * led[0][1].rank], as_filed
+    rest, config = problem.prepared.rest.graph, problem.prepared.elastic.graph
+    spread = [replace(one, positions=one.on(rest, config)) for one in [*(one for _, one in led), *as_filed]]
+    kept = distinct([one for one in spread if one.rank <= most * spread[0].rank], rest.areas, ALIKE)
+    return [one for one, there in zip(led, spread, strict=False) if there in kept], as_filed if spread[
+        -1
+    ] in kept else []
 
 
 def rigid_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:

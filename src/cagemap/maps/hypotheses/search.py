@@ -49,8 +49,8 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
     progress("elastic alignment")
     if fits:
         first, *others = sorted(fits, key=lambda one: one.refined[0].rank)
-        kept = first.upsampled(problem).refined[: None if decided else 1]
-        found += [*kept, *(one.refined[0] for one in others)]
+        best = first if first.agree else first.upsampled(problem)
+        found += [*best.refined[: None if decided else 1], *(one.refined[0] for one in others)]
     least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
 
     def best_first(placements: Sequence[Placement]) -> list[Placement]:
