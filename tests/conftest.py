@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import os
 import sys
@@ -21,11 +22,17 @@ if TYPE_CHECKING:
 
 # Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+gc.set_threshold(50_000)  # looking for cycles as often as usual takes a tenth of the processor time
 # Tests and the processes that they start load the same modules again and again: 6 of 10 s of collection is compiling.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_collection_finish() -> None:
+    """No cycles are looked for among what all tests share."""
+    gc.freeze()
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from cagemap.paper.constraints import SpectralData
 from cagemap.paper.descriptors import landmark_descriptors, normalise_columns
 from cagemap.pipeline import MatchConfig, pair_of, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.spectral.samples import Samples, fit_functional_map
+from cagemap.spectral.zoomout import Samples, fit_functional_map
 
 KEYS = ("female1605__male1591", "anny10pc__anny5pc")
 FUNCTIONS = 150

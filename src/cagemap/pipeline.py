@@ -17,8 +17,8 @@ from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic import elastic_map, updated_map
 from cagemap.maps.hypotheses.confidence import at_finest
-from cagemap.maps.hypotheses.jumps import Jumps
 from cagemap.maps.hypotheses.method import hypothesis_map
+from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
@@ -241,9 +241,10 @@ def match_pair(
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
-                confidence = turned_limbs(ends, point_map, prepared)
+                confidence = turned_limbs(ends, prepared)
                 if MIRRORED_NOTE in check.notes:
-                    confidence = mirrored_readings(prepared, pair, point_map, progress)
+                    mirrored, check = mirrored_readings(prepared, pair, ends[0], check, progress)
+                    confidence = mirrored or confidence
             else:
                 point_map = elastic_map(Problem(prepared, pair), progress)[0]
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)
@@ -438,8 +439,7 @@ def _judged(
     progress("quality")
     with _timed(timings, "quality"):
         quality = judge(target, point_map, points, trusted.names, masks)
-        jumps = Jumps.of(prepared, point_map).warnings(prepared)
-        quality = replace(quality, warnings=(*jumps, *quality.warnings))
+        quality = replace(quality, warnings=(*jump_warnings(prepared, point_map), *quality.warnings))
     check = check.with_folds(quality.flipped_area, len(landmarks))
     return MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
 

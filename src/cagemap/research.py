@@ -8,10 +8,9 @@ the ``start`` of `paper_map` and `hfm_map` take each of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,11 +37,9 @@ from cagemap.numerics.tensors import tensors
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.hfm import HfmConfig
-from cagemap.paper.hfm import hfm_map as _hfm_map
+from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.levels import basis_sizes, recover_points, search_full, search_level
-from cagemap.paper.method import PaperConfig
-from cagemap.paper.method import paper_map as _paper_map
+from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.pipeline import judge as _judge
@@ -87,26 +84,6 @@ __all__ = [
 SIDES = ("target", "source")
 # As many functions as a match reads, and operators of every level.
 EVERY_LEVEL = replace(MAP_BASIS, vertices=None)
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def _starts_anywhere(method: Callable[P, R]) -> Callable[P, R]:
-    """The method with a ``start`` that may be a `PointMap` too."""
-
-    @wraps(method)
-    def started(*args: P.args, **kwargs: P.kwargs) -> R:
-        pair, start = args[0] if args else kwargs.get("pair"), kwargs.get("start")
-        if isinstance(start, PointMap) and isinstance(pair, Pair):
-            kwargs["start"] = functional_map_from(pair, start)
-        return method(*args, **kwargs)
-
-    return started
-
-
-paper_map = _starts_anywhere(_paper_map)
-hfm_map = _starts_anywhere(_hfm_map)
 
 
 def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str = "mesh") -> Surface:

@@ -68,7 +68,7 @@ def test_a_set_of_faces_does_not_leak_and_a_vertex_group_is_refined() -> None:
         face_mask(refinement, np.ones(8))
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 @given(width=st.floats(0.0, 1.0), face=st.integers(0, 5))
 def test_a_soft_edge_lies_inside_and_rises_no_faster_than_its_width(width: float, face: int) -> None:
     surface = _surface(cube(), 3)
@@ -295,12 +295,18 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
 
 
-def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path) -> None:
+@pytest.fixture(scope="module")
+def whole(scene: Path) -> Path:
+    """The same pair matched without masks."""
     _run_match(scene, "WHOLE")
+    return scene / "WHOLE"
+
+
+def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: Path) -> None:
     alphas = []
     for result, masks in (
         ("RESULT", {}),
-        ("WHOLE", {"target_mask": "front", "source_mask": "not:hind"}),
+        (whole.name, {"target_mask": "front", "source_mask": "not:hind"}),
         ("RESULT", {"target_mask": "front", "source_mask": "not:hind", "mask_edge": 0.0}),
     ):
         request = TransferRequest(scene / result, scene / "further.png", texture=scene / "texture.png", **masks)
@@ -325,13 +331,13 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path) -> None:
         _run_transfer(scene, "painted.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
 
 
-def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path) -> None:
+def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path, whole: Path) -> None:
     with Stages() as stages:
-        part, _ = run_wrap(WrapRequest((scene / "WHOLE",), scene / "part.obj", target_mask="front"), stages)
-        every, _ = run_wrap(WrapRequest((scene / "WHOLE",), scene / "all.obj"), stages)
+        part, _ = run_wrap(WrapRequest((whole,), scene / "part.obj", target_mask="front"), stages)
+        every, _ = run_wrap(WrapRequest((whole,), scene / "all.obj"), stages)
     assert "has no counterpart and follows its surroundings" in part
     assert "has no counterpart" not in every
-    write_map(scene / "map.npz", read_result(scene / "WHOLE").point_map)
+    write_map(scene / "map.npz", read_result(whole).point_map)
     asked = MapRequest(
         scene / "map.npz", scene / "target.obj", scene / "source.obj", scene / "MAP", 2, target_mask="front"
     )

@@ -259,7 +259,7 @@ def _match(folder: Path, name: str, **options: object) -> tuple[str, list[str]]:
         folder / "source.obj",
         folder / "landmarks.json",
         folder / name,
-        level=2,
+        level=1,
         k=30,
         **options,
     )

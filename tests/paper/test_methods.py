@@ -30,8 +30,7 @@ from cagemap.paper.hfm import both_directions, fit_displacement
 from cagemap.paper.method import orthonormal
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.spectral.samples import Samples
-from cagemap.spectral.zoomout import ZoomOutSchedule
+from cagemap.spectral.zoomout import Samples, ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
 
 from judged_pairs import Judged
@@ -226,5 +225,5 @@ def test_wrong_parameters_are_refused():
         HfmConfig(zoomout=ZoomOutSchedule(first=2))
     with pytest.raises(ParameterError, match="normal_weight: expected a number of at least 0"):
         HfmConfig(normal_weight=-1.0)
-    with pytest.raises(ParameterError, match="start: expected a finite functional map"):
+    with pytest.raises(ParameterError, match="map: expected a PointMap, a functional map"):
         paper_map(creature_pair(), start=np.arange(3))

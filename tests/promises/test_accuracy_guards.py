@@ -114,6 +114,7 @@ def programs_of(page: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
+@pytest.mark.slow
 def test_examples_in_the_docs_run(example_files: Landmarks, tmp_path: Path, one_start: None) -> None:
     """README.md from files to a baked texture, then the steps of docs/api.md on its surfaces; coarse and small.
 

@@ -17,7 +17,7 @@ from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, read_material_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import face_areas
+from cagemap.mesh.faces import face_areas
 
 from command_line import Run
 from example_character import ball, bare_body, character, write_character
@@ -25,7 +25,7 @@ from example_character import ball, bare_body, character, write_character
 
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:
-    return bare_body(2)
+    return bare_body(1)
 
 
 @pytest.fixture

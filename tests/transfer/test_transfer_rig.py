@@ -21,7 +21,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.maps import dense_map, read_images, source_level, write_map
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -12,8 +12,8 @@ from cagemap.character.values import Rig
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Bones that end at the tip of a part, and the bones before them, which say where the tip lies.

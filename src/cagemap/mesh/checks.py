@@ -7,17 +7,16 @@ of a face, so that the file's unit does not matter. Vertices at the same place a
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, face_extents, keep_faces, signed_volume
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import face_areas, face_extents, signed_volume
-from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, problem_at
+from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, listed, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -65,23 +64,46 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     broken = structure_problems(mesh)
     if broken:
         return replace(blank, problems=broken)
-    degenerate = degenerate_faces(mesh)
-    duplicates = duplicate_faces(mesh)
+    degenerate, duplicates = degenerate_faces(mesh), duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
-    parts = _connectivity(keep_faces(mesh, kept) if len(duplicates) else mesh)
-    problems = [_degenerate_problem(degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
+    single = keep_faces(mesh, kept) if len(duplicates) else mesh
+    edges = edge_table(single)
+    fans, turned = corner_fans(single, edges), turned_faces(single, edges)
+    loops = boundary_loops(single, edges, fans)
+    unused = np.flatnonzero(~used_vertices(mesh))
+    problems = [
+        problem_at(
+            "degenerate faces",
+            f"expected at least three different vertices around every face, got {len(degenerate)} face(s) with fewer "
+            "or with one repeated, faces",
+            degenerate,
+            "Dissolve the zero-length edges or delete these faces; connectivity is checked after that.",
+        ),
+        problem_at(
+            "duplicate faces",
+            f"expected every face once, got {len(duplicates)} face(s) with the same vertices as an earlier one, faces",
+            duplicates,
+            "Delete these copies.",
+        ),
+        problem_at(
+            "isolated vertices",
+            f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
+            unused,
+            "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
+        ),
+    ]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(parts.mesh, parts.edges, kept),
-            _vertex_manifold_problem(parts),
-            _orientation_problem(parts, kept),
+            _edge_manifold_problem(single, edges, kept),
+            _vertex_manifold_problem(single, fans),
+            _orientation_problem(turned, kept),
         ]
     problems += [_components_problem(mesh, face_components(mesh)), _extent_problem(mesh)]
     if problems[-1] is None and not isinstance(mesh.scheme, Plain):  # slivers of a scan are points of its surface
         problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
-    if parts.loops is not None and not any(problems):
-        problems.append(inside_out_problem(mesh, parts.loops))
-    report = blank if len(degenerate) else _counts(parts, blank)
+    if loops is not None and not any(problems):
+        problems.append(inside_out_problem(mesh, loops))
+    report = blank if len(degenerate) else _counts(single, edges, loops, turned is not None, blank)
     sizes, counts = np.unique(mesh.face_sizes, return_counts=True)
     sharp = mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces
     creases, corners, holes = (0 if elements is None else len(elements) for elements in sharp)
@@ -111,32 +133,15 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        listed = "".join(f"\n  - {problem}" for problem in problems)
         one_piece = "" if SEVERAL in allowed else " of one piece"
         raise InvalidMeshError(
-            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed}"
+            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed(problems)}"
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Connectivity:
-    """A mesh with what several checks ask of its connectivity."""
-
-    mesh: ControlMesh
-    edges: EdgeTable
-    fans: IndexArray
-    turned: NDArray[np.bool_] | None
-    loops: tuple[IndexArray, ...] | None
-
-
-def _connectivity(mesh: ControlMesh) -> _Connectivity:
-    edges = edge_table(mesh)
-    fans = corner_fans(mesh, edges)
-    return _Connectivity(mesh, edges, fans, turned_faces(mesh, edges), boundary_loops(mesh, edges, fans))
-
-
-def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
-    mesh, edges, loops = parts.mesh, parts.edges, parts.loops
+def _counts(
+    mesh: ControlMesh, edges: EdgeTable, loops: tuple[IndexArray, ...] | None, two_sided: bool, blank: MeshReport
+) -> MeshReport:
     components = np.bincount(face_components(mesh))
     used = used_vertices(mesh)
     valences = np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices)[used]
@@ -144,7 +149,7 @@ def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
     islands = uv_islands(mesh)
     # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
-    is_surface = loops is not None and parts.turned is not None and not odd and handles >= 0
+    is_surface = loops is not None and two_sided and not odd and handles >= 0
     return replace(
         blank,
         n_edges=len(edges.vertices),
@@ -156,35 +161,6 @@ def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
         component_sizes=tuple(components.tolist()),
         valence_range=(int(valences.min()), int(valences.max())),
         uv_islands=None if islands is None else int(islands.max()) + 1,
-    )
-
-
-def _degenerate_problem(faces: IndexArray) -> Problem | None:
-    return problem_at(
-        "degenerate faces",
-        f"expected at least three different vertices around every face, got {len(faces)} face(s) with fewer or with "
-        "one repeated, faces",
-        faces,
-        "Dissolve the zero-length edges or delete these faces; connectivity is checked after that.",
-    )
-
-
-def _duplicates_problem(faces: IndexArray) -> Problem | None:
-    return problem_at(
-        "duplicate faces",
-        f"expected every face once, got {len(faces)} face(s) with the same vertices as an earlier one, faces",
-        faces,
-        "Delete these copies.",
-    )
-
-
-def _isolated_problem(mesh: ControlMesh) -> Problem | None:
-    unused = np.flatnonzero(~used_vertices(mesh))
-    return problem_at(
-        "isolated vertices",
-        f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
-        unused,
-        "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
     )
 
 
@@ -252,10 +228,10 @@ def _pairs(edges: EdgeTable, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int]
     return tuple((a, b) for a, b in edges.vertices[chosen].tolist())
 
 
-def _vertex_manifold_problem(parts: _Connectivity) -> Problem | None:
+def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> Problem | None:
     """Vertices of several fans. Edges of too many faces are named elsewhere and count as joined here."""
-    _, first_corners = np.unique(parts.fans, return_index=True)
-    bad = np.flatnonzero(np.bincount(parts.mesh.face_indices[first_corners]) > 1)
+    _, first_corners = np.unique(fans, return_index=True)
+    bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners]) > 1)
     return problem_at(
         "non-manifold vertices",
         f"expected the faces around every vertex to form one fan, got {len(bad)} vertex/vertices where parts of the "
@@ -265,8 +241,8 @@ def _vertex_manifold_problem(parts: _Connectivity) -> Problem | None:
     )
 
 
-def _orientation_problem(parts: _Connectivity, numbers: IndexArray) -> Problem | None:
-    if parts.turned is None:
+def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> Problem | None:
+    if turned is None:
         return Problem(
             "one-sided surface",
             "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
@@ -274,7 +250,7 @@ def _orientation_problem(parts: _Connectivity, numbers: IndexArray) -> Problem |
             (),
             "Cut the surface where its two sides are joined.",
         )
-    flipped = numbers[parts.turned]
+    flipped = numbers[turned]
     return problem_at(
         "inconsistent orientation",
         f"expected neighbouring faces to run in the same sense, got {len(flipped)} of {len(numbers)} faces turned "

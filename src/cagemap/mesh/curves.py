@@ -20,21 +20,11 @@ from cagemap.numerics.arrays import IndexArray, pair_keys
 
 @dataclass(frozen=True, eq=False)
 class CageCurves:
-    """Polylines on a control mesh.
+    """Polylines on a control mesh."""
 
-    Attributes
-    ----------
-    points : CagePoints
-        Of all curves, one curve after the other.
-    starts : (q + 1,) int64
-        Curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``.
-    closed : (q,) bool
-        Whether the last point of a curve is joined to its first.
-    """
-
-    points: CagePoints
-    starts: IndexArray
-    closed: np.ndarray
+    points: CagePoints  #: of all curves, one curve after the other
+    starts: IndexArray  #: (q + 1,) curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``
+    closed: np.ndarray  #: (q,) whether the last point of a curve is joined to its first
 
     @classmethod
     def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
@@ -86,16 +76,9 @@ def _starts(sizes: Sequence[int] | IndexArray) -> IndexArray:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Pairs of polylines that correspond as a whole.
+    """Pairs of polylines that correspond as a whole."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        One per pair, such as ``left_eyelid``.
-    target, source : CageCurves
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: one per pair, such as ``left_eyelid``
     target: CageCurves
     source: CageCurves
 

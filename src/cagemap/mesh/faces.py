@@ -1,4 +1,4 @@
-"""Faces of a control mesh: keep some of them, rearrange their corners, and find those that are no proper faces."""
+"""Faces of a control mesh: triangles, areas, some of them alone, and those that are no proper faces."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
 def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
@@ -82,3 +83,36 @@ def duplicate_faces(mesh: ControlMesh) -> IndexArray:
         same = np.all(corners[order][1:] == corners[order][:-1], axis=1)
         copies.append(faces[order][1:][same])
     return np.sort(np.concatenate(copies))
+
+
+def cage_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
+    """Triangles (t, 3) of all faces, see `fan_triangles`, and the face (t,) of each."""
+    return fan_triangles(mesh.face_offsets, mesh.face_indices)
+
+
+def face_areas(mesh: ControlMesh) -> FloatArray:
+    """(m,) area of every face as the sum over its fan; in squared file units. A folded face counts both sides."""
+    triangles, faces = cage_triangles(mesh)
+    a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
+    areas = 0.5 * row_lengths(np.cross(b - a, c - a))  # without a kernel: cages are small, and are checked first
+    return np.bincount(faces, areas, minlength=mesh.n_faces).astype(np.float64)
+
+
+def face_centres(mesh: ControlMesh) -> FloatArray:
+    """(m, 3) mean of the corners of every face; in file units."""
+    sums = np.add.reduceat(mesh.positions[mesh.face_indices], mesh.face_offsets[:-1])
+    return np.asarray(sums / mesh.face_sizes[:, None])
+
+
+def face_extents(mesh: ControlMesh) -> FloatArray:
+    """(m,) longest side of every face's axis-aligned box; in file units."""
+    corners = mesh.positions[mesh.face_indices]
+    starts = mesh.face_offsets[:-1]
+    return np.max(np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts), axis=1)
+
+
+def signed_volume(mesh: ControlMesh) -> float:
+    """Volume enclosed by a closed mesh, positive where its faces run counter-clockwise seen from outside."""
+    triangles, _ = cage_triangles(mesh)
+    a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -26,23 +26,12 @@ SAME_PLANE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """A mirror plane that a control mesh has, exactly or nearly.
+    """A mirror plane that a control mesh has, exactly or nearly."""
 
-    Attributes
-    ----------
-    image : (n,) array
-        The vertex nearest to every vertex's mirror image.
-    normal : (3,) array
-        Unit vector; the plane is ``normal @ x == offset``.
-    offset : float
-    exact : bool
-        Whether the image is a permutation that sends faces to faces and creases to creases as sharp.
-    """
-
-    image: IndexArray
-    normal: FloatArray
+    image: IndexArray  #: (n,) the vertex nearest to every vertex's mirror image
+    normal: FloatArray  #: (3,) unit vector; the plane is ``normal @ x == offset``
     offset: float
-    exact: bool
+    exact: bool  #: whether the image is a permutation that sends faces to faces and creases to creases as sharp
 
     def reflect(self, points: FloatArray) -> FloatArray:
         """Mirror images of points, (q, 3)."""

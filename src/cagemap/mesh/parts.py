@@ -14,8 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -23,21 +22,13 @@ LARGEST = "largest"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some faces of a mesh.
+    """Some faces of a mesh."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    name : str
-        As in the file; a component has the name of its object, group or material, where all its faces have the same
-        and no other component has it, else its number.
-    faces : (k,) int64
-    """
-
-    kind: str
+    kind: str  #: one of `KINDS`
+    #: as in the file; a component has the name of its object, group or material, where all its faces have the same and
+    #: no other component has it, else its number
     name: str
-    faces: IndexArray
+    faces: IndexArray  #: (k,)
 
     @property
     def title(self) -> str:

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces, with_corners_of
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, keep_faces, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import face_areas
 from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Plain
-from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import (
     EdgeTable,
     boundary_loops,
@@ -40,52 +39,23 @@ MAX_FIN_ROUNDS = 20
 
 @dataclass(frozen=True, repr=False)
 class Repairs(Brief):
-    """What was done to a mesh before it was matched as it is; zero where nothing was.
+    """What was done to a mesh before it was matched as it is; zero where nothing was."""
 
-    Attributes
-    ----------
-    joined_vertices : int
-        Vertices at the very place of another, on borders (files that repeat vertices face by face) or on edges of
-        length zero, which became one with it.
-    split_faces : int
-        Faces of other sizes than the rest, split into triangles with all others.
-    dropped_faces : int
-        Faces that visit a vertex twice, copies of other faces, and holes of the file.
-    fins : int
-        Faces taken out at edges of more than two faces.
-    cut_vertices : int
-        Vertices where parts only touched, in an edge or a point, each with a copy for every part.
-    turned_faces : int
-        Faces turned round to agree with the others; all of them where the mesh looked inwards.
-    pieces : int
-        Smaller pieces set aside: nothing is matched or transferred there.
-    pieces_share : float
-        Their share of the area.
-    pieces_vertices : int
-        Their vertices.
-    pieces_weld : float
-        Tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 where none does.
-    loose_vertices : int
-        Vertices of no face, set aside.
-    slivers : int
-        Faces without area, which stay.
-    openings : int
-        Boundary loops, which stay open.
-    """
-
+    #: vertices at the very place of another, on borders (files that repeat vertices face by face) or on edges of length
+    #: zero, which became one with it
     joined_vertices: int = 0
-    split_faces: int = 0
-    dropped_faces: int = 0
-    fins: int = 0
-    cut_vertices: int = 0
-    turned_faces: int = 0
-    pieces: int = 0
-    pieces_share: float = 0.0
-    pieces_vertices: int = 0
-    pieces_weld: float = 0.0
-    loose_vertices: int = 0
-    slivers: int = 0
-    openings: int = 0
+    split_faces: int = 0  #: faces of other sizes than the rest, split into triangles with all others
+    dropped_faces: int = 0  #: faces that visit a vertex twice, copies of other faces, and holes of the file
+    fins: int = 0  #: faces taken out at edges of more than two faces
+    cut_vertices: int = 0  #: vertices where parts only touched, in an edge or a point, each with a copy for every part
+    turned_faces: int = 0  #: faces turned round to agree with the others; all of them where the mesh looked inwards
+    pieces: int = 0  #: smaller pieces set aside: nothing is matched or transferred there
+    pieces_share: float = 0.0  #: their share of the area
+    pieces_vertices: int = 0  #: their vertices
+    pieces_weld: float = 0.0  #: tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 where none does
+    loose_vertices: int = 0  #: vertices of no face, set aside
+    slivers: int = 0  #: faces without area, which stay
+    openings: int = 0  #: boundary loops, which stay open
 
     def sentences(self) -> tuple[str, ...]:
         """What a user is to know."""
@@ -137,10 +107,6 @@ class PlainMesh:
         """What was done, in sentences that name the mesh."""
         return tuple(f"{self.mesh.name}: {sentence}" for sentence in self.repairs.sentences())
 
-    def renumber(self, vertices: IndexArray) -> IndexArray:
-        """Vertices of the mesh given in the numbers of this one, -1 where they are set aside."""
-        return self.vertex_of[vertices]
-
 
 @arrays_accepted
 def plain_mesh(mesh: MeshLike) -> PlainMesh:
@@ -154,10 +120,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     InvalidMeshError
         If its arrays are no mesh, it is one-sided, or has no area.
     """
-    broken = structure_problems(mesh)
-    if broken:
-        listed = "".join(f"\n  - {problem}" for problem in broken)
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{listed}")
+    require_structure(mesh)
     work = replace(
         mesh,
         scheme=Plain(),
@@ -173,7 +136,9 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
     if len(joined):
         work = replace(work, face_indices=representative[work.face_indices])
-    work, holes = _without_holes(work)
+    holes = np.zeros(0, dtype=np.int64) if mesh.hole_faces is None else mesh.hole_faces
+    work = keep_faces(work, np.delete(np.arange(mesh.n_faces), holes)) if len(holes) else work
+    work = replace(work, hole_faces=None)
     work, split = _of_one_face_size(work)
     work, dropped = _without_bad_faces(work)
     work, fins, cut = _manifold(work)
@@ -184,7 +149,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
         aside,
         joined_vertices=len(joined),
         split_faces=split,
-        dropped_faces=dropped + holes,
+        dropped_faces=dropped + len(holes),
         fins=fins,
         cut_vertices=cut,
         turned_faces=work.n_faces - turned if inwards else turned,
@@ -212,14 +177,6 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
 
 def _file_numbers(in_file: IndexArray | None, numbers: IndexArray) -> IndexArray:
     return numbers if in_file is None else in_file[numbers]
-
-
-def _without_holes(mesh: ControlMesh) -> tuple[ControlMesh, int]:
-    """Drop the faces that the file says are holes; also their number."""
-    if mesh.hole_faces is None or not len(mesh.hole_faces):
-        return replace(mesh, hole_faces=None), 0
-    kept = np.delete(np.arange(mesh.n_faces), mesh.hole_faces)
-    return replace(keep_faces(mesh, kept), hole_faces=None), len(mesh.hole_faces)
 
 
 def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:

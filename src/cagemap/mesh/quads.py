@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import adjacent_corners, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
@@ -44,9 +43,7 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     >>> join_quads(square)[0].face_sizes
     array([4])
     """
-    broken = structure_problems(mesh)
-    if broken:
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {broken[0]}")
+    require_structure(mesh)
     following = mesh.next_corners
     quads = _candidates(mesh, following)
     first, second = mesh.corner_faces[quads[:, 0]], mesh.corner_faces[quads[:, 2]]

@@ -94,7 +94,6 @@ def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[flo
     return float(centre), float(end)
 
 
-@dataclass(frozen=True)
 class CatmullClark(SubdivisionOptions):
     """Catmull-Clark subdivision of polygon meshes [CC78]_."""
 
@@ -172,7 +171,6 @@ class CatmullClark(SubdivisionOptions):
         return centre, neighbours, opposites
 
 
-@dataclass(frozen=True)
 class Loop(SubdivisionOptions):
     """Loop subdivision of triangle meshes [Loop87]_, with Loop's own cosine weight (OpenSubdiv's; not 3/(8n))."""
 
@@ -218,7 +216,6 @@ class Loop(SubdivisionOptions):
         return centre, neighbours, np.zeros(0)
 
 
-@dataclass(frozen=True)
 class Bilinear(SubdivisionOptions):
     """No smoothing: vertices stay, edges get midpoints, faces centroids; what USD calls ``bilinear``.
 
@@ -226,7 +223,6 @@ class Bilinear(SubdivisionOptions):
     """
 
 
-@dataclass(frozen=True)
 class Plain(Bilinear):
     """A mesh as it is, such as a scan: its faces are the surface, and it is never refined; USD's ``none``."""
 

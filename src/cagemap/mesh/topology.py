@@ -10,8 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import IndexArray, components
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,19 +18,11 @@ class EdgeTable:
     """Edges of a mesh and how face corners refer to them.
 
     Corner c stands for the half-edge from its own vertex to that of the next corner of its face.
-
-    Attributes
-    ----------
-    vertices : (e, 2) int64
-        End points, the lower number first; sorted.
-    corner_edges : (c,) int64
-        Edge of every corner's half-edge.
-    face_counts : (e,) int64
-        Number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold.
     """
 
-    vertices: IndexArray
-    corner_edges: IndexArray
+    vertices: IndexArray  #: (e, 2) end points, the lower number first; sorted
+    corner_edges: IndexArray  #: (c,) edge of every corner's half-edge
+    #: (e,) number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold
     face_counts: IndexArray
 
     def boundary_corners(self) -> IndexArray:

@@ -12,10 +12,9 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.parts import extract, renumbered_copies
-from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import edge_table, face_components, used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, pair_keys
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.
@@ -84,8 +83,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     >>> weld_mesh(two).mesh.face_indices
     array([0, 1, 2, 0, 2, 1])
     """
-    if structure_problems(mesh):
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {structure_problems(mesh)[0]}")
+    require_structure(mesh)
     if tolerance is not None and not 0.0 <= tolerance <= 0.1:
         raise ParameterError(
             f"{mesh.name}: expected a weld tolerance from 0 to 0.1 of the bounding-box diagonal, got {tolerance}"

@@ -41,26 +41,16 @@ _MAX_RSLAB_THREADS = 4
 
 @dataclass(frozen=True, eq=False)
 class Factorization:
-    """A factored matrix A.
-
-    Attributes
-    ----------
-    shape : (int, int)
-    negative_eigenvalues : int or None
-        Number of negative eigenvalues of A (Sylvester's law of inertia); None where SuperLU cannot tell: pivots off
-        the diagonal, lost digits or single precision.
-    library : str
-        "rslab" or "superlu".
-    dtype : numpy dtype
-        Precision of the factors, float64 or float32.
-    """
+    """A factored matrix A."""
 
     shape: tuple[int, int]
+    #: number of negative eigenvalues of A (Sylvester's law of inertia); None where SuperLU cannot tell: pivots off the
+    #: diagonal, lost digits or single precision
     negative_eigenvalues: int | None
-    library: str
+    library: str  #: "rslab" or "superlu"
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _symbolic: Any = field(default=None, repr=False)
-    dtype: Precision = np.float64
+    dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
         """Solve A X = B for B (n,) or (n, q), in the precision of the factors.

@@ -23,21 +23,11 @@ _MOST_FILTERS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Filters:
-    """Parameters of the filters rho_t, chosen once for both surfaces and all levels.
+    """Parameters of the filters rho_t, chosen once for both surfaces and all levels."""
 
-    Attributes
-    ----------
-    times : (h,) array
-        Of the heat kernels.
-    energies : (w,) array
-        Of the wave kernels, log eigenvalues.
-    width : float
-        Of the wave kernels, in log eigenvalue.
-    """
-
-    times: FloatArray
-    energies: FloatArray
-    width: float
+    times: FloatArray  #: (h,) of the heat kernels
+    energies: FloatArray  #: (w,) of the wave kernels, log eigenvalues
+    width: float  #: of the wave kernels, in log eigenvalue
 
     def at(self, eigenvalues: FloatArray) -> FloatArray:
         """rho_t of every eigenvalue, (k, h + w); row by row, so that a leading part of the spectrum has the same."""

@@ -58,14 +58,10 @@ def landmark_coordinates(
 def interpolants(
     stiffness: sparse.csr_array, mass: sparse.csr_array, vertices: IndexArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Harmonic and biharmonic interpolants of values (q, c) at some vertices (q,).
+    """Harmonic and biharmonic interpolants (n, c) of values (q, c) at some vertices (q,).
 
     ``W h = 0`` and ``W D^{-1} W b = 0`` at all other vertices, D being the row sums of M. With G = W^+ (W^+ D W^+ for
     the second kind), the solution is ``G[:, vertices] c + const`` where c sums to zero and the values fit.
-
-    Returns
-    -------
-    harmonic, biharmonic : (n, c) float64
     """
     n, q = stiffness.shape[0], len(vertices)
     areas = lumped_areas(mass)

@@ -20,7 +20,7 @@ from cagemap.spectral.bands import hierarchical_basis
 from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
 from cagemap.spectral.surface import Surface, operators_for
 from cagemap.subdivision import default_scheme
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangles import load_kernels
 
 Progress = Callable[[str], None]
@@ -64,13 +64,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 
 @kinds_checked
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
-    """The basis of a method: functions of one level; for "paper" a schedule.
-
-    Parameters
-    ----------
-    method : str
-    level : int
-        Number of the surface's finest level; the schedule has no more levels.
+    """The basis of a method: functions of one level; for "paper" a schedule of no more levels than the surface has.
 
     Raises
     ------
@@ -92,7 +86,7 @@ def prepare_surface(
     *,
     progress: Progress = silent,
 ) -> Surface:
-    """Refine a control mesh and compute its operators and its hierarchical basis (paper, sections 2.2 and 4).
+    """Refine a control mesh and compute its operators and its basis (paper, sections 2.2 and 4).
 
     It is subdivided as the mesh says (``control.scheme``); else by Loop where all faces are triangles, by Catmull-Clark
     where they are not.
@@ -160,7 +154,6 @@ def prepare_surfaces(
     levels : (int, int)
         Finest level of each.
     config : BasisConfig or two
-        Of both, or of each.
     prepare : callable
         What makes one surface from a control mesh, a level and a configuration.
     progress : callable

@@ -8,12 +8,12 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
 from cagemap.operators.coarse_levels import coarsened
-from cagemap.operators.polygons import named_laplacian
+from cagemap.operators.laplacian import named_laplacian
 from cagemap.spectral.bands import hierarchical_basis
 from cagemap.spectral.basis import HierarchicalBasis
 from cagemap.spectral.config import MAP_BASIS, BasisConfig
@@ -37,9 +37,7 @@ def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
 class Surface:
     """One surface with what follows from it: its levels, their operators, basis and triangles.
 
-    They are made when they are first asked for, and kept: a surface serves every pair that it is part of.
-    `cagemap.prepare_surface` makes operators and basis at once; those of a result that was read are made if a new
-    match, or the functional map, needs them.
+    They are made when they are first asked for, and kept. `cagemap.prepare_surface` makes operators and basis at once.
 
     Attributes
     ----------
@@ -148,12 +146,7 @@ class Surface:
         return replace(self, refinement=refine(control, self.refinement.n_levels, self.refinement.scheme))
 
     def require_operators(self, level: int, method: str) -> None:
-        """Refuse a surface whose operators end below a level whose operators a method needs.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """ParameterError if the operators end below a level whose operators a method needs."""
         if self.operators.finest < level:
             raise ParameterError(
                 f"{self.control.name}: the method {method} needs operators up to level {level}, got a basis whose "

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles, signed_volume
+from cagemap.mesh.faces import cage_triangles, signed_volume
 from cagemap.mesh.parts import list_parts
 from cagemap.mesh.topology import EdgeTable, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray

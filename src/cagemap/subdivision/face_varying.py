@@ -14,9 +14,8 @@ import numpy as np
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.sharpness import Sharpness
-from cagemap.subdivision.state import MeshState, control_state, next_state
+from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
+from cagemap.subdivision.sharpness import MeshState, Sharpness, control_state, next_state
 from cagemap.subdivision.topology import (
     BoolArray,
     Topology,
@@ -147,25 +146,11 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
 def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
     """UVs (p, 2) of the next level: a linear step, or in any mode but ``all`` the surface's step on the layout."""
     if is_linear(scheme):
-        return _refine_linearly(layout.topology, uvs, with_face_points=not isinstance(scheme, Loop))
+        linear: FloatArray = linear_matrix(layout.topology.table, not isinstance(scheme, Loop)) @ uvs
+        return linear
     if state.sharpness is not None:
         around = layout_sharpness(layout, state)
         fixed = layout.topology.boundary & (around.vertices >= INFINITE_SHARPNESS)
         layout = replace(layout, corner=fixed, sharpness=around)
     refined: FloatArray = subdivision_matrix(layout, scheme) @ uvs
     return refined
-
-
-def _refine_linearly(topology: Topology, uvs: FloatArray, *, with_face_points: bool) -> FloatArray:
-    """Values, midpoints of edges and, but for Loop, means of faces (OpenSubdiv's ``FVAR_LINEAR_ALL``)."""
-    table, forward = topology.table, topology.edge_corners[:, 0]
-    midpoints = 0.5 * (uvs[table.vertices[forward]] + uvs[table.vertices[table.following[forward]]])
-    if not with_face_points:
-        return np.concatenate([uvs, midpoints])
-    if table.has_only(4):
-        a, b, c, d = (uvs[table.vertices[k::4]] for k in range(4))
-        return np.concatenate([uvs, midpoints, 0.25 * ((a + c) + (b + d))])
-    starts = np.flatnonzero(np.diff(table.faces, prepend=-1))
-    sizes = np.diff(starts, append=table.n_corners)
-    centroids = np.add.reduceat(uvs[table.vertices], starts, axis=0) / sizes[:, None]
-    return np.concatenate([uvs, midpoints, centroids])

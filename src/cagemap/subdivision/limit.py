@@ -14,13 +14,11 @@ from scipy.sparse import csr_array, diags_array, eye_array
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, Loop
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.subdivision.limit_rings import Entries, SmoothScheme, matrix_of, ring_limits, ring_tangents
 from cagemap.subdivision.matrices import rings_of, subdivision_matrix
 from cagemap.subdivision.refinement import Refinement, state_of
-from cagemap.subdivision.sharpness import Sharpness, edge_ends
-from cagemap.subdivision.state import MeshState, next_state
+from cagemap.subdivision.sharpness import MeshState, Sharpness, edge_ends, next_state
 from cagemap.subdivision.topology import BoolArray, Topology, corner_neighbours, table_of, topology_of_table
 
 

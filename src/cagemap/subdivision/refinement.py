@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
@@ -11,15 +11,16 @@ from scipy.sparse import csr_array, eye_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
+from cagemap.mesh.topology import edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.state import MeshState, control_state, next_state
+from cagemap.subdivision.sharpness import MeshState, control_state, next_state
 from cagemap.subdivision.topology import BoolArray, CornerTable, children, control_topology
 from cagemap.surface.triangles import triangles as triangles
 
@@ -29,23 +30,13 @@ ENTRIES_PER_CORNER = 25
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Level:
-    """One level's mesh.
+    """One level's mesh."""
 
-    Attributes
-    ----------
-    positions : (n, 3) float64
-        Vertices, in the control mesh's length unit; refined positions, not limit positions.
-    faces : (m, 4) or (m, 3) int64, or None
-        None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``.
-    face_parents : (m,) int64
-        Control face that every face comes from.
-    lay : callable or None
-        Returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`.
-    """
-
-    positions: FloatArray
+    positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
+    #: (m, 4) or (m, 3) None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``
     faces: IndexArray | None
-    face_parents: IndexArray
+    face_parents: IndexArray  #: (m,) control face that every face comes from
+    #: returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`
     lay: Callable[[], Layout] | None = None
 
     @kept
@@ -246,14 +237,7 @@ def with_options(
     uv_interpolation: str | None = None,
     creasing: str | None = None,
 ) -> ControlMesh:
-    """The same mesh with other subdivision options; None leaves those of its file.
-
-    Parameters
-    ----------
-    scheme : {"catmull-clark", "loop", "bilinear", "none"}, optional
-        "none" is the mesh as it is.
-    boundary, uv_interpolation, creasing : str, optional
-        See `SubdivisionOptions`.
+    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file.
 
     Raises
     ------
@@ -385,3 +369,28 @@ def level_triangles(refinement: Refinement, level: int) -> IndexArray:
     """(t, 3) triangles of a level: quads split by `triangles`, n-gons of the control mesh into fans."""
     faces = refinement.levels[level].faces
     return cage_triangles(refinement.control)[0] if faces is None else triangles(faces)
+
+
+def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:
+    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`.
+
+    A step adds a vertex per edge and, but for Loop, per face; it splits every edge and adds one per corner.
+
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> from cagemap import ControlMesh
+    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
+    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
+    >>> list(islice(vertex_counts(tetrahedron), 4))
+    [4, 10, 34, 130]
+    """
+    loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
+    vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
+    edges = len(edge_table(control).vertices)
+    while True:
+        yield vertices
+        vertices += edges + (0 if loop else faces)
+        edges = 2 * edges + corners
+        faces = 4 * faces if loop else corners
+        corners = (3 if loop else 4) * faces

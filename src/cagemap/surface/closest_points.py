@@ -27,25 +27,15 @@ _MAX_RUN_EXTENT = 6.0
 
 @dataclass(frozen=True, eq=False)
 class TriangleTree:
-    """Triangles of a surface, ordered for closest-point search.
+    """Triangles of a surface, ordered for closest-point search."""
 
-    Attributes
-    ----------
-    boxes : (nodes, 12) float64
-        Lower and upper bounds of positions, then of normals. Padding nodes are empty (lower > upper position).
-    order : (t,) int64
-        Triangle of the mesh at every position of the tree; ``places`` is the inverse.
-    corners : (t, 3, 3) float64
-        Corner positions in tree order.
-    normals : (t, 3) float64
-        Unit normals in tree order, zero for degenerate triangles.
-    """
-
+    #: (nodes, 12) lower and upper bounds of positions, then of normals. Padding nodes are empty (lower > upper
+    #: position).
     boxes: FloatArray
-    order: IndexArray
+    order: IndexArray  #: (t,) triangle of the mesh at every position of the tree; ``places`` is the inverse
     places: IndexArray
-    corners: FloatArray
-    normals: FloatArray
+    corners: FloatArray  #: (t, 3, 3) corner positions in tree order
+    normals: FloatArray  #: (t, 3) unit normals in tree order, zero for degenerate triangles
 
     def normals_of(self, triangles: IndexArray) -> FloatArray:
         """(m, 3) unit normals of some triangles (m,) of the mesh."""

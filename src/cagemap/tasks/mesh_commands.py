@@ -25,7 +25,7 @@ from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.weld import weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest
 from cagemap.tasks.welding import weld_asked
 

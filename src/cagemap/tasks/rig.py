@@ -1,4 +1,4 @@
-"""`cagemap transfer`: what rides on a cage (skinning weights, joints, blend shapes), and the map itself."""
+"""`cagemap transfer`: skinning weights, joints and blend shapes, and the map itself."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import FileRows, file_rows, given_back, other_rows
+from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -170,7 +170,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
     rest = result.target.control if own is None else own.whole
     inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     with all_or_nothing():
-        files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
+        files = write_shapes(request.output, to_file(carried, own), rest, inputs, force=request.force)
         text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
         if request.usd is not None:
             shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})

@@ -32,10 +32,10 @@ from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.mesh.measures import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.report import CarriedShape, Passenger, Pose, Rides, Weights, check_page_path, write_report
+from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
 from cagemap.tasks.progress import Outcome, Stages
@@ -253,7 +253,7 @@ def _write_report(
     weights = None
     if of.weights is not None and body.weights is not None:
         weights = Weights(of.weights[rows[1]].toarray(), body.weights[rows[0]].toarray())
-    rides = Rides(
+    shown = CarriedData(
         weights=weights,
         shapes=tuple(
             CarriedShape(name, offsets[rows[1]], body.shapes[name][rows[0]]) for name, offsets in of.shapes.items()
@@ -266,7 +266,7 @@ def _write_report(
     )
     colors = next((one for (_, slot), one in baked.items() if slot == "baseColorTexture"), None)
     pictures = (None, None) if colors is None else (colors.given.pixels, colors.image.pixels)
-    write_report(path, result, texture=pictures[0], baked=pictures[1], rides=rides, force=force)
+    write_report(path, result, texture=pictures[0], baked=pictures[1], carried=shown, force=force)
 
 
 def _poses(

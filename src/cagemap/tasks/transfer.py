@@ -1,4 +1,4 @@
-"""`cagemap transfer`: something of the source, carried to the target."""
+"""`cagemap transfer`: images, values, rigs or shapes of the source, carried to the target."""
 
 from __future__ import annotations
 

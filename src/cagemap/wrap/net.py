@@ -1,4 +1,4 @@
-"""The control net that is fitted: one level of the target as a mesh, its rest shape, and what may go wrong with it."""
+"""The control net that is fitted: one level of the target, its rest shape and its checks."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
 from cagemap.files.text import whole_characters
-from cagemap.mesh.measures import face_areas
+from cagemap.mesh.faces import face_areas
 from cagemap.mesh.mesh_report import first_few
 
 

@@ -1,4 +1,4 @@
-"""What rides on a cage, in files: skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets)."""
+"""Skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets) in files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cagemap.files.usd.primvars import BLEND_SHAPE
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.values.attributes import read_attributes
-from cagemap.files.values.part_numbering import FileRows, taken
+from cagemap.files.values.part_numbering import FileRows, to_part
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray
@@ -134,7 +134,7 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
     if file.suffix.lower() == ".npz":
         return _read_offsets(file, rest, rows)
     if file.suffix.lower() in GLTF_SUFFIXES:
-        return {name: _checked_offsets(file, name, a, rest) for name, a in taken(gltf_shapes(file), rows).items()}
+        return {name: _checked_offsets(file, name, a, rest) for name, a in to_part(gltf_shapes(file), rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}
     own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
@@ -161,7 +161,7 @@ def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray
 
 
 def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
-    arrays = taken(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
+    arrays = to_part(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
     return {name: _checked_offsets(file, name, array, rest) for name, array in arrays.items()}
 
 

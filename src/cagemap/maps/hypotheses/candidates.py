@@ -23,8 +23,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_name,
 )
 from cagemap.maps.masks import WHOLE
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.

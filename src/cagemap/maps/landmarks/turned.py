@@ -8,8 +8,7 @@ import numpy as np
 
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
-from cagemap.maps.hypotheses.confidence import AS_GIVEN, LOOK, TURNED, Confidence, MapShape, Reading
-from cagemap.maps.point_map import PointMap
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, LOOK, TURNED, Confidence, Reading, cost_signs
 
 # An end that costs up to this many times the best one is as good as it; measured ones of turned limbs cost 1.06 to 1.7.
 AS_GOOD = 1.15
@@ -18,14 +17,13 @@ AS_GOOD = 1.15
 TURNED_BY, TURNED_SHARE = 0.05, 0.025
 
 
-def turned_limbs(ends: Sequence[Placement], found: PointMap, prepared: PreparedPair) -> Confidence | None:
+def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Two answers that meet the same landmarks, and where they differ most; None where only one is good.
 
     Parameters
     ----------
     ends : sequence of Placement
         Cheapest first; the first became the map.
-    found : PointMap
     prepared : PreparedPair
     """
     best, target = ends[0], prepared.target
@@ -34,8 +32,6 @@ def turned_limbs(ends: Sequence[Placement], found: PointMap, prepared: PreparedP
         share = prepared.rest.graph.areas[apart >= TURNED_BY].sum()
         if other.cost <= AS_GOOD * best.cost and share >= TURNED_SHARE:
             readings = (Reading(AS_GIVEN, best.cost, best.answer), Reading(TURNED, other.cost, other.positions))
-            gap = other.cost / max(best.cost, 1e-12)
             farthest = apart[: target.control.n_vertices].argmax()
-            deciding = int(prepared.vertices[farthest])
-            return Confidence(LOOK, 1e4 * best.cost, gap, readings, deciding, MapShape.of(found))
+            return Confidence(LOOK, readings, cost_signs(readings), int(prepared.vertices[farthest]))
     return None

@@ -1,4 +1,4 @@
-"""How fields of requests are said as options, and the options that several requests share."""
+"""Annotations that make fields of requests options, and options that several requests share."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Lay out whole parts that a map folds: they and the source around their image become discs, matched one-to-one.
+"""Flatten whole parts that a map folds: target and source around them become discs, matched one-to-one.
 
-A part that the source lacks or has much smaller (a fin, a tail) collapses onto it, one of its sides upside down, which
-no relaxation of its neighbourhood mends. But the part of the target whose image lies in a ball around the fold is a
-disc, and so is the source in that ball. The source's disc is laid flat, its rim on a circle; in this plane every vertex
-of the target's becomes a convex combination of its neighbours while its rim stays, which is one-to-one (Tutte 1963;
-Floater 2003). Around vertices that the map does not fold the combinations are those that it has already, their mean
-value coordinates, so that it stays there as it is.
+A part that the source lacks or has much smaller (a fin, a tail) collapses onto it with one side upside down; relaxation
+does not remove such folds. But the part of the target whose image lies in a ball around the fold is a disc, and so is
+the source in that ball. The source's disc is flattened with its rim on a circle. In this plane every vertex of the
+target's disc becomes a convex combination of its neighbours while its rim stays, which is one-to-one (Tutte 1963;
+Floater 2003). Around vertices that are not folded the weights are mean value coordinates, so that the map stays there.
 """
 
 from __future__ import annotations
@@ -19,18 +18,7 @@ from scipy.sparse import csgraph
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.maps.projection.constants import (
-    APART,
-    GROWTHS,
-    LARGEST,
-    LEAST_SHARE,
-    LEAST_UNFOLDED,
-    MARGIN,
-    MOST_FOLDED,
-    MOST_THROWN,
-    STEPS,
-    THROWN,
-)
+from cagemap.maps.projection.config import FlattenConfig
 from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -69,13 +57,17 @@ class Disc:
         return inside
 
 
-def lay_out_parts(
-    images: SurfacePoints, flipped: BoolArray, target: TriangleSurface, held: IndexArray
+def flatten_folded_parts(
+    images: SurfacePoints,
+    flipped: BoolArray,
+    target: TriangleSurface,
+    held: IndexArray,
+    config: FlattenConfig = FlattenConfig(),
 ) -> SurfacePoints:
-    """Unfold the parts that fold over most, each within a disc, where that leaves less than half of the fold.
+    """Unfold the parts with the largest folds, each within a disc, where that removes at least half of the fold.
 
-    A limb beyond a ring of folds is a tiny place of the disc, where small changes throw it about: what moves much more
-    of the surface than is folded stays as it was.
+    A limb beyond a ring of folds is a tiny place of the disc, where small changes move it far: a result that displaces
+    much more area than is folded is discarded.
 
     Parameters
     ----------
@@ -87,46 +79,53 @@ def lay_out_parts(
     held : (p,) int64
         Target vertices that may not move (landmarks).
     """
-    for part in folded_parts(target, flipped):
-        for growth in GROWTHS:
-            found = _laid_out(images, part, growth, target, held)
+    for part in folded_parts(target, flipped, config):
+        for growth in config.growths:
+            found = _flattened(images, part, growth, target, held, config)
             if found is None:
                 continue
             chosen, new = found
             still = flipped_triangles(new, target.triangles[chosen])
             areas = target.areas[chosen]
             folded = areas @ flipped[chosen]
-            far = row_lengths(new.positions - images.positions) > THROWN
-            thrown = target.vertex_areas[far].sum() > MOST_THROWN * folded
-            if areas @ still < (1.0 - LEAST_UNFOLDED) * folded and not thrown:
+            far = row_lengths(new.positions - images.positions) > config.max_move
+            moved_too_far = target.vertex_areas[far].sum() > config.max_displaced * folded
+            if areas @ still < (1.0 - config.min_unfolded) * folded and not moved_too_far:
                 images, flipped = new, flipped.copy()
                 flipped[chosen] = still
                 break
     return images
 
 
-def folded_parts(target: TriangleSurface, flipped: BoolArray) -> list[IndexArray]:
-    """Vertices of flipped triangles (t,), by part, the largest first; none if more than `MOST_FOLDED` is folded.
+def folded_parts(
+    target: TriangleSurface, flipped: BoolArray, config: FlattenConfig = FlattenConfig()
+) -> list[IndexArray]:
+    """Vertices of flipped triangles (t,), by part, the largest first; none if more than ``max_folded`` is folded.
 
     Parameters
     ----------
     target : TriangleSurface
     flipped : (t,) bool
-        Pieces of them less than `APART` apart are one part.
+        Pieces closer than ``part_distance`` are one part.
     """
     triangles, areas = target.triangles, target.areas[flipped]
-    if not LEAST_SHARE <= areas.sum() <= MOST_FOLDED:
+    if not config.min_part <= areas.sum() <= config.max_folded:
         return []
     n = target.n
-    part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * APART * np.sqrt(n))), n))
+    part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * config.part_distance * np.sqrt(n))), n))
     share = np.bincount(part[triangles[flipped, 0]], areas)
     vertices = np.unique(triangles[flipped])
-    large = np.flatnonzero(share >= LEAST_SHARE)
+    large = np.flatnonzero(share >= config.min_part)
     return [vertices[part[vertices] == k] for k in large[np.argsort(-share[large])]]
 
 
-def _laid_out(
-    images: SurfacePoints, part: IndexArray, growth: float, target: TriangleSurface, held: IndexArray
+def _flattened(
+    images: SurfacePoints,
+    part: IndexArray,
+    growth: float,
+    target: TriangleSurface,
+    held: IndexArray,
+    config: FlattenConfig,
 ) -> tuple[IndexArray, SurfacePoints] | None:
     """The target triangles of the disc around a part, and new images; None where either surface has no disc there."""
     centre = images.positions[part].mean(axis=0)
@@ -134,14 +133,14 @@ def _laid_out(
     radius = growth * away[part].max()
     ball = away < radius
     ball[part] = True
-    disc = _disc_in(ball, target.triangles, part, touched_triangles)
+    disc = _disc_in(ball, target.triangles, part, touched_triangles, config.max_disc)
     if disc is None:
         return None
     now, source = images.at(disc.vertices), images.surface
     needed = now.corners.ravel()
     distance = row_lengths(source.positions - centre)
-    around_it = distance <= max(MARGIN * radius, distance[needed].max())
-    below = _disc_in(around_it, source.triangles, needed[:1], _whole_triangles)
+    around_it = distance <= max(config.margin * radius, distance[needed].max())
+    below = _disc_in(around_it, source.triangles, needed[:1], _whole_triangles, config.max_disc)
     if below is None:
         return None
     number = np.full(len(source.triangles), -1)
@@ -156,7 +155,8 @@ def _laid_out(
     except SolverError:  # points of the map coincide to rounding
         return None
     fixed = disc.inside & np.isin(disc.vertices, held)
-    moved = moved_to(after, disc.rim, np.flatnonzero(fixed), before[fixed]) if fixed.any() else after
+    chosen = np.flatnonzero(fixed)
+    moved = moved_to(after, disc.rim, chosen, before[fixed], config.landmark_steps) if len(chosen) else after
     if moved is None:
         return None
     free = disc.inside & ~fixed
@@ -166,7 +166,7 @@ def _laid_out(
 
 
 def flat_disc(disc: Disc) -> FloatArray:
-    """(n, 2) places of a disc in the unit circle: its rim evenly on it, others in the middle of their neighbours."""
+    """(n, 2) places of a disc in the unit circle: its rim evenly on it, others at the mean of their neighbours."""
     angles = 2.0 * np.pi * np.arange(len(disc.rim)) / len(disc.rim)
     plane = np.zeros((len(disc.vertices), 2))
     plane[disc.rim] = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -174,7 +174,7 @@ def flat_disc(disc: Disc) -> FloatArray:
 
 
 def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
-    """(v, n) convex combinations of their neighbours for the v vertices inside a disc laid flat, perhaps folded.
+    """(v, n) convex combinations of their neighbours for the v vertices inside a flat disc, perhaps folded.
 
     Mean value coordinates (Floater 2003), which reproduce a vertex's place, where the disc is not folded around it and
     from there to the rim; equal weights elsewhere.
@@ -224,15 +224,17 @@ def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -
     return result
 
 
-def moved_to(places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: FloatArray) -> FloatArray | None:
+def moved_to(
+    places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: FloatArray, steps: int
+) -> FloatArray | None:
     """Places (n, 2) after some of them moved to their goals, the others with them, one-to-one; the rim stays.
 
-    The rim and the chosen points are triangulated; as they move by as much as no triangle turns over, all other points
-    move affinely with their triangle. None if they do not arrive.
+    The rim and the chosen points are triangulated. In each step they move as far as no triangle flips, and all other
+    points move affinely with their triangle. None if the goals are not reached in some ``steps``.
     """
     corners = np.concatenate([rim, chosen])
     wanted = np.concatenate([places[rim], goals])
-    for _ in range(STEPS):
+    for _ in range(steps):
         mesh = Delaunay(places[corners])
         ends, share = wanted, 1.0
         while not _upright(mesh, ends):
@@ -273,14 +275,18 @@ def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tu
 
 
 def _disc_in(
-    ball: BoolArray, triangles: IndexArray, seeds: IndexArray, choose: Callable[[IndexArray, BoolArray], BoolArray]
+    ball: BoolArray,
+    triangles: IndexArray,
+    seeds: IndexArray,
+    choose: Callable[[IndexArray, BoolArray], BoolArray],
+    max_share: float,
 ) -> Disc | None:
-    """The disc of triangles chosen by their corners in that part of a ball which hangs together with the seeds."""
+    """The disc of triangles chosen by their corners, in that part of a ball that is connected with the seeds."""
     patch = patches(triangles, ball)
     inside = ball & np.isin(patch, patch[seeds])
 
     def disc(inside: BoolArray) -> Disc | None:
-        return _disc(triangles, np.flatnonzero(choose(triangles, inside)), len(inside))
+        return _disc(triangles, np.flatnonzero(choose(triangles, inside)), max_share * len(inside))
 
     return disc(inside) or disc(_filled(triangles, inside))
 
@@ -290,8 +296,8 @@ def _whole_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
     return np.asarray(inside[triangles].all(axis=1))
 
 
-def _disc(triangles: IndexArray, chosen: IndexArray, count: int) -> Disc | None:
-    """Some triangles as a disc; None if they are not one, or have more than `LARGEST` of all vertices."""
+def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:
+    """Some triangles as a disc; None if they are not one, or have too many vertices."""
     vertices, corners = np.unique(triangles[chosen], return_inverse=True)
     corners = corners.reshape(-1, 3)
     n = len(vertices)
@@ -300,7 +306,7 @@ def _disc(triangles: IndexArray, chosen: IndexArray, count: int) -> Disc | None:
     border = sparse.coo_array((directed - directed.T).maximum(0.0))
     border.eliminate_zeros()
     euler = n - (len(edges) + border.nnz) // 2 + len(chosen)
-    if euler != 1 or border.nnz == 0 or n > LARGEST * count:
+    if euler != 1 or border.nnz == 0 or n > max_vertices:
         return None
     rim = csgraph.depth_first_order(border.tocsr(), int(border.row[0]), return_predecessors=False).astype(np.int64)
     return Disc(vertices, chosen, corners, rim) if len(rim) == border.nnz else None
