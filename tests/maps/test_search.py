@@ -46,7 +46,7 @@ def found(
     monkeypatch.setattr(AnchoredFits, "of", lambda *given: fits)
     monkeypatch.setattr(AnchoredFits, "upsampled", lambda self, problem: self)
     monkeypatch.setattr(search, "rough_fits", rough_fits)
-    monkeypatch.setattr(search, "rigid_fits", lambda problem, rough: [with_cost(prepared, places)])
+    monkeypatch.setattr(search, "released_fits", lambda problem, rough: [with_cost(prepared, places)])
     monkeypatch.setattr(search, "led_by_tips", lambda problem, tips, placed: placed)
     monkeypatch.setattr(search, "finished", lambda problem, placed: placed)
     return search.search(problem, start=start), asked

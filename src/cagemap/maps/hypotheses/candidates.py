@@ -59,9 +59,11 @@ def rough_problem(problem: Problem) -> Problem:
 
 
 def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
-    """The best different placements on a small graph, cheapest first: of assigned limbs, and of rigid starts if wanted.
+    """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
 
-    Of rigid ones how the files stand is enough, unless no assignment is plausible, and only where it lies otherwise.
+    Assignments are released too: tips of limbs of unlike length are no counterparts. Of rigid starts how the files
+    stand is enough, unless no assignment is plausible. With landmarks enough it always is: then ``rigid`` is false, and
+    rotations are not doubted.
     """
     rough = rough_problem(problem)
 
@@ -80,23 +82,20 @@ def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Pl
         return one, fitted(start_map(rough, shape, one.vertices), shape)
 
     graph, most = rough.shape.rest.graph, problem.prepared.elastic.search.max_cost
-    starts = rigid_starts(graph.positions, problem.prepared.source_surface.positions) if rigid else []
+    starts = rigid_starts(graph.positions, problem.prepared.source_surface.positions)
+    starts = starts if rigid else starts[:AS_FILED_STARTS]
     led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[:MAX_ASSIGNED]
     own = fit_rigid(starts[:AS_FILED_STARTS] if led else starts)
-    if led and own and led[0][1].rank > UNLIKELY * own[0].rank:
+    if led and led[0][1].rank > UNLIKELY * own[0].rank:
         led, own = [], fit_rigid(starts)
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
         return [], distinct([*distinct(own, graph.areas, DIFFERENT)[:MAX_COARSE], *as_filed], graph.areas, DIFFERENT)
-    rest, config = problem.prepared.rest.graph, problem.prepared.elastic.graph
-    spread = [replace(one, positions=one.on(rest, config)) for one in [*(one for _, one in led), *as_filed]]
-    kept = distinct([one for one in spread if one.rank <= most * spread[0].rank], rest.areas, ALIKE)
-    return [one for one, there in zip(led, spread, strict=False) if there in kept], as_filed if spread[
-        -1
-    ] in kept else []
+    likely = [one for one in led if one[1].rank <= most * led[0][1].rank]
+    return likely, [*(one for _, one in likely), *as_filed]
 
 
-def rigid_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
+def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
     """The fine stage from rough placements that end apart, the best of each.
 
     Coarse placements start where a rough one is, and from what spectral upsampling makes of that.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, finished
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import DIFFERENT, least_cost, rigid_fits, rough_fits
+from cagemap.maps.hypotheses.candidates import DIFFERENT, least_cost, released_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.pair import Progress, silent
@@ -42,10 +42,10 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
             return list(fits[0].refined)
     if start is None:
         progress("possible alignments")
-        assigned, rigid = rough_fits(problem, not decided)
+        assigned, released = rough_fits(problem, not decided)
         progress("rough alignment")
         fits += [AnchoredFits.of(problem, one.shape(problem), one.vertices).like(rough) for one, rough in assigned]
-        found = rigid_fits(problem, rigid)
+        found = released_fits(problem, released)
     progress("elastic alignment")
     if fits:
         first, *others = sorted(fits, key=lambda one: one.refined[0].rank)
