@@ -4,7 +4,7 @@ Needs cosmic-ray and pytest-cov (``pip install ".[bench,test]"``). Mutations are
 fast tests run once to learn which test executes which line (FILE.coverage, kept). A mutation then runs the tests that
 execute its line, those of the package's own folder first. Lines that coverage does not see (compiled kernels, what runs
 at import) run their own folder, then all fast tests. Rows are written as they come, and what is there is not done
-again. Mutations of annotations, messages and docstrings are not made. Figures: docs/lab/mutations.md.
+again. Mutations of annotations, messages, docstrings, decorators and `strict` are not made. Figures: docs/lab/tests.md.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[st
 
 
 class _Stripped(ast.NodeTransformer):
-    """A module without what no test need see: annotations, docstrings, formatted messages."""
+    """A module without what no test need see: annotations, docstrings, messages, how kernels are compiled, `strict`."""
 
     def visit_arg(self, node: ast.arg) -> ast.arg:
         node.annotation = None
@@ -121,7 +121,12 @@ class _Stripped(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        node.returns = None
+        node.returns, node.decorator_list = None, []
+        return self.generic_visit(node)
+
+    def visit_keyword(self, node: ast.keyword) -> ast.AST:
+        if node.arg == "strict":
+            node.value = ast.Constant(True)
         return self.generic_visit(node)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:

@@ -17,11 +17,11 @@ from cagemap.maps.level_map import LevelMap
 from cagemap.maps.level_pairs import ladder
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
-from cagemap.paper import HfmConfig, PaperConfig, hfm, method
+from cagemap.paper import hfm, method
 from cagemap.paper.constraints import DescriptorConfig, gather_constraints
-from cagemap.paper.hfm import hfm_map
+from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.levels import recover_points, search_full, search_level
-from cagemap.paper.method import paper_map
+from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule

@@ -16,7 +16,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match
 from cagemap.spectral import Surface
-from cagemap.spectral.prepare import choose_level, prepare_surface
+from cagemap.spectral.surface import choose_level, prepare_surface
 
 # Largest error of a right map, x100 of sqrt(area): the mean over a human, the median over an animal's named places.
 RIGHT = 5.0

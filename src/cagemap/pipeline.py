@@ -40,15 +40,14 @@ from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
-from cagemap.spectral.prepare import DEFAULT_VERTICES
-from cagemap.spectral.prepare import ENOUGH as ENOUGH
-from cagemap.spectral.prepare import METHODS as METHODS
-from cagemap.spectral.prepare import choose_level as choose_level
-from cagemap.spectral.prepare import default_basis as default_basis
-from cagemap.spectral.prepare import prepare_surface as prepare_surface
-from cagemap.spectral.prepare import prepare_surfaces as prepare_surfaces
-from cagemap.spectral.prepare import silent as silent
-from cagemap.spectral.surface import Surface
+from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
+from cagemap.spectral.surface import ENOUGH as ENOUGH
+from cagemap.spectral.surface import METHODS as METHODS
+from cagemap.spectral.surface import choose_level as choose_level
+from cagemap.spectral.surface import default_basis as default_basis
+from cagemap.spectral.surface import prepare_surface as prepare_surface
+from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
+from cagemap.spectral.surface import silent as silent
 
 logger = logging.getLogger(__name__)
 

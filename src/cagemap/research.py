@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
@@ -33,7 +34,6 @@ from cagemap.maps.quality import QualityFigures
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
-from cagemap.numerics.tensors import tensors
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
@@ -303,6 +303,46 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
     quality = _judge(pair.target, found, pair.landmarks, labels)
     return MatchResult(pair.target, pair.source, landmarks, found, quality)
+
+
+def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
+    """Tensors of torch from arrays and SciPy's sparse matrices, which become coalesced COO tensors.
+
+    Whole numbers stay whole. The other way needs nothing: functions that take arrays take tensors too.
+
+    Parameters
+    ----------
+    *values : arrays or sparse arrays
+    dtype : torch.dtype, optional
+        Of real numbers; default: theirs.
+    device : torch.device or str, optional
+
+    Returns
+    -------
+    tensor, or tuple of tensors
+
+    Raises
+    ------
+    ParameterError
+        If torch is not installed.
+    """
+    try:
+        import torch
+    except ImportError as error:
+        raise ParameterError("tensors: expected torch to be installed, found none; `pip install torch`") from error
+
+    def made(value: Any) -> Any:
+        if sparse.issparse(value):
+            entries: Any = sparse.coo_array(value)  # type: ignore[call-overload]
+            places = torch.as_tensor(np.stack(entries.coords).astype(np.int64))
+            data = torch.as_tensor(np.array(entries.data))
+            found = torch.sparse_coo_tensor(places, data, entries.shape, check_invariants=False).coalesce()
+        else:
+            found = torch.as_tensor(np.array(value))  # a copy: ours are read-only
+        return found.to(device=device, dtype=dtype if found.is_floating_point() else None)
+
+    found = tuple(made(value) for value in values)
+    return found[0] if len(found) == 1 else found
 
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:

@@ -23,7 +23,7 @@ from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
 from cagemap.jobs.detours import with_detours
 from cagemap.maps.places import cage_points_of, located
 from cagemap.mesh.landmarks import NamedPoints
-from cagemap.spectral.prepare import prepare_surface
+from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.tasks.requests.catalogue import COMMANDS
 

@@ -33,7 +33,7 @@ from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair
 from cagemap.mesh.topology import edge_table
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
-from cagemap.spectral.prepare import prepare_surfaces
+from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
 from cagemap.tasks.match_parts import PartInputs

@@ -250,14 +250,12 @@ def _run_match(folder: Path, name: str, **options: object) -> None:
         parameter=("search_vertices=500",),
         **options,
     )
-    with Stages() as stages:
-        run_match(request, stages)
+    run_match(request, Stages())
 
 
 def _run_transfer(folder: Path, output: str, **options: object) -> tuple[str, list[str]]:
     request = TransferRequest(folder / "RESULT", folder / output, **options)
-    with Stages() as stages:
-        return run_transfer(request, stages)
+    return run_transfer(request, Stages())
 
 
 def test_a_masked_match_keeps_its_masks_and_pulls_only_there(scene: Path) -> None:
@@ -310,8 +308,7 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: P
         ("RESULT", {"target_mask": "front", "source_mask": "not:hind", "mask_edge": 0.0}),
     ):
         request = TransferRequest(scene / result, scene / "further.png", texture=scene / "texture.png", **masks)
-        with Stages() as stages:
-            run_transfer(request, stages)
+        run_transfer(request, Stages())
         alphas.append(read_image(scene / "further.png").pixels[..., 3].astype(int))
     at_match, later, both = alphas
     # The maps differ where nothing pulls, so the source's soft edge lies a little elsewhere.
@@ -341,8 +338,7 @@ def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path, whole: Path) 
     asked = MapRequest(
         scene / "map.npz", scene / "target.obj", scene / "source.obj", scene / "MAP", 2, target_mask="front"
     )
-    with Stages() as stages:
-        run_map(asked, stages)
+    run_map(asked, Stages())
     found = read_result(scene / "MAP")
     assert found.masks.source is None
     assert 0.2 < np.mean(found.masks.target == 0) < 0.8
@@ -402,8 +398,7 @@ def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:
     offsets = np.load(scene / "shapes.npz")["up"]
     assert np.all(offsets[weight == 0] == 0)
     assert offsets[weight > 0.9, 1].min() > 0.2
-    with Stages() as stages:
-        run_wrap(WrapRequest((scene / "RESULT",), scene / "wrapped.obj"), stages)
+    run_wrap(WrapRequest((scene / "RESULT",), scene / "wrapped.obj"), Stages())
     wrapped = read_mesh(scene / "wrapped.obj").positions
     # The swollen half is not taken over: its cage follows the front, which is as it was.
     behind = weight == 0

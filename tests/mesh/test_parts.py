@@ -263,8 +263,7 @@ def _match(folder: Path, name: str, **options: object) -> tuple[str, list[str]]:
         k=30,
         **options,
     )
-    with Stages() as stages:
-        return run_match(request, stages)
+    return run_match(request, Stages())
 
 
 def test_a_file_of_several_pieces_says_how_to_go_on(folder: Path) -> None:

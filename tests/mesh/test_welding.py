@@ -32,7 +32,6 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.models import open_model
 from cagemap.studio.opening import default_files
 from cagemap.studio.session import Session
-from cagemap.studio.state import View
 from cagemap.tasks.requests.catalogue import all_options
 
 from command_line import Run
@@ -423,8 +422,8 @@ def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, 
 
 
 def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
-    opening = Opening(folder / "split.obj", folder / "whole.obj", None, 300)
-    _, opened = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    opening = Opening(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
+    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
     assert isinstance(opened, Opened)
     files = replace(default_files(tmp_path, opening.target, opening.source, None), landmarks=folder / "pairs.json")
     found, notes = load_landmarks(files.landmarks, None, opened.scene, files, Owned())

@@ -17,17 +17,10 @@ from cagemap.errors import ParameterError
 from cagemap.maps.level_pairs import search_levels
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.paper import (
-    HfmConfig,
-    MapWeights,
-    PaperConfig,
-    hfm,
-    hfm_map,
-    method,
-    paper_map,
-)
-from cagemap.paper.hfm import both_directions, fit_displacement
-from cagemap.paper.method import orthonormal
+from cagemap.paper import hfm, method
+from cagemap.paper.constraints import MapWeights
+from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
+from cagemap.paper.method import PaperConfig, orthonormal, paper_map
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.zoomout import Samples, ZoomOutSchedule

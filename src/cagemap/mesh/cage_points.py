@@ -150,11 +150,7 @@ def shared_names(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names that both sides have, in the target's order, and notes on those of one side only.
 
-    Parameters
-    ----------
-    target, source : sequences of str
-    what, noted : str
-        What they are names of, in the error and in the notes.
+    ``what`` they are names of in the error, and ``noted`` in the notes.
 
     Raises
     ------

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, face_extents, keep_faces, signed_volume
+from cagemap.mesh.faces import (
+    degenerate_faces,
+    duplicate_faces,
+    face_areas,
+    face_extents,
+    keep_faces,
+    signed_volume,
+    with_openings_closed,
+)
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, listed, problem_at
 from cagemap.mesh.schemes import Plain
@@ -29,7 +37,7 @@ from cagemap.mesh.topology import (
     used_vertices,
     uv_islands,
 )
-from cagemap.mesh.weld import weld_tolerance, welded_pieces
+from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
@@ -41,6 +49,8 @@ TINY_EDGE = 0.01
 # A boundary loop of few edges that encloses less than this share of its length squared is a slit; a square has 1/16.
 SLIT_AREA = 0.004
 MAX_SLIT_EDGES = 8
+# Components that are compared with each other: more cost too much.
+MAX_COMPARED = 16
 # Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
 # Of the extent; third power of rounding away from a line. Real cages are above 1e-2.
@@ -116,14 +126,9 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
-    """Raise unless the method can take the mesh.
+    """Raise unless the method can take the mesh, but for ``allowed`` kinds of problems.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-    allowed : collection of str
-        Kinds of problems that do not matter: `SEVERAL` where each component was matched for itself, `UNREFINED` where
-        the mesh is only subdivided.
+    These are `SEVERAL` where each component was matched for itself, `UNREFINED` where the mesh is only subdivided.
 
     Raises
     ------
@@ -157,7 +162,12 @@ def _counts(
         genus=handles if is_surface else None,
         boundary_edges=len(edges.boundary_corners()),
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
-        notes=_slit_notes(mesh, loops),
+        notes=tuple(
+            f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
+            "merge its vertices by distance or fill it."
+            for loop in loops or ()
+            if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)
+        ),
         component_sizes=tuple(components.tolist()),
         valence_range=(int(valences.min()), int(valences.max())),
         uv_islands=None if islands is None else int(islands.max()) + 1,
@@ -269,7 +279,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     tolerance = None if copied else weld_tolerance(mesh)
     seams = ""
     if tolerance is not None:
-        left = welded_pieces(mesh, tolerance)
+        left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
             f"`weld_mesh` {tolerance:g} leaves {left} piece{'s' * (left != 1)}. {'Or match' if left == 1 else 'Match'}"
@@ -283,29 +293,17 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     )
 
 
-def _has_copied_component(mesh: ControlMesh, labels: IndexArray, examined: int = 16) -> bool:
+def _has_copied_component(mesh: ControlMesh, labels: IndexArray) -> bool:
     """Whether two of the first few components have the same vertex positions."""
-    clouds = set()
-    for label in range(min(int(labels.max()) + 1, examined)):
+    clouds = []
+    for label in range(min(int(labels.max()) + 1, MAX_COMPARED)):
         points = mesh.positions[np.unique(mesh.face_indices[(labels == label)[mesh.corner_faces]])]
-        cloud = points[np.lexsort(points.T)].tobytes()
-        if cloud in clouds:
-            return True
-        clouds.add(cloud)
-    return False
-
-
-def _slit_notes(mesh: ControlMesh, loops: tuple[IndexArray, ...] | None) -> tuple[str, ...]:
-    """Sentences about boundary loops that look like accidents: thin slits and holes much smaller than faces."""
-    return tuple(
-        f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
-        "merge its vertices by distance or fill it."
-        for loop in loops or ()
-        if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)
-    )
+        clouds.append(points[np.lexsort(points.T)].tobytes())
+    return len(set(clouds)) < len(clouds)
 
 
 def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
+    """Whether a boundary loop looks like an accident: a thin slit, or a hole much smaller than faces."""
     with np.errstate(over="ignore", invalid="ignore"):
         points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
         following = np.roll(points, -1, axis=0)
@@ -389,23 +387,6 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
             "Flip all faces (recalculate normals to the outside).",
         )
     return None
-
-
-def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
-    """Close every boundary loop with triangles to its centroid."""
-    if not loops:
-        return mesh
-    centres = np.array([mesh.positions[loop].mean(axis=0) for loop in loops])
-    cones = [
-        np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), mesh.n_vertices + i)])
-        for i, loop in enumerate(loops)
-    ]
-    caps = np.concatenate(cones)
-    return ControlMesh(
-        np.concatenate([mesh.positions, centres]),
-        np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + 3 * np.arange(1, len(caps) + 1)]),
-        np.concatenate([mesh.face_indices, caps.ravel()]),
-    )
 
 
 def _unit_sized(mesh: ControlMesh) -> ControlMesh:

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import depth_first_order
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, repeats, shared_names
@@ -122,32 +124,24 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
     InvalidLandmarksError
         If the edges branch or fall into pieces; names the vertices.
     """
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
-    neighbours: dict[int, list[int]] = {}
-    for a, b in edges.tolist():
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    branching = sorted(vertex for vertex, others in neighbours.items() if len(others) > 2)
-    ends = sorted(vertex for vertex, others in neighbours.items() if len(others) == 1)
+    vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
+    heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
+    graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
+    degrees = np.diff(graph.indptr)
+    branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
     if branching or len(ends) > 2:
         raise InvalidLandmarksError(
             f"expected the edges of one chain or loop, got a branch at vertex {first_few(branching)}."
             if branching
             else f"expected the edges of one chain or loop, got pieces that end at vertices {first_few(ends)}."
         )
-    chain, before = [ends[0] if ends else int(edges[0, 0])], -1
-    while True:
-        onward = [vertex for vertex in neighbours[chain[-1]] if vertex != before]
-        if not onward or onward[0] == chain[0]:
-            break
-        before = chain[-1]
-        chain.append(onward[0])
-    if len(chain) != len(neighbours):
-        left = sorted(set(neighbours) - set(chain))
+    order = depth_first_order(graph, int(np.argmax(degrees == 1)), return_predecessors=False)
+    if len(order) != len(vertices):
+        left = np.delete(vertices, order).tolist()
         raise InvalidLandmarksError(
             f"expected the edges of one chain or loop, got pieces: vertices {first_few(left)} are joined to no other."
         )
-    return np.array(chain, dtype=np.int64), not ends
+    return vertices[order].astype(np.int64), not ends
 
 
 def paired_curves(

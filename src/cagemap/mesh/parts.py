@@ -180,9 +180,8 @@ def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
 
 def _own_scheme(part: ControlMesh) -> dict[str, Any]:
     """How a part is subdivided, where the objects of its file differ in it."""
-    if not part.object_schemes or part.face_objects is None:
-        return {}
-    own = {part.object_schemes[number] for number in np.unique(part.face_objects).tolist()}
+    objects = () if part.face_objects is None or not part.object_schemes else np.unique(part.face_objects).tolist()
+    own = {part.object_schemes[number] for number in objects}
     return {"scheme": own.pop(), "object_schemes": ()} if len(own) == 1 else {}
 
 
@@ -218,20 +217,8 @@ def pair_parts(
 ) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
     """Pair the pieces of two meshes: by landmarks on both, then by name, then the last of both.
 
-    Parameters
-    ----------
-    target, source : ControlMesh
-    landmarks : (p, 2) int64
-        Target and source vertex of every pair.
-    pieces : (sequence of Part, sequence of Part), optional
-        What is paired of both; their connected parts by default. Numbers are no names.
-
-    Returns
-    -------
-    pairs : tuple of PartPair
-        The larger target component first.
-    alone_target, alone_source : tuple of Part
-        Components that are left alone.
+    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` what is paired, connected parts by default. Numbers
+    are no names. Returns the pairs, the larger target piece first, and what is left alone of target and source.
     """
     of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
     mine = sorted(of_target, key=lambda part: -len(part.faces))

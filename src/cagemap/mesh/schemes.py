@@ -149,15 +149,9 @@ class CatmullClark(SubdivisionOptions):
 
         The left eigenvector of the local subdivision matrix that is a sine around the inner ring: with
         ``t = pi/valence``, inner neighbour i has weight ``(16 lambda - 4) sin(i t)`` and opposite vertex i
-        ``sin(i t) + sin((i + 1) t)``, where ``16 lambda = 5 + cos t + sqrt((cos t + 1) (cos t + 9))``.
-
-        Returns
-        -------
-        centre : float
-            Weight of the vertex.
-        neighbours : (valence + 1,) float64
-            Counter-clockwise; the first and the last are on the boundary.
-        opposites : (valence,) float64
+        ``sin(i t) + sin((i + 1) t)``, where ``16 lambda = 5 + cos t + sqrt((cos t + 1) (cos t + 9))``. Returns the
+        weights of the vertex, of its neighbours (valence + 1,), counter-clockwise, the first and the last on the
+        boundary, and of the opposite vertices (valence,).
         """
         cosine = np.cos(np.pi / valence)
         value = (5 + cosine + np.sqrt((cosine + 1) * (cosine + 9))) / 16

@@ -13,10 +13,10 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 class Skeleton:
     """Joints with a head and a tail each."""
 
-    names: tuple[str, ...]  #: a parent of '' is none
-    parents: tuple[str, ...]
+    names: tuple[str, ...]
+    parents: tuple[str, ...]  #: '' for none
     heads: FloatArray  #: (j, 3)
-    tails: FloatArray
+    tails: FloatArray  #: (j, 3)
     #: (j, 3, 3) rows are the directions of each joint's own axes, where the file has them
     axes: FloatArray | None = None
 

@@ -41,14 +41,7 @@ def edge_table(mesh: ControlMesh) -> EdgeTable:
 def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray, IndexArray]:
     """Number the edges of half-edges (c,) between vertices, ascending by (smaller, larger) vertex.
 
-    Returns
-    -------
-    first : (e,) int64
-        The first half-edge of every edge.
-    edges : (c,) int64
-        Edge of every half-edge.
-    counts : (e,) int64
-        Half-edges of every edge.
+    Returns the first half-edge of every edge (e,), the edge of every half-edge (c,), and how many each edge has (e,).
     """
     keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
     _, *numbers = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)

@@ -29,8 +29,7 @@ class SpectralData:
 
     eigenvalues: FloatArray  #: (k,) Lambda~, in the order of the basis: bands of level 0, 1, ... Unit area.
     descriptors: FloatArray  #: (k, q) F~, the same q descriptors on both surfaces, weighted
-    #: tuple of (k, k) O~ beside the Laplacian, such as self-symmetries (paper, 5.2); those of both surfaces in the same
-    #: order
+    #: (k, k) each: O~ beside the Laplacian, such as self-symmetries (paper, 5.2); both surfaces' in the same order
     operators: tuple[FloatArray, ...] = ()
 
     def __repr__(self) -> str:
@@ -54,7 +53,7 @@ class MapWeights:
 
     laplacian: float = 0.001  #: alpha(Lambda~), for eigenvalues counted in their mean spacing (see `SPACING`)
     operators: float = 1.0  #: alpha(O) of every other operator
-    #: Weight of ||C||^2. Rows of C that no descriptor speaks about then vanish, and so have no say in a nearest
+    #: weight of ||C||^2. Rows of C that no descriptor speaks about then vanish, and so have no say in a nearest
     #: neighbour, where eq. 13 leaves noise. 0 is eq. 13 as printed.
     decay: float = 3.0
 
@@ -129,9 +128,9 @@ class Constraints:
 class DescriptorConfig(Brief):
     """Which descriptors are asked for; the defaults are the measured ones."""
 
-    heat: int = 10  #: Filters of each kind, for landmarks and signatures alike
-    wave: int = 20
-    signature_weight: float = 3.0  #: Norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out
+    heat: int = 10  #: filters of this kind, for landmarks and signatures alike
+    wave: int = 20  #: the same
+    signature_weight: float = 3.0  #: norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -79,19 +79,10 @@ def wave_filters(eigenvalues: FloatArray, energies: FloatArray, width: float) ->
 
 
 def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
-    """Coefficients of the landmark descriptors rho_t(Lambda~) Phi~(v, :)^T (paper, Definition 3).
+    """Coefficients (k, p q) of the landmark descriptors rho_t(Lambda~) Phi~(v, :)^T (paper, Definition 3).
 
-    Parameters
-    ----------
-    rows : (p, k) array
-        Basis rows Phi~(v, :) of the p landmarks.
-    filters : (k, q) array
-        rho_t of every eigenvalue, one column a parameter t.
-
-    Returns
-    -------
-    (k, p q) array
-        Column i q + j belongs to landmark i and filter j.
+    ``rows`` (p, k) are Phi~(v, :), ``filters`` (k, q) rho_t of every eigenvalue; column i q + j is landmark i's with
+    filter j.
     """
     k = rows.shape[1]
     if filters.shape[0] != k:

@@ -23,20 +23,10 @@ MOST_ITERATIONS = 5000
 def solve_functional_map(
     constraints: Constraints, weights: MapWeights, *, known: FloatArray | None = None
 ) -> FloatArray:
-    """Minimise ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
+    """C12 (k1, k2) of least ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 
-    Parameters
-    ----------
-    constraints : Constraints
-    weights : MapWeights
-    known : (a, b) array, optional
-        Leading block C_l that stays as it is (eq. 14); the three blocks beside it are found together. Operators without
-        entries between low and high functions let them fall apart into eq. 16 and its companion.
-
-    Returns
-    -------
-    (k1, k2) array
-        C12, takes source coefficients to target coefficients.
+    A ``known`` leading block C_l (a, b) stays as it is (eq. 14); the three blocks beside it are found together.
+    Operators without entries between low and high functions let them fall apart into eq. 16 and its companion.
 
     Raises
     ------

@@ -52,13 +52,13 @@ class HfmConfig(Brief):
     """Parameters of `hfm`; the defaults are the measured ones."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()  #: Of eq. 13.
-    zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: Eq. 13 is solved for the first number of functions.
-    position_weight: float = 10.0  #: Of displaced positions and their normals beside the basis functions, per sqrt(k)
-    normal_weight: float = 1.0
-    displacement_share: float = 0.5  #: Functions of the displacement, as a share of those of C
+    weights: MapWeights = MapWeights()  #: of eq. 13
+    zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: eq. 13 is solved for the first number of functions
+    position_weight: float = 10.0  #: of displaced positions beside the basis functions, per sqrt(k)
+    normal_weight: float = 1.0  #: of the normals there, per sqrt(k)
+    displacement_share: float = 0.5  #: functions of the displacement, as a share of those of C
     search_vertices: int = 2000  #: ZoomOut runs on each side's coarsest level with at least this many vertices
-    source_search_vertices: int = 0  #: The same of the source alone; 0: as the target's
+    source_search_vertices: int = 0  #: the same of the source alone; 0: as the target's
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -93,16 +93,7 @@ def hfm_map(
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of the search levels and of all finer ones, and the point map T12 of the finest ones.
 
-    Parameters
-    ----------
-    pair : Pair
-    config : HfmConfig
-    progress : callable
-    constraints : Constraints, optional
-        One's own, instead of `gather_constraints`.
-    start : map, optional
-        A functional map of the first functions from elsewhere, instead of the solution of eq. 13, a source vertex for
-        every target vertex of a level, or a point map.
+    The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions.
 
     Raises
     ------

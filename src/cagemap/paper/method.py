@@ -28,7 +28,7 @@ class PaperConfig(Brief):
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
-    rounds: int = 1  #: Alternations of P and orthonormal C on every level (2.1.4); 0 takes C as eqs. 13-16 give it.
+    rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: C of eqs. 13-16
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -19,7 +19,7 @@ from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
 
 # Target vertices of a block: some 40 candidates of 150 functions each take 25 MB.
-BLOCK = 1024
+TARGET_BLOCK = 1024
 # Weight of S_1^l from which a coarse vertex counts as a parent of a refined one, relative to the row's largest.
 PARENT_SHARE = 0.5
 # A triangle whose squared area is below this share of its squared sides has no inside.
@@ -54,7 +54,7 @@ def blocks(surface: Surface, level: int) -> list[IndexArray]:
     if mesh.faces is not None:
         control_face[mesh.faces] = mesh.face_parents[:, None]
     order = np.argsort(control_face, kind="stable")
-    return [order[part] for part in parts(len(order), BLOCK)]
+    return [order[part] for part in parts(len(order), TARGET_BLOCK)]
 
 
 def strongest_parents(subdivision: sparse.csr_array) -> sparse.csr_array:

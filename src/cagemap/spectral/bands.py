@@ -40,7 +40,13 @@ def hierarchical_basis(
     """
     counts = config.bands(refinement, operators.finest)
     if config.schedule is None:
-        counts = (*counts[:-1], _count_on(operators.mass[len(counts) - 1].shape[0], config))
+        size = operators.mass[len(counts) - 1].shape[0]
+        if config.count > size and config.count != BasisConfig.count:
+            raise ParameterError(
+                f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count};"
+                " refine further or ask for fewer"
+            )
+        counts = (*counts[:-1], min(config.count, size))
     else:
         _check_schedule(operators, counts)
     while not counts[-1]:
@@ -114,21 +120,9 @@ def new_directions(
 
     A repeated eigenvalue may be cut by the end of a band: its eigenvectors are rotated so that each is in the refined
     span as far as possible or out of it. ``present`` directions are there already: those with the largest overlap.
-
-    Parameters
-    ----------
-    values : (m,) array
-        Ascending eigenvalues of a window of M-orthonormal eigenvectors.
-    overlap, gram : (k, m), (k, k) arrays
-        Inner products of the refined basis with the window and with itself.
-    present : int
-
-    Returns
-    -------
-    rotation : (m, m - present) array
-        Window vectors times this are the new directions, in ascending order.
-    positions : (m - present,) array
-        Place of each in the window.
+    Given are the window's eigenvalues (m,), ascending, of M-orthonormal vectors, and inner products of the refined
+    basis with the window (k, m) and with itself (k, k). Returned are the new directions in the window (m, m - present),
+    and the place of each.
     """
     m = len(values)
     # In an orthonormal basis of the refined span a squared column norm is the share of a vector inside that span.
@@ -153,16 +147,6 @@ def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
     band = np.array(vectors, dtype=np.float64)
     factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)
-
-
-def _count_on(size: int, config: BasisConfig) -> int:
-    """The functions asked for; of a surface with fewer vertices than the default count, as many as it has."""
-    if config.count > size and config.count != BasisConfig.count:
-        raise ParameterError(
-            f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count}; "
-            "refine further or ask for fewer"
-        )
-    return min(config.count, size)
 
 
 def _check_schedule(operators: Operators, counts: tuple[int, ...]) -> None:

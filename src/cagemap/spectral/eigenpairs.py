@@ -26,10 +26,10 @@ _log = logging.getLogger(__name__)
 class EigenPairs:
     """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
-    values: FloatArray  #: (m,) Ascending. Unit 1 / length^2 (unit area: none).
+    values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
     #: (n, m) M-orthonormal; in single precision where the accuracy that they were computed with left no more
     vectors: NDArray[Any]
-    first_index: int  #: True index of the first pair in the level's whole spectrum, counted from 0
+    first_index: int  #: true index of the first pair in the level's whole spectrum, counted from 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", read_only(self.values))
@@ -59,19 +59,11 @@ def band_pairs(
     *,
     accuracy: float = 1e-9,
 ) -> EigenPairs:
-    """Eigenpairs first..last-1 of the spectrum, complete whatever their multiplicity.
+    """Eigenpairs first..last-1 of the spectrum of W (n, n) and M, complete whatever their multiplicity.
 
     Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W - sigma M
     says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was missed.
-
-    Parameters
-    ----------
-    stiffness, mass : (n, n) CSR arrays
-        W positive semi-definite, M positive definite.
-    first, last : int
-        Range of indices, 0 <= first < last <= n.
-    accuracy : float
-        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+    ``accuracy`` of the iteration is relative to each eigenvalue of the inverted operator.
 
     Raises
     ------

@@ -66,11 +66,12 @@ def shift_invert_lanczos(
     loose: tuple[int, int] = (0, 0),
     dtype: Precision = np.float64,
 ) -> tuple[FloatArray, Block]:
-    """Eigenpairs of W x = lambda M x on both sides of a shift, from the factors of W - shift M.
+    """Eigenvalues (below + above,), ascending, on both sides of a shift, and their M-orthonormal eigenvectors.
 
     Parameters
     ----------
     shifted : Factorization
+        Of W - shift M.
     mass : (n, n) CSR array
     shift : float
     below, above : int
@@ -83,11 +84,6 @@ def shift_invert_lanczos(
         How many of the outermost pairs below and above need no more than a residual of `SolverConfig.loose`.
     dtype : numpy.float64 or numpy.float32
         How the Krylov space is stored and what is orthogonalised in; solves are always in double.
-
-    Returns
-    -------
-    eigenvalues : (below + above,) array, ascending
-    vectors : (n, below + above) array of that type, M-orthonormal
 
     Raises
     ------

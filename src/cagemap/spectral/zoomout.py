@@ -21,7 +21,7 @@ Embedding = NDArray[np.float32]
 # Samples that a functional map is fitted to: some twenty rows for each of 300 unknowns of a column of C.
 FIT_SAMPLES = 6000
 # Queries of one block of `nearest_rows`: its distances take 4 bytes times the number of points each.
-BLOCK = 512
+QUERY_BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
         scores -= half_norms
         nearest[part] = np.argmax(scores, axis=1)
 
-    in_threads(one_block, parts(len(queries), BLOCK))
+    in_threads(one_block, parts(len(queries), QUERY_BLOCK))
     return nearest
 
 

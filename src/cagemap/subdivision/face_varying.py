@@ -68,7 +68,10 @@ def _fixed_values(
     follows = None
     if mode in _DEPENDENT:
         n_values = np.bincount(owners, minlength=topology.table.n_vertices)[owners]
-        other = _other_of_two(owners, n_values)
+        other = np.arange(len(owners))  # of a vertex with two UVs, the other one
+        twins = np.flatnonzero(n_values == 2)
+        both = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
+        other[both] = both[:, ::-1]
         causes = fixed | single if mode == "corners_plus2" else fixed
         fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[other]))
         semi = _at_edges(cut, inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS))
@@ -91,15 +94,6 @@ def _at_edges(cut: Topology, edges: BoolArray) -> BoolArray:
     return result
 
 
-def _other_of_two(owners: IndexArray, n_values: IndexArray) -> IndexArray:
-    """The other UV of the same vertex, where a vertex has two; else the UV itself."""
-    other = np.arange(len(owners))
-    twins = np.flatnonzero(n_values == 2)
-    pairs = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
-    other[pairs] = pairs[:, ::-1]
-    return other
-
-
 def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     """The mesh's sharpness in the layout, where seams and fixed values are infinitely sharp."""
     cut, table, sharpness = layout.topology, state.topology.table, state.sharpness
@@ -119,13 +113,12 @@ def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     return Sharpness(edges, halves, vertices, after)
 
 
-def next_layout(layout: MeshState, child: Topology, scheme: Scheme) -> MeshState:
+def _next_layout(layout: MeshState, scheme: Scheme) -> MeshState:
     """Layout of the next level; new values on seams are fixed in mode ``boundaries`` only."""
-    new = child.table.n_vertices - len(layout.corner)
-    fixed = np.concatenate([layout.corner, np.zeros(new, dtype=bool)])
-    if scheme.uv_interpolation == "boundaries":
-        fixed = child.boundary
-    follows = layout.follows
+    child, follows = split_topology(layout.topology, scheme), layout.follows
+    fixed = child.boundary
+    if scheme.uv_interpolation != "boundaries":
+        fixed = np.concatenate([layout.corner, np.zeros(child.table.n_vertices - len(layout.corner), dtype=bool)])
     if follows is not None:
         follows = np.concatenate([follows, np.arange(len(follows), child.table.n_vertices)])
     return replace(layout, topology=child, corner=fixed, follows=follows)
@@ -138,7 +131,7 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
     for step in range(levels):
         if step:
             state = state if is_linear(scheme) else next_state(state, scheme)
-            layout = next_layout(layout, split_topology(layout.topology, scheme), scheme)
+            layout = _next_layout(layout, scheme)
         uvs = refine_uvs(layout, uvs, state, scheme)
     return uvs, children(layout.topology.table, scheme).astype(np.int64)
 

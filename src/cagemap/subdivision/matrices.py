@@ -124,11 +124,13 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
     face_points = diags_array(1 / sizes) @ (of_face.T @ here)
 
     own, neighbour, face = scheme.vertex_weights(topology.valences)
+    boundary = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
+    put_boundary_rows(boundary, topology, corner, CREASE_VERTEX)
     vertex_points = (
         diags_array(np.where(smooth, own, 0.0))
         + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
         + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
-        + _boundary_points(topology, corner)
+        + boundary.matrix(table.n_vertices)
     )
     interior = topology.edge_corners[:, 1] >= 0
     forward = topology.edge_corners[:, 0]
@@ -146,13 +148,6 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
 def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
     """Matrix with a single 1 in every row."""
     return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
-
-
-def _boundary_points(topology: Topology, corner: BoolArray) -> csr_array:
-    """(n, n) rows of boundary vertices and corners; the others are empty."""
-    rows = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
-    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
-    return rows.matrix(topology.table.n_vertices)
 
 
 def linear_matrix(table: CornerTable, with_faces: bool = True) -> csr_array:

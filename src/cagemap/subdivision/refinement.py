@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
@@ -21,7 +21,7 @@ from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, control_state, next_state
-from cagemap.subdivision.topology import BoolArray, CornerTable, children, control_topology
+from cagemap.subdivision.topology import BoolArray, children, control_topology
 from cagemap.surface.triangles import triangles as triangles
 
 # Nonzeros of the second S per control corner, about; each further S has four times as many.
@@ -159,15 +159,7 @@ class Refinement:
 
     def product(self, fine: int, coarse: int) -> csr_array:
         """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
-        self._check_order(fine, coarse)
-        if fine == coarse:
-            return csr_array(eye_array(self.levels[fine].n_vertices, format="csr"))
-        # From the coarse side: the left factor then always has short rows.
-        product = self.matrices[coarse]
-        for level in range(coarse + 1, fine):
-            product = self.matrices[level] @ product
-        product.sort_indices()
-        return product
+        return self.rows(slice(None), fine, coarse)
 
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
         """Rows of ``S^{fine,coarse}`` for vertices (m,) of the fine level, (m, n_coarse), without computing the others.
@@ -288,7 +280,12 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     scheme = default_scheme(control) if scheme is None else scheme
     _check_input(control, levels, scheme)
     state = control_state(control, scheme)
-    _check_size(state.topology.table, levels)
+    entries = ENTRIES_PER_CORNER * state.topology.table.n_corners * 4 ** max(levels - 2, 0)
+    if entries >= 2**31:
+        raise ParameterError(
+            f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
+            f"{control.n_faces} control faces; ask for fewer levels"
+        )
     has_uvs = control.uvs is not None and control.uv_indices is not None
     matrices, result = list[csr_array](), [control_level(control)]
     for step in range(levels):
@@ -354,15 +351,6 @@ def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
             raise InvalidMeshError(
                 f"{control.name}: expected UV numbers in 0..{len(control.uvs) - 1}, got {low} to {high}"
             )
-
-
-def _check_size(table: CornerTable, levels: int) -> None:
-    entries = ENTRIES_PER_CORNER * table.n_corners * 4 ** max(levels - 2, 0)
-    if entries >= 2**31:
-        raise ParameterError(
-            f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
-            f"{table.n_faces} control faces; ask for fewer levels"
-        )
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:

@@ -21,7 +21,7 @@ from cagemap.jobs.costs import (
 )
 from cagemap.jobs.farm import farm_steps, numbered
 from cagemap.pipeline import choose_level
-from cagemap.spectral.prepare import DEFAULT_VERTICES
+from cagemap.spectral.surface import DEFAULT_VERTICES
 from cagemap.subdivision.refinement import default_scheme, vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest
 

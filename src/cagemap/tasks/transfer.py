@@ -52,6 +52,8 @@ _READ_BY = {
     "detail_texture": ("--bake",),
     "rays": ("--bake",),
     "influences": ("--weights",),
+    "only": ("--weights",),
+    "mirror": ("--weights",),
     "kind": ("--passenger",),
     "size": (*_PICTURES, "--material-colors"),
     "bits": (*_PICTURES, "--material-colors"),

@@ -111,7 +111,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     across = normalized(triangle_normals(given.positions, deforming[found]))
     rotations = _rotations(gradient, places, images, triangles, across)
     around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
-    samples = sparse.csr_array(target.product(target.n_levels, 0)[:count])
+    samples = target.rows(slice(count), target.n_levels, 0)
     weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
     n = target.control.n_vertices
     control = source.control

@@ -36,7 +36,7 @@ from cagemap.operators import Operators
 from cagemap.operators.coarse_levels import refined
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
-from cagemap.spectral.prepare import Progress, silent
+from cagemap.spectral.surface import Progress, silent
 from cagemap.subdivision import Refinement, Scheme, default_scheme
 from cagemap.subdivision.refinement import vertex_counts
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.values import gltf_weights
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.suffixes import VALUE_SUFFIXES
@@ -56,7 +56,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     require_file(file, "a file of attributes")
     if file.suffix.lower() in USD_SUFFIXES:
         return _read_usd(file, control)
-    if file.suffix.lower() in GLTF_SUFFIXES:
+    if file.suffix.lower() in SCENE_SUFFIXES:
         return to_part({JOINT_WEIGHTS: gltf_weights(file)}, rows)
     check_attribute_path(file)
     if file.suffix.lower() == ".json":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, write_whole
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.values import gltf_shapes, gltf_skeleton
 from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
@@ -47,7 +47,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         If the file is no such list, a name comes twice, or a parent is missing.
     """
     file = Path(path)
-    if file.suffix.lower() in GLTF_SUFFIXES:
+    if file.suffix.lower() in SCENE_SUFFIXES:
         return gltf_skeleton(file)
     if file.suffix.lower() in USD_SUFFIXES:
         found = read_usd_skeleton(file, control)
@@ -133,7 +133,7 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
 def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
     if file.suffix.lower() == ".npz":
         return _read_offsets(file, rest, rows)
-    if file.suffix.lower() in GLTF_SUFFIXES:
+    if file.suffix.lower() in SCENE_SUFFIXES:
         return {name: _checked_offsets(file, name, a, rest) for name, a in to_part(gltf_shapes(file), rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}

@@ -99,13 +99,13 @@ class Confidence:
         if any(reading.exchange for reading in self.readings):
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
-                f"made {best.name}; `answer=1` is made {others[0].name}"
+                f"made {best.name}, another one {others[0].name} (`answer=1`)"
             )
         if best.name == AS_GIVEN:
             times = others[0].cost / max(best.cost, 1e-12)
             return (
-                f"look at it: a map {others[0].name} fits almost as well ({times:.2f} times the cost, `answer=1`). A "
-                f"landmark at target vertex {vertex} decides"
+                f"look at it: a map {others[0].name} fits almost as well, at {times:.2f} times the cost (`answer=1`). "
+                f"A landmark at target vertex {vertex} decides"
             )
         answer = f"the target is aligned with the source {best.name}"
         if self.verdict == SURE:

@@ -12,6 +12,8 @@ from cagemap.deform.prepared import PreparedPair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,11 @@ SIGNS: dict[str, Sign] = {
         "and right exchanged. If so, mirror one of the files",
     ),
     # Share of the target's area.
-    "jumps": Sign(0.02, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    # Share of the target's area that another map, which costs hardly more, turns by `TURN` degrees or more.
+    "limb_turned": Sign(0.05, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 of others.
     "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
@@ -59,6 +63,8 @@ JUMP = 0.2
 NEIGHBORS, NEAR = 24, 1.4
 # Length, of sqrt(area), by which opposite normals keep an image from the other side of a thin part.
 FACING = 0.05
+# Degrees between the normals of two maps.
+TURN = 60.0
 # How the warning begins.
 JUMPING = "the map jumps between parts that only touch"
 
@@ -115,6 +121,13 @@ def jump_warnings(prepared: PreparedPair, found: PointMap) -> tuple[str, ...]:
         f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at ({place}) of the target's file. Add "
         "landmarks on these parts",
     )
+
+
+def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
+    """Share of a mesh's area whose normals differ by `TURN` or more between two placements (n, 3)."""
+    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
+    areas = mesh.vertex_areas
+    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURN))].sum() / areas.sum())
 
 
 def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:

@@ -86,7 +86,9 @@ Space = Annotated[
     str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
 ]
 Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
-MeshFile = Annotated[Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl, glTF, VRM or USD.")]
+MeshFile = Annotated[
+    Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.")
+]
 Force = Annotated[
     bool,
     Option("--force", group=OUTPUT, help="Overwrite files that cagemap did not write, or that were changed since."),
