@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, StartConfig
+from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic import elastic_map, updated_map
 from cagemap.maps.hypotheses.confidence import at_finest
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
+from cagemap.maps.hypotheses.method import hypothesis_map
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map

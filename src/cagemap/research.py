@@ -18,8 +18,7 @@ from scipy import sparse
 
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.deform.search import FEWEST_LANDMARKS
-from cagemap.errors import InvalidLandmarksError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.maps.elastic import elastic_map
 from cagemap.maps.functional_maps import from_bases, to_bases
 from cagemap.maps.given import MapLike, checked, functional_map_from, places_of, zoomed_out
@@ -208,24 +207,17 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     Parameters
     ----------
     pair : Pair
-        With two landmarks or more its fit from them competes with that from the start.
+        With three landmarks or more its fit from them competes with that from the start.
     start : map, optional
-        Default: ZoomOut from landmark coordinates, as in `cagemap.match`.
+        Default: as in `cagemap.match`.
     prepared : PreparedPair, optional
         `cagemap.prepare_pair` of the two surfaces, to keep for several calls.
 
     Raises
     ------
-    InvalidLandmarksError
-        If there are fewer than two landmarks and no start.
     ParameterError
         If the start is no map of this pair.
     """
-    if start is None and len(pair.landmarks) < FEWEST_LANDMARKS:
-        raise InvalidLandmarksError(
-            f"elastic: expected a start or at least {FEWEST_LANDMARKS} landmarks, got no start and "
-            f"{len(pair.landmarks)} landmarks; cagemap.match needs neither"
-        )
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair)
     places = None
     if start is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature
 
-from cagemap.deform import search
+from cagemap.deform import multi_start
 from cagemap.deform.best_parts import best_parts
 from cagemap.deform.config import ElasticConfig, SearchConfig
 from cagemap.deform.graph import ElasticGraph, mesh_graph
@@ -72,18 +72,18 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(
     def with_cost(prepared: object, positions: np.ndarray) -> Placement:
         return placed(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
 
-    monkeypatch.setattr(search, "fine_fit", lambda problem, coarse: coarse.positions)
-    monkeypatch.setattr(search, "fine_stage", lambda problem, start: start)
-    monkeypatch.setattr(search, "with_cost", with_cost)
+    monkeypatch.setattr(multi_start, "fine_fit", lambda problem, coarse: coarse.positions)
+    monkeypatch.setattr(multi_start, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(multi_start, "with_cost", with_cost)
     rest = SimpleNamespace(graph=graph)
     prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())
     problem: Any = SimpleNamespace(prepared=prepared, shape=SimpleNamespace(rest=rest))
     coarse, hopeless = Placement(front, 1.0), Placement(behind, 9.0)
-    found = search.refine_best(problem, [coarse], refined=[with_cost(prepared, behind)])
+    found = multi_start.refine_best(problem, [coarse], refined=[with_cost(prepared, behind)])
     assert len(found) == 3
     assert [one.cost for one in found] == sorted(one.cost for one in found)
     np.testing.assert_allclose(found[0].positions, graph.positions, atol=1e-12)
-    assert len(search.refine_best(problem, [coarse, hopeless])) == 1
+    assert len(multi_start.refine_best(problem, [coarse, hopeless])) == 1
 
 
 def test_shares_of_the_energy_are_its_terms(graph: ElasticGraph) -> None:

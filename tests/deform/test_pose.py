@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from examples.shapes import creature
 
-from cagemap.deform import inverse_consistency, search
+from cagemap.deform import inverse_consistency, multi_start
 from cagemap.deform.config import PoseConfig, SearchConfig, StartConfig
 from cagemap.deform.fit import coarse_fit, fine_stage
 from cagemap.deform.graph import mesh_graph
+from cagemap.deform.multi_start import AnchoredFits, finished
 from cagemap.deform.placement import Placement
 from cagemap.deform.pose import edge_stiffness, fit_in_pose, largest_limb_rotation, pose_difference, rigid_pose
 from cagemap.deform.prepared import PreparedPair, RestShape
@@ -91,16 +92,15 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(rest: RestShape) -> N
 def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
-    graph, better = bent.rest.graph, Placement(bent.source.finest_triangles.positions, 0.5)
+    graph = bent.rest.graph
     at_rest = Placement(graph.positions, 1.0, graph=graph)
-    monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
-    monkeypatch.setattr(search, "refine", lambda problem, coarse: list(coarse))
-    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.source.finest_triangles.positions)
-    monkeypatch.setattr(search, "mean_distance", lambda *given: 0.0)
-    monkeypatch.setattr(search, "largest_limb_rotation", lambda *given: angle)
-    monkeypatch.setattr(search, "multi_start", lambda *given: (better, better))
-    ends = search.search(problem_of(bent))
-    assert [end.cost for end in ends] == ([0.5, 0.5] if angle > LIMB_POSED else [1.0])
+    monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
+    monkeypatch.setattr(multi_start, "refine", lambda problem, coarse: list(coarse))
+    monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
+    monkeypatch.setattr(multi_start, "mean_distance", lambda *given: 0.0)
+    monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
+    problem = problem_of(bent)
+    assert AnchoredFits.of(problem, problem.shape, problem.landmark_vertices).agree == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: RestShape) -> None:
@@ -180,21 +180,13 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
         asked.append((given.prepared, given.pair.landmarks.target.positions[0].tolist(), times))
         return positions
 
-    for room in (inverse_consistency, search):
-        monkeypatch.setattr(room, "pose_difference", lambda rest, positions: angle)
-        monkeypatch.setattr(room, "fit_in_pose", fitted)
+    for module in (inverse_consistency, multi_start):
+        monkeypatch.setattr(module, "pose_difference", lambda rest, positions: angle)
+        monkeypatch.setattr(module, "fit_in_pose", fitted)
     monkeypatch.setattr(inverse_consistency, "fine_stage", lambda problem, start: start)
-    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.source.finest_triangles.positions)
-    monkeypatch.setattr(search, "spectral_starts", lambda guided, sides: [])
-    monkeypatch.setattr("cagemap.deform.search.SpectralSides.build", lambda problem: None)
-    at_rest = Placement(bent.rest.graph.positions, 1.0, graph=bent.rest.graph)
-    monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
-    monkeypatch.setattr(search, "mean_distance", lambda *given: 1.0)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
-    monkeypatch.setattr(search, "refine", lambda problem, coarse: list(coarse))
-    monkeypatch.setattr(search, "refine_best", lambda *given, refined: (ended,))
     landmarks = problem.pair.landmarks
-    (first,) = search.search(problem)
+    first = finished(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
     assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, PoseConfig.rounds), (bent.reversed, back, 1)])
     assert first.positions is ended.positions

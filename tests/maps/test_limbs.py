@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.limbs import ASSIGNED, Limbs, LimbStarts, assignments
+from cagemap.maps.hypotheses.limbs import ASSIGNED, Limbs, assigned_limbs, assignments
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
@@ -70,12 +70,12 @@ def test_a_landmark_holds_its_limb_and_shapes_without_limbs_have_no_assignments(
     surface = prepare_surface(creature(), 2)
     prepared = prepare_pair(surface, surface)
     problem = Problem(prepared, pair_of(surface, surface, Landmarks.none(), MatchConfig()))
-    starts = LimbStarts.of(problem)
-    assert len(starts.tips) >= 4
-    assert any(np.array_equal(*one.vertices) for one in starts.assignments)
+    starts = assigned_limbs(problem)
+    assert len(starts[0].places) >= 4
+    assert any(np.array_equal(*one.vertices) for one in starts)
     block = prepare_surface(cube(), 5)
     other = Problem(prepare_pair(block, surface), pair_of(block, surface, Landmarks.none(), MatchConfig()))
-    assert not LimbStarts.of(other).assignments
+    assert not assigned_limbs(other)
 
 
 def posed(control: ControlMesh) -> ControlMesh:

@@ -56,5 +56,5 @@ def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, mon
     assert figures["mean"] < 0.85
     for stage, worse in (("inverse_consistent", 1.02), ("fit_in_pose", 1.1)):
         with monkeypatch.context() as without:
-            without.setattr(f"cagemap.deform.search.{stage}", lambda problem, positions: positions)
+            without.setattr(f"cagemap.deform.multi_start.{stage}", lambda problem, positions: positions)
             assert row(bodies, *pair, 14)["mean"] > worse * figures["mean"], stage

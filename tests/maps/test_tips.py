@@ -9,19 +9,17 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
-from cagemap.deform.config import DataConfig
+from cagemap.deform.config import DataConfig, SearchConfig
 from cagemap.deform.data import SourceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
+from cagemap.deform.multi_start import finished
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import CoarseShape, PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.method import half_way
 from cagemap.maps.hypotheses.tips import (
-    AS_CHEAP,
     LEADING,
     LED,
     MET,
@@ -134,20 +132,19 @@ def test_a_fit_is_led_to_tips_that_it_missed(
     ((tips, places),) = held  # the same shape, so that every tip is held at its own place
     assert len(tips) == len(ENDS)
     assert np.linalg.norm(tips - places, axis=1).max() < MET
-    cheap = Placement(bent, 0.5 * led.cost / AS_CHEAP)
+    cheap = Placement(bent, 0.5 * led.cost / SearchConfig.as_cheap)
     assert led_by_tips(problem, found, cheap) is cheap
 
 
-def test_half_way_to_the_reversed_pair_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
+def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
     pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
     problem = Problem(prepared, pair)
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
-    moved = half_way(problem, Reading("a", 1.0, bent))
+    moved = finished(problem, Placement(bent, 1.0)).answer
     assert 0.0 < np.abs(moved - bent).max() < 0.1
-    assert half_way(problem, Reading("a", 0.9e-4, bent)) is bent  # as bodies of one kind cost
-    assert half_way(problem, Reading("a", 1.1e-4, bent)) is bent  # it costs more
+    assert finished(problem, Placement(bent, 1.1e-4)).answer is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
-    assert half_way(Problem(masked, pair), Reading("a", 1.0, bent)) is bent
+    assert finished(Problem(masked, pair), Placement(bent, 1.0)).answer is bent
 
 
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:

@@ -152,6 +152,7 @@ class SearchConfig:
     max_cost: float = 1.5  #: a coarse placement that costs this many times the cheapest one is not refined
     part_distance: float = 0.02  #: distance of two placements from which on either may be the better one there
     part_area: float = 5e-4  #: least share of the area of a part that is taken of another placement
+    as_cheap: float = 1.15  #: cost of a placement that was led to tips or finished, of it before, up to which it counts
     part_rings: int = 3  #: rings of edges around a part that count for it, and fade
 
 
@@ -190,7 +191,7 @@ class ElasticConfig(Brief):
         Vertices from which on a level of the source is fine enough to fit to.
     coarse, fine : Stage
     stiff_coarse : Stage
-        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.search`.
+        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`.
     landmark_start : Stage
         Positions from the landmarks alone; differentials are smoothed as in the stage that starts there.
     normal_weight : float

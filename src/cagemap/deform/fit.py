@@ -142,12 +142,11 @@ def fine_stage(problem: Problem, start: FloatArray) -> FloatArray:
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
-    """(k, 3) the clusters carried by their landmarks alone: a similarity, then the elastic energy without data.
+    """(k, 3) the clusters carried by those that are held alone: a similarity, then the elastic energy without data.
 
     It knows the twist of limbs, which coordinates on the surface do not: a hand with one landmark keeps its turn.
     """
-    graph, places = shape.rest.graph, shape.constraints.places
-    held = np.arange(len(places))
+    graph, places, held = shape.rest.graph, shape.constraints.places, shape.constraints.anchors.corners[:, 0]
     rotation, scale, shift = similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     blocks[held] = config.landmark_weight * np.eye(3)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.deform.search import search
 from cagemap.deform.update import linear_update
+from cagemap.maps.hypotheses.search import search
 from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
@@ -16,15 +16,10 @@ from cagemap.numerics.kinds import kinds_checked
 
 def elastic_map(
     problem: Problem, progress: Progress = silent, start: FloatArray | None = None
-) -> tuple[PointMap, tuple[Placement, ...]]:
+) -> tuple[PointMap, list[Placement]]:
     """Point map T12 of the finest levels, and the placements that `search` found; the first is the map's own.
 
     ``start`` as in `search`.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If there are fewer than two landmarks and no start.
     """
     placements = search(problem, progress, start)
     progress("closest points")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import landmarks_of

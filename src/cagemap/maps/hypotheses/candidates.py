@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import replace
 
 from cagemap.deform.config import Stage
 from cagemap.deform.fit import coarse_fit, with_cost
-from cagemap.deform.placement import Placement, distinct, mean_distance
+from cagemap.deform.multi_start import cheapest_first, refine_best
+from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.pose import common_rotation
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.prepared import CoarseShape, PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.deform.search import cheapest_first, refine, refine_best
 from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
-from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.limbs import Assignment, LimbStarts
+from cagemap.maps.hypotheses.limbs import Assignment, assigned_limbs
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -25,9 +22,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_doubt,
     rotation_name,
 )
-from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
@@ -39,82 +34,10 @@ ALIKE, DIFFERENT = 0.03, 0.08
 # Most candidates of the coarse stage, without assigned limbs and with them, and most that are finished. The pose of the
 # files is added to them: boxy shapes cost the same on every side, so cost alone could drop it.
 MAX_COARSE, MAX_ASSIGNED, MAX_FINISHED = 4, 2, 3
-# Suffix of an answer's name where a better answer has the same rotation, with other limbs on each other.
-ANOTHER_WAY = " in another way"
 # A fit that costs this many times the best one is not finished.
 HOPELESS = 2.5
 # Assignments of limbs that cost this many times the pose of the files are dropped, such as those of fins.
 UNLIKELY = 1.5
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One way to lie on the source, not yet finished.
-
-    Attributes
-    ----------
-    rough : Placement
-        On the small graph.
-    limbs : Assignment or None
-        That it started from; None for a rigid start.
-    coarse : tuple of Placement
-        What the coarse stage made of it, cheapest first.
-    held : tuple of Placement
-        The same with the tips of the limbs pinned.
-    """
-
-    rough: Placement
-    limbs: Assignment | None
-    coarse: tuple[Placement, ...] = ()
-    held: tuple[Placement, ...] = ()
-
-    @property
-    def cost(self) -> float:
-        """Cost of the cheapest placement, times the doubt: a factor above 1 for unlikely rotations."""
-        return self.rough.doubt * self.coarse[0].cost
-
-    def joined_with(self, other: Candidate) -> Candidate:
-        """The same with the placements of another one, which lies alike."""
-        return replace(
-            self, coarse=tuple(cheapest_first([*self.coarse, *other.coarse])), held=(*self.held, *other.held)
-        )
-
-
-def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
-    """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
-
-    Landmarks, if there are any, are held by all of them. Positions are those of the vertices of the level
-    that is deformed.
-    """
-    progress("possible alignments")
-    limbs = LimbStarts.of(problem)
-    rough = rough_fits(problem, limbs)
-    progress("rough alignment")
-    candidates = coarse_fits(problem, limbs, rough)
-    progress("elastic alignment")
-
-    def finish(candidate: Candidate) -> Placement:
-        held, first = refine(problem, candidate.held), candidate is candidates[0]
-        if held and not first:
-            found = held[0]
-        else:
-            found = refine_best(problem, candidate.coarse, None if first and not held else 1, held)[0]
-        return replace(found, name=candidate.rough.name, doubt=candidate.rough.doubt)
-
-    found = in_threads(finish, candidates)
-    if min(placed.cost for placed in found) > OF_ONE_KIND:
-        tips = Tips.of(problem)
-        worst = HOPELESS * min(placed.cost for placed in found)
-        found = in_threads(lambda one: led_by_tips(problem, tips, one) if one.cost <= worst else one, found)
-    least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
-    ranked = sorted(found, key=lambda placed: placed.doubt * max(placed.cost, least))
-    answers: dict[str, Reading] = {}
-    for placed in distinct(ranked, areas, DIFFERENT):
-        name = placed.name
-        while name in answers:
-            name += ANOTHER_WAY
-        answers[name] = Reading(name, placed.cost, placed.positions, placed.doubt)
-    return tuple(answers.values())
 
 
 def least_cost(prepared: PreparedPair) -> float:
@@ -135,83 +58,65 @@ def rough_problem(problem: Problem) -> Problem:
     return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
-    """The different placements of all starts on a small graph, cheapest first.
+def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
+    """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
 
-    Limbs assigned to limbs, and the files' axes; all rigid starts where no assignment is plausible.
+    Assignments are released too: tips of limbs of unlike length are no counterparts. Of rigid starts how the files
+    stand is enough, unless no assignment is plausible. With landmarks enough it always is: then ``rigid`` is false, and
+    rotations are not doubted.
     """
     rough = rough_problem(problem)
-    shape = limbs.shape(rough)
-    areas = shape.rest.graph.areas
 
-    def fitted(start: FloatArray, one: Assignment | None = None) -> Candidate:
+    def fitted(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            found = coarse_fit(rough, start, shape if one is None else one.hold(shape))
-        turn = nearest_axis_rotation(common_rotation(areas, nearest_rotations(found.maps)))
-        return Candidate(replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn)), one)
+            found = coarse_fit(rough, start, shape)
+        turn = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(found.maps)))
+        return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn) if rigid else 1.0)
 
-    rigid = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions)
+    def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
+        apart = distinct(starts, graph.areas, ALIKE)
+        return sorted(in_threads(lambda start: fitted(start.positions, rough.shape), apart), key=lambda one: one.rank)
 
-    def fit_rigid(starts: Sequence[Placement]) -> list[Candidate]:
-        return in_threads(lambda start: fitted(start.positions), distinct(starts, areas, ALIKE))
+    def fit_limbs(one: Assignment) -> tuple[Assignment, Placement]:
+        shape = one.shape(rough)
+        return one, fitted(start_map(rough, shape, one.vertices), shape)
 
-    own = fit_rigid(rigid[:AS_FILED_STARTS] if limbs.assignments else rigid)
-    led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
-    if led and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
-        led, own = [], fit_rigid(rigid)
-    ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
-    as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
+    graph, most = rough.shape.rest.graph, problem.prepared.elastic.search.max_cost
+    starts = rigid_starts(graph.positions, problem.prepared.source_surface.positions)
+    starts = starts if rigid else starts[:AS_FILED_STARTS]
+    led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[:MAX_ASSIGNED]
+    own = fit_rigid(starts[:AS_FILED_STARTS] if led else starts)
+    if led and led[0][1].rank > UNLIKELY * own[0].rank:
+        led, own = [], fit_rigid(starts)
+    as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
-        return _apart([*_apart(ranked, areas, DIFFERENT)[:MAX_COARSE], *as_filed], areas, DIFFERENT)
-    likely = [one for one in ranked if one.limbs][:MAX_ASSIGNED]
-    hopeful = [one for one in likely if one.rough.rank <= HOPELESS * likely[0].rough.rank]
-    return _apart([*hopeful, *as_filed], areas, ALIKE)
+        return [], distinct([*distinct(own, graph.areas, DIFFERENT)[:MAX_COARSE], *as_filed], graph.areas, DIFFERENT)
+    likely = [one for one in led if one[1].rank <= most * led[0][1].rank]
+    return likely, [*(one for _, one in likely), *as_filed]
 
 
-def cheapest_rank(candidates: Sequence[Candidate]) -> float:
-    """Cost times doubt of the best rough placement."""
-    return min(one.rough.rank for one in candidates)
+def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
+    """The fine stage from rough placements that end apart, the best of each.
 
-
-def coarse_fits(problem: Problem, limbs: LimbStarts, rough: Sequence[Candidate]) -> list[Candidate]:
-    """Coarse placements of each rough one: from where it is, and from what spectral upsampling makes of that.
-
-    Where limbs are assigned, further ones hold their tips and start by ZoomOut from these, soft and stiff.
+    Coarse placements start where a rough one is, and from what spectral upsampling makes of that.
     """
-    shape, stiff = limbs.shape(problem), problem.stiff
-    stiff_shape = shape.smoothed(stiff.prepared.elastic.coarse.smoothing)
-    graph, sides = shape.rest.graph, SpectralSides.build(problem, shape)
+    if not rough:
+        return []
+    graph, sides = problem.shape.rest.graph, SpectralSides.build(problem)
 
-    def improve(one: Candidate) -> Candidate:
+    def improve(one: Placement) -> list[Placement]:
         with thread_limit(1):
-            own = coarse_fit(problem, one.rough.on(graph, problem.prepared.elastic.graph), shape)
-            others = [coarse_fit(problem, start, shape) for start in spectral_starts(own, sides)]
-            coarse = tuple(cheapest_first([own, *others]))
-            if one.limbs is None:
-                return replace(one, coarse=coarse)
-            start = start_map(problem, shape, one.limbs.vertices)
-            held = (
-                coarse_fit(problem, start, one.limbs.hold(shape)),
-                coarse_fit(stiff, start, one.limbs.hold(stiff_shape)),
-            )
-        return replace(one, coarse=coarse, held=held)
+            own = coarse_fit(problem, one.on(graph, problem.prepared.elastic.graph))
+            coarse = cheapest_first([own, *(coarse_fit(problem, start) for start in spectral_starts(own, sides))])
+        return [replace(placed, name=one.name, doubt=one.doubt) for placed in coarse]
 
-    improved: list[Candidate] = []
-    for one in sorted(in_threads(improve, rough), key=lambda one: one.cost):
-        distances = [
-            mean_distance(one.coarse[0].positions, other.coarse[0].positions, graph.areas) for other in improved
-        ]
-        # The pose of the files is finished by itself, also near an assignment, which may be wrong.
-        if min(distances, default=np.inf) >= DIFFERENT or (limbs.assignments and one.limbs is None):
-            improved.append(one)
-        elif limbs.assignments:
-            improved[int(np.argmin(distances))] = improved[int(np.argmin(distances))].joined_with(one)
-    hopeful = [one for one in improved if one.cost <= HOPELESS * improved[0].cost]
-    as_filed = [one for one in hopeful[MAX_FINISHED:] if one.rough.name == AS_FILED]
-    return [*hopeful[:MAX_FINISHED], *as_filed[:1]]
+    improved = sorted(in_threads(improve, rough), key=lambda coarse: coarse[0].rank)
+    apart = distinct([coarse[0] for coarse in improved], graph.areas, DIFFERENT)
+    hopeful = [coarse for coarse in improved if coarse[0] in apart and coarse[0].rank <= HOPELESS * improved[0][0].rank]
+    as_filed = [coarse for coarse in hopeful[MAX_FINISHED:] if coarse[0].name == AS_FILED]
 
+    def finish(coarse: list[Placement]) -> Placement:
+        found = refine_best(problem, coarse, None if coarse is improved[0] else 1)[0]
+        return replace(found, name=coarse[0].name, doubt=coarse[0].doubt)
 
-def _apart(ranked: Sequence[Candidate], areas: FloatArray, least: float) -> list[Candidate]:
-    """Candidates whose rough placements are at least ``least`` away from every better one."""
-    kept = distinct([one.rough for one in ranked], areas, least)
-    return [one for one in ranked if one.rough in kept]
+    return in_threads(finish, [*hopeful[:MAX_FINISHED], *as_filed[:1]])

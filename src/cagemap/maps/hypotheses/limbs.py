@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from cagemap.deform.constraints import Anchors
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.prepared import CoarseShape
 from cagemap.deform.problem import Problem
@@ -95,59 +94,28 @@ class Assignment:
     ----------
     vertices : (p + k,) int64, (p + k,) int64
         Landmarks and tips, of the levels of target and source that are searched.
-    clusters : (p + k,) int64
-        The same of the target, of a shape that `limb_assignments` made.
-    places : (p + k, 3) float64
-        On the source.
+    places : (k, 3) float64
+        Of the tips on the source.
     """
 
     vertices: tuple[IndexArray, IndexArray]
-    clusters: IndexArray
     places: FloatArray
 
-    def hold(self, shape: CoarseShape) -> CoarseShape:
-        """A shape with the tips held."""
-        held = replace(shape.constraints, anchors=Anchors.of_vertices(self.clusters), places=self.places)
-        return replace(shape, constraints=held)
-
-
-@dataclass(frozen=True, eq=False)
-class LimbStarts:
-    """Likely assignments of a pair's limbs, none where one of the surfaces has too few.
-
-    Attributes
-    ----------
-    tips : (e,) int64
-        Of the target's limbs.
-    assignments : tuple of Assignment
-        The likeliest first.
-    """
-
-    tips: IndexArray
-    assignments: tuple[Assignment, ...]
-
-    @classmethod
-    def of(cls, problem: Problem) -> LimbStarts:
-        """Find the limbs of both surfaces, and rank their assignments."""
-        landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB)
-        given = len(landmarks[0])
-        ends = tips.vertices[:MOST_LIMBS], tips.source_vertices[:MOST_LIMBS]
-        fewest = min(map(len, ends))
-        if fewest < 1 or given + fewest < FEWEST_POINTS:
-            return cls(ends[0][:0], ())
-        found = [
-            Assignment(
-                (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])),
-                np.concatenate([np.arange(given), given + i]),
-                np.vstack([problem.pair.landmarks.source.positions, tips.places[j]]),
-            )
-            for i, j in assignments(*map(Limbs.of, problem.prepared.graphs, landmarks, ends))
-        ]
-        return cls(ends[0], tuple(found))
-
     def shape(self, problem: Problem) -> CoarseShape:
-        """Clusters of a problem's coarse stage, one of each tip, after the landmarks'; the landmarks alone are held."""
-        shape, landmarks = problem.holding(self.tips, np.zeros((len(self.tips), 3))), problem.pair.landmarks.source
-        anchors = Anchors.of_vertices(np.arange(len(landmarks)))
-        alone = replace(shape.constraints, anchors=anchors, places=landmarks.positions)
-        return replace(shape, constraints=alone)
+        """Clusters of a problem's coarse stage that hold the landmarks and the tips."""
+        return problem.holding(self.vertices[0][len(self.vertices[0]) - len(self.places) :], self.places)
+
+
+def assigned_limbs(problem: Problem) -> list[Assignment]:
+    """Likely assignments of a pair's limbs, the likeliest first; none where one of the surfaces has too few."""
+    landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB)
+    ends = tips.vertices[:MOST_LIMBS], tips.source_vertices[:MOST_LIMBS]
+    fewest = min(map(len, ends))
+    if fewest < 1 or len(landmarks[0]) + fewest < FEWEST_POINTS:
+        return []
+    return [
+        Assignment(
+            (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])), tips.places[j]
+        )
+        for i, j in assignments(*map(Limbs.of, problem.prepared.graphs, landmarks, ends))
+    ]

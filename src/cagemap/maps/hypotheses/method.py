@@ -6,22 +6,15 @@ from dataclasses import replace
 
 from scipy.spatial import cKDTree
 
-from cagemap.deform.fit import with_cost
-from cagemap.deform.inverse_consistency import inverse_consistent
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import found_readings
-from cagemap.maps.hypotheses.confidence import SURE, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import SURE, Confidence
 from cagemap.maps.hypotheses.mirror import mirrored_gain
+from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.signs import SIGNS, jump_share, jumps, median_distortion
-from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
 from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
-from cagemap.numerics.arrays import FloatArray
-
-# With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
-FEWEST_LANDMARKS = 3
 
 
 def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> tuple[PointMap, Confidence]:
@@ -36,8 +29,7 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
         Called with the name of each stage.
     """
     problem = Problem(prepared, pair)
-    best, *others = found_readings(problem, progress)
-    readings = replace(best, positions=half_way(problem, best)), *others
+    readings = found_readings(problem, progress)
     progress("closest points")
     found = map_of_places(prepared, readings[0].positions, pair.landmarks)
     farthest, controls = jumps(prepared, found), pair.target.control.n_vertices
@@ -52,16 +44,3 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
     if confidence.deciding is not None:
         confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
     return found, confidence
-
-
-def half_way(problem: Problem, reading: Reading) -> FloatArray:
-    """Positions of a reading, made inverse consistent where that costs hardly more.
-
-    As they are between bodies of one kind, whose slides are small, and under masks: what is masked would be fitted back
-    as well, and drag what is not with it.
-    """
-    if problem.prepared.rest.masks.any or reading.cost <= OF_ONE_KIND:
-        return reading.positions
-    moved = inverse_consistent(problem, reading.positions)
-    cost = with_cost(problem.prepared, moved).cost
-    return moved if cost <= AS_CHEAP * reading.cost else reading.positions

@@ -25,8 +25,6 @@ LEAST_HEIGHT = 0.01
 # Tips of two surfaces that a fit leaves so close are the same, of sqrt(area); a fit that leaves all of them closer than
 # `MET` needs no help, and a tip this near to a landmark is the landmark's.
 NEAR, MET, TAKEN = 0.2, 0.02, 0.05
-# What a fit that meets the tips may cost, of the one that does not: the energy does not know ears from cheeks.
-AS_CHEAP = 1.15
 # The coarse stage that holds tips, as stiff as that of bodies that stand alike and twice as long; its source samples.
 LED = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
 LEADING = 4000
@@ -96,7 +94,7 @@ def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     with thread_limit(1):
         led = coarse_fit(stiff, placed.positions[shape.vertices], shape, leading)
     again = replace(with_cost(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
-    return again if again.cost <= AS_CHEAP * placed.cost else placed
+    return again if again.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph, least: float = LEAST_HEIGHT) -> IndexArray:

@@ -174,7 +174,7 @@ class LandmarkCheck:
 
 def checked_map(
     prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = silent
-) -> tuple[PointMap, LandmarkCheck, tuple[Placement, ...]]:
+) -> tuple[PointMap, LandmarkCheck, list[Placement]]:
     """`elastic_map` without the landmark pairs that turn out to be wrong.
 
     Returns
@@ -182,7 +182,7 @@ def checked_map(
     point_map : PointMap
         Of the trusted pairs.
     check : LandmarkCheck
-    ends : tuple of Placement
+    ends : list of Placement
         The map's own end, and others that were finished.
     """
     problem, count = Problem(prepared, pair), len(names)

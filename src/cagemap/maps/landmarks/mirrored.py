@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import found_readings
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, Reading, cost_signs
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
+from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
 from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.numerics.arrays import FloatArray, IndexArray
