@@ -17,6 +17,7 @@ from cagemap.deform.search import cheapest_first, refine, refine_best
 from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.limbs import Assignment, LimbStarts
+from cagemap.maps.hypotheses.part_starts import in_place
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -151,12 +152,14 @@ def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
         turn = nearest_axis_rotation(common_rotation(areas, nearest_rotations(found.maps)))
         return Candidate(replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn)), one)
 
-    rigid = rigid_starts(shape.rest.graph.positions, problem.prepared.source_surface.positions)
+    points = shape.rest.graph.positions
+    filed = in_place(problem.prepared, points)
+    rigid = [*filed, *rigid_starts(points, problem.prepared.source_surface.positions)]
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Candidate]:
         return in_threads(lambda start: fitted(start.positions), distinct(starts, areas, ALIKE))
 
-    own = fit_rigid(rigid[:AS_FILED_STARTS] if limbs.assignments else rigid)
+    own = fit_rigid(rigid[: len(filed) + AS_FILED_STARTS] if limbs.assignments else rigid)
     led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
     if led and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
         led, own = [], fit_rigid(rigid)

@@ -13,6 +13,7 @@ from cagemap.deform.constraints import Anchors
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.prepared import CoarseShape
 from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.part_starts import units_of_larger
 from cagemap.maps.hypotheses.tips import Tips
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -21,6 +22,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 LEAST_LIMB = 0.1
 # Limbs and landmarks that an assignment needs, and how many limbs it may have: the most prominent ones.
 FEWEST_POINTS, MOST_LIMBS = 4, 7
+# The same of a part, whose other limbs may be cut off.
+FEWEST_OF_PART = 3
 # How many assignments are fitted; sums of the log ratios of girths weigh this much beside those of lengths.
 ASSIGNED, GIRTH_WEIGHT = 10, 0.5
 # Share of a limb's length, from its tip, of which the girth is taken.
@@ -48,7 +51,7 @@ class Limbs:
     girths: FloatArray
 
     @classmethod
-    def of(cls, graph: ElasticGraph, landmarks: IndexArray, tips: IndexArray) -> Limbs:
+    def of(cls, graph: ElasticGraph, landmarks: IndexArray, tips: IndexArray, unit: float = 1.0) -> Limbs:
         """Measure the limbs that end at some vertices (e,), beside landmarks (p,); three at least, of one piece.
 
         A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
@@ -66,7 +69,7 @@ class Limbs:
         between = apart - own[:, None] - own
         between[every, every] = 0.0
         part, limbs = GIRTH_PART * own[len(landmarks) :], distances[len(landmarks) :]
-        return cls(tips, between, (limbs < part[:, None]) @ graph.areas / part)
+        return cls(tips, unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part))
 
 
 def assignments(target: Limbs, source: Limbs) -> list[tuple[IndexArray, IndexArray]]:
@@ -129,19 +132,21 @@ class LimbStarts:
     @classmethod
     def of(cls, problem: Problem) -> LimbStarts:
         """Find the limbs of both surfaces, and rank their assignments."""
-        landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB)
+        units = units_of_larger(problem.prepared)
+        landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB, units)
         given = len(landmarks[0])
         ends = tips.vertices[:MOST_LIMBS], tips.source_vertices[:MOST_LIMBS]
         fewest = min(map(len, ends))
-        if fewest < 1 or given + fewest < FEWEST_POINTS:
+        if fewest < 1 or given + fewest < (FEWEST_POINTS if units == (1.0, 1.0) else FEWEST_OF_PART):
             return cls(ends[0][:0], ())
+        limbs = map(Limbs.of, problem.prepared.graphs, landmarks, ends, units)
         found = [
             Assignment(
                 (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])),
                 np.concatenate([np.arange(given), given + i]),
                 np.vstack([problem.pair.landmarks.source.positions, tips.places[j]]),
             )
-            for i, j in assignments(*map(Limbs.of, problem.prepared.graphs, landmarks, ends))
+            for i, j in assignments(*limbs)
         ]
         return cls(ends[0], tuple(found))
 
