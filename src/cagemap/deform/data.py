@@ -73,17 +73,22 @@ def target_to_source(
     guess: IndexArray | None,
     normal_weight: float,
     masks: Masks = WHOLE,
+    *,
+    beyond: bool = False,
 ) -> DataTerm:
     """Point-to-plane term of the deformed vertices: each should lie in the tangent plane at its closest point.
 
-    Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search.
+    Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search. Beyond
+    the source's boundary a vertex has a term only if asked for: without terms of the source, a target could leave it.
     """
     found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
     corners = found.corners
     closest = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
     plane = normalized(found.interpolate(source.vertex_normals))
     weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
-    weights *= masks.of_target(len(areas)) * masks.at_source(found) * ~found.at_boundary
+    weights *= masks.of_target(len(areas)) * masks.at_source(found)
+    if not beyond:
+        weights *= ~found.at_boundary
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
     return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, found.triangle, closest)
 

@@ -54,7 +54,7 @@ class SurfaceTerms:
         normals = deformed_normals(rest.graph.normals, iterate.maps)
         guess, _ = _guesses(iterate)
         term = target_to_source(
-            rest.graph.areas, self.source, positions, normals, guess, config.normal_weight, rest.masks
+            rest.graph.areas, self.source, positions, normals, guess, config.normal_weight, rest.masks, beyond=True
         )
         blocks, right = term.blocks, term.right
         if self.samples is not None:

@@ -161,7 +161,8 @@ def rough_fits(problem: Problem, limbs: LimbStarts) -> list[Candidate]:
 
     own = fit_rigid(rigid[: len(filed) + AS_FILED_STARTS] if limbs.assignments else rigid)
     led = in_threads(lambda one: fitted(start_map(rough, shape, one.vertices), one), limbs.assignments)
-    if led and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
+    # A part costs little in many places: only the whole fit tells.
+    if led and not filed and cheapest_rank(led) > UNLIKELY * cheapest_rank(own):
         led, own = [], fit_rigid(rigid)
     ranked = sorted([*led, *own], key=lambda one: one.rough.rank)
     as_filed = [one for one in ranked if one.limbs is None and one.rough.name == AS_FILED][:1]
