@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN = .venv/bin
 
-.PHONY: demo studio setup test test-all check docs bench clean
+.PHONY: demo studio setup test test-all check docs bench blender test-blender clean
 
 demo: .venv/runtime  ## set up, run the built-in example, name its report
 	$(BIN)/cagemap demo -o demo
@@ -31,8 +31,19 @@ docs: .venv/develop  ## docs/_build/html, warnings are errors
 bench: .venv/develop  ## measured tables
 	$(BIN)/python -m benchmarks
 
+blender: .venv/develop  ## dist/cagemap-*.zip, the Blender extension for every platform
+	$(BIN)/python blender/build.py
+
+# Blender as a package, 400 MB; of Blender 4.2: make test-blender BPY="bpy==4.2.* numpy==1.24.3"
+BPY ?= bpy==5.0.*
+
+test-blender: .venv/develop  ## install the extension in a fresh profile of Blender and press every button
+	python3.11 -m venv --clear .venv/bpy
+	.venv/bpy/bin/python -m pip install --quiet $(BPY)
+	CAGEMAP_BPY=$(CURDIR)/.venv/bpy/bin/python $(BIN)/python -m pytest -n 0 -m "slow or not slow" tests/blender
+
 clean:
-	rm -rf .venv demo docs/_build
+	rm -rf .venv demo dist docs/_build
 
 .venv/runtime: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -1,8 +1,10 @@
 """``python -m benchmarks.mutations --output FILE``: random mutations of src, and which of them the fast tests catch.
 
-Needs cosmic-ray (``pip install ".[bench]"``). Mutations are made in a copy of the last commit. The tests of the
-package's own folder run first, all others only where these find nothing. Rows are written as they come, and what is
-there is not done again. Mutations of annotations, messages and docstrings are not made.
+Needs cosmic-ray and pytest-cov (``pip install ".[bench,test]"``). Mutations are made in a copy of the last commit. The
+fast tests run once to learn which test executes which line (FILE.coverage, kept). A mutation then runs the tests that
+execute its line, those of the package's own folder first. Lines that coverage does not see (compiled kernels, what runs
+at import) run their own folder, then all fast tests. Rows are written as they come, and what is there is not done
+again. Mutations of annotations, messages, docstrings, decorators and `strict` are not made. Figures: docs/lab/tests.md.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import ast
 import json
 import os
 import random
+import resource
 import subprocess
 import sys
 import tempfile
@@ -20,6 +23,7 @@ from pathlib import Path
 
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator
+from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path("src/cagemap")
@@ -45,7 +49,7 @@ OPERATORS = (
     "core/ZeroIterationForLoop",
     "core/NumberReplacer",
 )
-SECONDS = 900
+PROCESSOR_SECONDS = 900  # of one run of tests; a mutation may loop for ever
 
 
 def main() -> None:
@@ -60,12 +64,14 @@ def main() -> None:
         copy = Path(folder, "work", "main")  # as deep as the checkout: tests look for ../shared
         subprocess.run(["git", "clone", "-q", str(ROOT), str(copy)], check=True)
         (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
+        executed = executed_lines(copy, arguments.output.with_suffix(".coverage").absolute())
         chosen = mutations(copy, random.Random(arguments.seed))
         for number in range(arguments.count):
-            path, change, mutated = next(chosen)
+            path, change, places, mutated = next(chosen)
             if number < len(done):
                 continue
-            row = {"file": str(path), "change": change, "caught": caught(copy, path, mutated)}
+            stages = tests_of(copy, executed, path, places)
+            row = {"file": str(path), "change": change, "caught": caught(copy, path, mutated, stages)}
             lines.write(json.dumps(row) + "\n")
             lines.flush()
             print(row["caught"] or "SURVIVED", path, *change, sep="\n  ", flush=True)
@@ -73,8 +79,20 @@ def main() -> None:
     print(f"{sum(bool(row['caught']) for row in rows)} of {len(rows)} caught")
 
 
-def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[str], str]]:
-    """File, changed lines and mutated text; files in proportion to their lines, places of a file alike."""
+def executed_lines(copy: Path, file: Path) -> CoverageData:
+    """Which test executes which line, from a file of an earlier run of the same commit if there is one."""
+    if not file.is_file():
+        configuration = copy.parent / "coveragerc"
+        configuration.write_text(f"[run]\nsource = {SOURCE}\nrelative_files = true\ndata_file = {file}\n")
+        coverage = ["--cov", f"--cov-config={configuration}", "--cov-context=test", "--cov-report="]
+        subprocess.run([sys.executable, "-m", "pytest", "-q", *coverage], cwd=copy, env=environment(copy), check=True)
+    data = CoverageData(str(file))
+    data.read()
+    return data
+
+
+def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[str], list[int], str]]:
+    """File, changed lines, their numbers and mutated text; files are drawn in proportion to their lines."""
     files = sorted(path.relative_to(copy) for path in (copy / SOURCE).rglob("*.py"))
     texts = {path: (copy / path).read_text(encoding="utf-8") for path in files}
     weights = [text.count("\n") for text in texts.values()]
@@ -85,13 +103,14 @@ def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[st
         if mutated is None:
             continue
         before, after = texts[path].splitlines(), mutated.splitlines()
-        change = [f"- {old.strip()}\n  + {new.strip()}" for old, new in zip(before, after, strict=False) if old != new]
+        places = [i for i, (old, new) in enumerate(zip(before, after, strict=False)) if old != new]
+        change = [f"- {before[i].strip()}\n  + {after[i].strip()}" for i in places]
         if change and ast.dump(stripped(texts[path])) != ast.dump(stripped(mutated)):
-            yield path, change, mutated
+            yield path, change, [i + 1 for i in places], mutated
 
 
 class _Stripped(ast.NodeTransformer):
-    """A module without what no test need see: annotations, docstrings, formatted messages."""
+    """A module without what no test need see: annotations, docstrings, messages, how kernels are compiled, `strict`."""
 
     def visit_arg(self, node: ast.arg) -> ast.arg:
         node.annotation = None
@@ -102,7 +121,12 @@ class _Stripped(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        node.returns = None
+        node.returns, node.decorator_list = None, []
+        return self.generic_visit(node)
+
+    def visit_keyword(self, node: ast.keyword) -> ast.AST:
+        if node.arg == "strict":
+            node.value = ast.Constant(True)
         return self.generic_visit(node)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
@@ -114,32 +138,52 @@ def stripped(text: str) -> ast.AST:
     return _Stripped().visit(ast.parse(text))
 
 
-def caught(copy: Path, path: Path, mutated: str) -> str:
+def tests_of(copy: Path, executed: CoverageData, path: Path, lines: list[int]) -> list[list[str]]:
+    """Tests to run for a change of some lines of a file, in stages: until one fails."""
+    own = str(Path("tests", path.relative_to(SOURCE).parts[0].removesuffix(".py")))
+    tree = ast.parse((copy / path).read_text(encoding="utf-8"))
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    contexts = executed.contexts_by_lineno(str(path))
+    tests = set()
+    for line in lines:
+        if any(node.body[0].lineno <= line <= (node.end_lineno or 0) for node in functions):
+            for context in contexts.get(line, []):
+                test, _, phase = context.partition("|")
+                tests.add(test.partition("::")[0] if phase == "setup" else test)  # a fixture is its whole file's
+    tests.discard("")
+    if tests:
+        return [sorted(tests, key=lambda test: (not test.startswith(own + "/"), test))]
+    return [*([[own]] if (copy / own).is_dir() else []), ["tests"]]
+
+
+def caught(copy: Path, path: Path, mutated: str, stages: list[list[str]]) -> str:
     """The test that fails with a mutation, or what else ended the tests; empty if none does."""
     whole = (copy / path).read_text(encoding="utf-8")
-    own = Path("tests", path.relative_to(SOURCE).parts[0].removesuffix(".py"))
     try:
         (copy / path).write_text(mutated, encoding="utf-8")
-        for folders in ([own] if (copy / own).is_dir() else [], ["tests"]):
-            if folders:
-                found = failure(copy, [str(folder) for folder in folders])
-                if found:
-                    return found
+        return next(filter(None, (failure(copy, tests) for tests in stages)), "")
     finally:
         (copy / path).write_text(whole, encoding="utf-8")
-    return ""
 
 
-def failure(copy: Path, folders: list[str]) -> str:
-    """First failing test of some folders."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *folders]
-    environment = os.environ | {"PYTHONPATH": str(copy / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
-    try:
-        run = subprocess.run(
-            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return f"no end within {SECONDS} s"
+def environment(copy: Path) -> dict[str, str]:
+    """Tests of the copy, not of what is installed."""
+    return os.environ | {"PYTHONPATH": str(copy / "src")}
+
+
+def failure(copy: Path, tests: list[str]) -> str:
+    """First of some tests that fails."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
+    limit = (PROCESSOR_SECONDS, PROCESSOR_SECONDS)
+    run = subprocess.run(
+        command,
+        cwd=copy,
+        env=environment(copy),
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, limit),
+    )
     failed = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
     return "" if run.returncode == 0 else (failed or [f"exit code {run.returncode}"])[0]
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from cagemap.example import ExamplePair
     from cagemap.studio.session import Session
     from cagemap.subdivision import Refinement
 
@@ -21,11 +24,22 @@ if TYPE_CHECKING:
 
 # Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+gc.set_threshold(50_000)  # looking for cycles as often as usual takes a tenth of the processor time
 # Tests and the processes that they start load the same modules again and again: 6 of 10 s of collection is compiling.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_collection_finish() -> None:
+    """No cycles are looked for among what all tests share."""
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """OpenImageIO calls what is left at the end leaks."""
+    gc.unfreeze()
 
 
 @pytest.fixture
@@ -90,6 +104,34 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
 
     monkeypatch.chdir(tmp_path)
     return runner(monkeypatch, capsys)
+
+
+@pytest.fixture(scope="session")
+def built_in_pair() -> ExamplePair:
+    """The deer, the pony and their landmarks."""
+    from cagemap.example import example_pair
+
+    return example_pair(64)
+
+
+@pytest.fixture(scope="session")
+def _pair_files(built_in_pair: ExamplePair, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from cagemap.files.images.image import write_image
+    from cagemap.files.landmarks.pairs import write_landmarks
+    from cagemap.files.meshes.formats import write_mesh
+
+    folder = tmp_path_factory.mktemp("pair")
+    write_mesh(folder / "deer.obj", built_in_pair.target)
+    write_mesh(folder / "pony.obj", built_in_pair.source)
+    write_image(folder / "pony.png", built_in_pair.texture)
+    write_landmarks(folder / "landmarks.json", built_in_pair.landmarks)
+    return folder
+
+
+@pytest.fixture
+def pair_files(_pair_files: Path, tmp_path: Path) -> Path:
+    """The built-in pair as deer.obj, pony.obj, pony.png and landmarks.json in an empty folder."""
+    return shutil.copytree(_pair_files, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.fixture

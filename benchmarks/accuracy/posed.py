@@ -98,8 +98,7 @@ def row(bodies: Bodies, target: Body, source: Body, count: int) -> dict:
         "left_out": [suspect.name for suspect in found.suspects],
         "notes": list(found.landmark_check.notes),
         "verdict": None if found.confidence is None else found.confidence.verdict,
-        "cost": None if found.confidence is None else found.confidence.cost,
-        "gap": None if found.confidence is None else min(found.confidence.gap, 1e9),
+        "signs": {} if found.confidence is None else dict(found.confidence.signs),
     }  # fmt: skip
 
 

@@ -19,8 +19,8 @@ from benchmarks.accuracy.data import DATA, REPOSITORY
 from benchmarks.skeleton import distances
 from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.measures import cage_triangles
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
 

@@ -17,12 +17,13 @@ from benchmarks.paper.data import Judged
 from benchmarks.paper.stages import extended, noise, zero
 from cagemap.maps.pair import Pair
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.paper import Constraints, DescriptorConfig, PaperConfig, gather_constraints, method, paper_map
-from cagemap.paper.constraints import SpectralData
+from cagemap.paper import method
+from cagemap.paper.constraints import Constraints, DescriptorConfig, SpectralData, gather_constraints
 from cagemap.paper.descriptors import landmark_descriptors, normalise_columns
+from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.pipeline import MatchConfig, pair_of, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.spectral.samples import Samples, fit_functional_map
+from cagemap.spectral.zoomout import Samples, fit_functional_map
 
 KEYS = ("female1605__male1591", "anny10pc__anny5pc")
 FUNCTIONS = 150

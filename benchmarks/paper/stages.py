@@ -14,13 +14,14 @@ import numpy as np
 from benchmarks.accuracy.data import HUMANS, HumanPair
 from benchmarks.truth import Truth, compare_with_truth, true_map
 from cagemap.maps.level_map import LevelMap
-from cagemap.maps.pair import Pair, silent
+from cagemap.maps.level_pairs import ladder
+from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
-from cagemap.paper import HfmConfig, PaperConfig, hfm, method
+from cagemap.paper import hfm, method
 from cagemap.paper.constraints import DescriptorConfig, gather_constraints
-from cagemap.paper.hfm import hfm_map
-from cagemap.paper.levels import down_the_levels, search_full, search_level
-from cagemap.paper.method import paper_map
+from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.levels import recover_points, search_full, search_level
+from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -145,14 +146,12 @@ def variants_of_paper() -> list[Variant]:
 def closest_map_off(pair: Pair, levels: tuple[int, int], functional_map: np.ndarray, _: Any) -> LevelMap:
     """C alone: full search on the first level, Fig. 9 and vertex to point below (5.4), as `paper` does it."""
     first = hfm.search_levels(pair.target, pair.source, HfmConfig().search_vertices)
-    start = LevelMap(first, functional_map, search_full(pair, functional_map, first))
-
-    def finer(coarse: LevelMap, at: tuple[int, int]) -> LevelMap:
-        return LevelMap(at, functional_map, search_level(pair, functional_map, at, coarse))
-
+    found = LevelMap(first, functional_map, search_full(pair, functional_map, first))
     if levels != (pair.target.finest, pair.source.finest):
-        return start  # only the last level is judged
-    return down_the_levels(pair, start, finer, silent)[0][-1]
+        return found  # only the last level is judged
+    for finer in ladder(pair, first):
+        found = LevelMap(finer, functional_map, search_level(pair, functional_map, finer, found))
+    return replace(found, points=recover_points(pair, found))
 
 
 @cache

@@ -13,7 +13,7 @@ from benchmarks.accuracy.data import DATA
 from benchmarks.riding.scenes import body
 from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import connected_parts
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.closest_points import build_tree, closest_points

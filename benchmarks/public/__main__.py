@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.public.measure import Shapes, measured, receiver
 from benchmarks.public.sets import SETS, SetError
+from benchmarks.verdicts import table
 from cagemap.errors import CagemapError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.code_version import code_version
@@ -142,6 +143,14 @@ def markdown(rows: list[dict], failed: list[str]) -> str:
         peaks = [row["peak_mb"] for row in some if "peak_mb" in row]
         cells += [*(f"{value:.2f}" for value in others), f"{max(peaks):.0f}" if peaks else "-"]
         lines.append("| " + " | ".join(map(str, [*cells, SETS[key[0]].published])) + " |")
+    judged = [row | {"error": row["mean"]} for row in rows if "said" in row]
+    names = {f"{row['set']}, {row['landmarks']} landmarks, {row['scheme']}" for row in judged}
+    groups = {
+        name: [row for row in judged if f"{row['set']}, {row['landmarks']} landmarks, {row['scheme']}" == name]
+        for name in sorted(names)
+    }
+    if groups:
+        lines += ["", *table(groups)]
     codes = {row.get("code") for row in rows}
     if len(codes) > 1:
         lines += [

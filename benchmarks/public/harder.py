@@ -35,7 +35,7 @@ from benchmarks.truth import true_map
 from cagemap.files.meshes.obj import read_obj
 from cagemap.numerics.factorization import factor
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.spectral.samples import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 

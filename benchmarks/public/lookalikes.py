@@ -22,7 +22,7 @@ from benchmarks.skeleton import Bone, Sizes, Turns, shares, skinned
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
-from cagemap.spectral.samples import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangles import triangle_areas
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.public.sets import Marks, PublicSet, more_landmarks
+from benchmarks.verdicts import verdict
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.geodesic import BATCH, HeatDistances
 from cagemap.maps.places import located
@@ -20,6 +21,9 @@ from cagemap.mesh.schemes import SCHEMES
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.surface.surface_points import SurfacePoints
+
+# Largest mean error of a right map, x100 of sqrt(area).
+RIGHT = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,8 @@ def measured(public: PublicSet, target: Shape, source: Shape, at: Receiver, coun
     seconds = time.process_time() - start
     errors = geodesic_errors(result.point_map.images, target, source, at)
     return {
+        **verdict(result),
+        "right": bool(100 * errors.mean() <= RIGHT),
         "mean": 100 * float(errors.mean()),
         "median": 100 * float(np.median(errors)),
         "p95": 100 * float(np.quantile(errors, 0.95)),

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from benchmarks.accuracy.data import DATA
 from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalized, vertex_normals
 

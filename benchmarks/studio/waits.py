@@ -22,42 +22,19 @@ from cagemap.tasks.requests.catalogue import all_options
 Rows = list[tuple[str, str]]
 # Seconds that a wait may last, which is what is measured.
 LONG = 300.0
-# Spread of red, of 255, that no empty canvas has.
-DRAWN = 12.0
-
-# The canvas with the model; another one lies over it, of no size.
-CANVAS = "[...document.querySelectorAll('canvas')].find(canvas => canvas.width)"
-# Spread of what the canvas shows. A screenshot would have the software renderer draw the whole page once more.
-SPREAD = f"""
-const canvas = {CANVAS}, small = document.createElement('canvas');
-if (!canvas) return 0;
-small.width = small.height = 24;
-const pen = small.getContext('2d');
-pen.drawImage(canvas, 0, 0, 24, 24);
-const reds = [...pen.getImageData(0, 0, 24, 24).data].filter((_, k) => k % 4 == 0);
-const mean = reds.reduce((sum, red) => sum + red, 0) / reds.length;
-return Math.sqrt(reds.reduce((sum, red) => sum + (red - mean) ** 2, 0) / reds.length);
-"""
-FRAMES = (
-    f"""
-const done = arguments[arguments.length - 1], canvas = {CANVAS};
-"""
-    + """
-const box = canvas.getBoundingClientRect();
-const at = x => ({bubbles: true, pointerId: 1, button: 0, buttons: 1, clientX: box.left + x, clientY: box.top + 5,
-    pointerType: 'mouse', isPrimary: true});
-const send = (kind, x) => canvas.dispatchEvent(new PointerEvent(kind, at(x)));
-let count = 0, begin = performance.now();
-send('pointerdown', 20);
+# Mean brightness, of 255, above which a half of the canvas shows a model.
+DRAWN = 3.0
+# Pictures a second while a model turns.
+FRAMES = """
+const done = arguments[0], {views} = window.studio, begin = performance.now(), first = views.frames;
 const turn = () => {
-    count += 1;
-    document.dispatchEvent(new PointerEvent('pointermove', at(20 + 4 * count)));
-    if (performance.now() - begin < 4000) requestAnimationFrame(turn);
-    else { send('pointerup', 20); done(1000 * count / (performance.now() - begin)); }
+    const at = (performance.now() - begin) / 1000;
+    views.frame([Math.sin(at), 0.3, Math.cos(at)]);
+    if (at < 4) requestAnimationFrame(turn);
+    else done((views.frames - first) / at);
 };
-requestAnimationFrame(turn);
+turn();
 """
-)
 
 
 @dataclass(frozen=True)
@@ -91,9 +68,8 @@ def started(files: Files, vertices: int, *, landmarks: bool = True) -> Iterator[
 
 
 def shown(page: Page, side: str) -> bool:
-    """Whether a model is drawn in a frame."""
-    page.into(side)
-    return float(page.browser.execute_script(SPREAD)) > DRAWN
+    """Whether a model is drawn in its half."""
+    return float(page.look(side).mean()) > DRAWN
 
 
 def start_rows(files: Files, displayed: int) -> Rows:
@@ -109,16 +85,12 @@ def start_rows(files: Files, displayed: int) -> Rows:
 
 
 def sizes(page: Page) -> list[int]:
-    """Vertices of both models, as the panel names them."""
-    page.into("target")
-    look = "return [...document.body.innerText.matchAll(/([\\d,]+) vertices/g)].map(m => m[1])"
-    found = page.until(lambda: page.browser.execute_script(look), "the models' sizes")
-    return [int(count.replace(",", "")) for count in found]
+    """Vertices of both models, as the page is told them."""
+    return [model["vertices"] for model in page.state("models").values()]
 
 
 def frames_a_second(page: Page) -> float:
-    """Pictures of one model while it is turned, and the other with it."""
-    page.into("target")
+    """Pictures of both models while they turn."""
     return float(page.browser.execute_async_script(FRAMES))
 
 
@@ -138,27 +110,10 @@ def map_rows(files: Files, vertices: int) -> Rows:
 
 
 def live_rows(page: Page) -> Rows:
-    """Landmark to preview, answers while computing, frames."""
-    updates, own = [], []
-    for k in range(6):
-        page.click("target", (-0.2, 0.05 * k - 0.1))
-        page.until(lambda: "accept the proposal" in page.text("status"), "half a landmark")
-        updates.append(page.pressed("Accept proposal", "map", f"^map {page.revision() + 1},", pictures=2))
-        own.append(float(computed(page).split()[0]))
-    answers = []
-    page.pressed("Match again", "status", "finding the map")
-    for _ in range(6):
-        answers.append(page.pressed("Undo", "list"))
-    page.until(lambda: "finding" not in page.text("status"), "the end of the computation", LONG)
-    # The first one is not counted: it comes to compiled code that was not loaded yet.
-    return [
-        ("landmark to updated preview in the browser, median of 5", f"{statistics.median(updates[1:]):.2f} s"),
-        ("the same, best", f"{min(updates[1:]):.2f} s"),
-        ("of that the map's own computation, median", f"{statistics.median(own[1:]):.2f} s"),
-        ("answer to a button while a map is computed, in the browser, median of 6", milliseconds(answers)),
-        ("the same, worst", f"{1000 * max(answers):.0f} ms"),
-        ("frames a second while turning both", f"{frames_a_second(page):.0f}"),
-    ]
+    """Landmark to preview, progress after a click, answers while computing, frames."""
+    rows = [(f"{what}, in the browser, median", f"{1000 * seconds:.0f} ms") for what, seconds in page.waits().items()]
+    page.until(lambda: page.state("status")["kind"] != "busy", "the end of the computation", LONG)
+    return [*rows, ("frames a second while turning both", f"{frames_a_second(page):.0f}")]
 
 
 def milliseconds(seconds: list[float]) -> str:
@@ -167,11 +122,11 @@ def milliseconds(seconds: list[float]) -> str:
 
 
 def server_rows(files: Files, vertices: int) -> Rows:
-    """What of an answer is the studio's own, from a button's message to the panel's new text, while it computes."""
+    """What of an answer is the studio's own, while it computes: from a message to the state that pages are told."""
     folders = (files.target.parent,)
     app = StudioApp(PageRequest(files, all_options(), folders, port=0, vertices=vertices, open_browser=False))
     try:
-        session, table = app.session, app._work._list
+        session = app.session
         waited(lambda: session.state.map.revision == 1)
         for number in range(1, 9):
             session.remove(number)
@@ -180,10 +135,9 @@ def server_rows(files: Files, vertices: int) -> Rows:
         waited(lambda: session.state.preview_job is not None)
         answers = []
         for _ in range(6):
-            before = table.content
             answers.append(-time.perf_counter())
             session.undo()
-            waited(lambda before=before: table.content != before)  # type: ignore[misc]
+            app._state()  # what every page is told
             answers[-1] += time.perf_counter()
         return [("the same, what the studio needs of it without a browser", milliseconds(answers))]
     finally:
@@ -215,5 +169,5 @@ def many_rows(files: Files, vertices: int, count: int) -> Rows:
 
 
 def computed(page: Page) -> str:
-    """What the page says that the last map took."""
-    return page.text("map").split("\n")[0].split(",")[1].strip()
+    """What the page is told that the last map took."""
+    return f"{page.state('seconds'):.1f} s"

@@ -8,20 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.accuracy.posed import Bodies
-from benchmarks.sure.early import may_be_sure
 from benchmarks.sure.models import Model
 from benchmarks.truth import compare_with_truth
+from benchmarks.verdicts import verdict
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match
 from cagemap.spectral import Surface
-from cagemap.spectral.prepare import choose_level, prepare_surface
+from cagemap.spectral.surface import choose_level, prepare_surface
 
 # Largest error of a right map, x100 of sqrt(area): the mean over a human, the median over an animal's named places.
 RIGHT = 5.0
-# Said of pairs whose map was not made, see `row`.
-NOT_SURE = "not sure"
 # Places that only a limb, a nose or a tail has: one that lands next to another's is exchanged.
 EXTREMITIES = ("foot", "fin_tip", "nose", "mouth_tip", "tail_tip", "upper_tip", "lower_tip")
 
@@ -109,26 +107,10 @@ def right_landmarks(surfaces: Surfaces, target: Model, source: Model, count: int
 
 
 def row(surfaces: Surfaces, target: Model, source: Model, landmarks: int) -> dict:
-    """What a match with few landmarks or none says of itself, and what is true.
-
-    Between kinds, without landmarks, as far as it may be sure: nothing is right there whatever else it says.
-    """
-    named = {
-        "target": target.name, "source": source.name, "vertices": surfaces.bodies.vertices, "landmarks": landmarks,
-    }  # fmt: skip
-    sides = surfaces.of(target), surfaces.of(source)
-    if not landmarks and target.kind != source.kind and not may_be_sure(*sides):
-        return {**named, "said": NOT_SURE, "judged_by": "kind", "error": None, "exchanged": 0, "right": False}
-    found = match(*sides, right_landmarks(surfaces, target, source, landmarks))
-    said = found.confidence
-    assert said is not None
-    verdict = judged(found.point_map, target, source, surfaces)
+    """What a match with few landmarks or none says of itself, and what is true."""
+    found = match(surfaces.of(target), surfaces.of(source), right_landmarks(surfaces, target, source, landmarks))
+    true = judged(found.point_map, target, source, surfaces)
     return {
-        **named, "said": said.verdict, "cost": said.cost, "gap": None if np.isinf(said.gap) else said.gap,
-        "folded": said.shape.folded, "aspect": said.shape.aspect, "unreached": said.shape.unreached,
-        "sheared": said.shape.sheared,
-        "names": [reading.name for reading in said.readings],
-        "costs": [1e4 * reading.cost for reading in said.readings],
-        "doubt": said.readings[0].doubt,
-        "judged_by": verdict.by, "error": verdict.error, "exchanged": verdict.exchanged, "right": verdict.right,
+        "target": target.name, "source": source.name, "vertices": surfaces.bodies.vertices, "landmarks": landmarks,
+        **verdict(found), "judged_by": true.by, "error": true.error, "exchanged": true.exchanged, "right": true.right,
     }  # fmt: skip

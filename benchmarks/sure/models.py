@@ -1,11 +1,10 @@
-"""The meshes, what they show, and the order in which their pairs are asked."""
+"""The meshes, what they show, and pairs of them drawn at random."""
 
 from __future__ import annotations
 
 import random
 from dataclasses import dataclass
 from functools import cache
-from itertools import zip_longest
 from pathlib import Path
 
 from benchmarks.accuracy.data import DATA
@@ -70,12 +69,11 @@ def models() -> tuple[Model, ...]:
     return tuple(found)
 
 
-def ordered_pairs() -> list[tuple[Model, Model]]:
-    """All targets with all other sources in an order that is always the same: sort after sort in turn, at random."""
+def drawn_pairs(count: int, seed: int) -> list[tuple[Model, Model]]:
+    """So many targets and sources of every sort, at random."""
     every = [(target, source) for target in models() for source in models() if target is not source]
-    random.Random(16).shuffle(every)
-    sorts = [[pair for pair in every if sort_of(*pair) == name] for name in SORTS]
-    return [pair for turn in zip_longest(*sorts) for pair in turn if pair is not None]
+    random.Random(seed).shuffle(every)
+    return [pair for name in SORTS for pair in [one for one in every if sort_of(*one) == name][:count]]
 
 
 def sort_of(target: Model, source: Model) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import read_result
-from cagemap.report import draw_rides
-from cagemap.tasks.report import rides_of
+from cagemap.report import draw_carried
+from cagemap.tasks.report import carried_data
 
 WIDTH, HEIGHT = 300, 480
 
@@ -21,7 +21,7 @@ WIDTH, HEIGHT = 300, 480
 def main(folder: Path) -> None:
     """Weights from the front and two shapes, source beside target."""
     result = read_result(folder)
-    weights, shapes = draw_rides(result, rides_of(folder, result), (WIDTH, HEIGHT))[-2:]
+    weights, shapes = draw_carried(result, carried_data(folder, result), (WIDTH, HEIGHT))[-2:]
     pictures = [image for image, _ in (*weights.pictures[:2], *shapes.pictures[:4])]
     write_image(Path(__file__).with_name("rigs.jpg"), np.concatenate(pictures, axis=1), force=True)
 

@@ -1,4 +1,4 @@
-"""Named errors: one class per kind of cause, so that callers can tell bad input from bad luck.
+"""Named errors, one class per kind of cause.
 
 Every message says what was expected, what was found, where, and what to do about it.
 """

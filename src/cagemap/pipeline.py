@@ -17,8 +17,8 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic import elastic_map, updated_map
 from cagemap.maps.hypotheses.confidence import at_finest
-from cagemap.maps.hypotheses.jumps import Jumps
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
+from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
@@ -40,15 +40,14 @@ from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
-from cagemap.spectral.prepare import DEFAULT_VERTICES
-from cagemap.spectral.prepare import ENOUGH as ENOUGH
-from cagemap.spectral.prepare import METHODS as METHODS
-from cagemap.spectral.prepare import choose_level as choose_level
-from cagemap.spectral.prepare import default_basis as default_basis
-from cagemap.spectral.prepare import prepare_surface as prepare_surface
-from cagemap.spectral.prepare import prepare_surfaces as prepare_surfaces
-from cagemap.spectral.prepare import silent as silent
-from cagemap.spectral.surface import Surface
+from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
+from cagemap.spectral.surface import ENOUGH as ENOUGH
+from cagemap.spectral.surface import METHODS as METHODS
+from cagemap.spectral.surface import choose_level as choose_level
+from cagemap.spectral.surface import default_basis as default_basis
+from cagemap.spectral.surface import prepare_surface as prepare_surface
+from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
+from cagemap.spectral.surface import silent as silent
 
 logger = logging.getLogger(__name__)
 
@@ -244,9 +243,10 @@ def match_pair(
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
                 places = ends[0].answer
-                confidence = turned_limbs(ends, point_map, prepared)
+                confidence = turned_limbs(ends, prepared)
                 if MIRRORED_NOTE in check.notes:
-                    confidence = mirrored_readings(prepared, pair, point_map, progress)
+                    mirrored, check = mirrored_readings(prepared, pair, ends[0], check, progress)
+                    confidence = mirrored or confidence
             else:
                 point_map, ends = elastic_map(Problem(prepared, pair), progress)
                 places = ends[0].answer
@@ -448,8 +448,7 @@ def _judged(
         if shared is not None and shared.target.any():
             counted = replace(masks, target=masks.of_target(len(target.vertices)) * shared.target)
         quality = judge(target, point_map, points, trusted.names, counted)
-        jumps = Jumps.of(prepared, point_map).warnings(prepared)
-        quality = replace(quality, warnings=(*jumps, *quality.warnings))
+        quality = replace(quality, warnings=(*jump_warnings(prepared, point_map), *quality.warnings))
     check = check.with_folds(quality.flipped_area, len(landmarks))
     return MatchResult(
         target,

@@ -8,13 +8,13 @@ the ``start`` of `paper_map` and `hfm_map` take each of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
@@ -35,15 +35,12 @@ from cagemap.maps.quality import QualityFigures
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
-from cagemap.numerics.tensors import tensors
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.hfm import HfmConfig
-from cagemap.paper.hfm import hfm_map as _hfm_map
+from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.levels import basis_sizes, recover_points, search_full, search_level
-from cagemap.paper.method import PaperConfig
-from cagemap.paper.method import paper_map as _paper_map
+from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.pipeline import judge as _judge
@@ -88,26 +85,6 @@ __all__ = [
 SIDES = ("target", "source")
 # As many functions as a match reads, and operators of every level.
 EVERY_LEVEL = replace(MAP_BASIS, vertices=None)
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def _starts_anywhere(method: Callable[P, R]) -> Callable[P, R]:
-    """The method with a ``start`` that may be a `PointMap` too."""
-
-    @wraps(method)
-    def started(*args: P.args, **kwargs: P.kwargs) -> R:
-        pair, start = args[0] if args else kwargs.get("pair"), kwargs.get("start")
-        if isinstance(start, PointMap) and isinstance(pair, Pair):
-            kwargs["start"] = functional_map_from(pair, start)
-        return method(*args, **kwargs)
-
-    return started
-
-
-paper_map = _starts_anywhere(_paper_map)
-hfm_map = _starts_anywhere(_hfm_map)
 
 
 def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str = "mesh") -> Surface:
@@ -334,6 +311,46 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
     quality = _judge(pair.target, found, pair.landmarks, labels)
     return MatchResult(pair.target, pair.source, landmarks, found, quality)
+
+
+def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
+    """Tensors of torch from arrays and SciPy's sparse matrices, which become coalesced COO tensors.
+
+    Whole numbers stay whole. The other way needs nothing: functions that take arrays take tensors too.
+
+    Parameters
+    ----------
+    *values : arrays or sparse arrays
+    dtype : torch.dtype, optional
+        Of real numbers; default: theirs.
+    device : torch.device or str, optional
+
+    Returns
+    -------
+    tensor, or tuple of tensors
+
+    Raises
+    ------
+    ParameterError
+        If torch is not installed.
+    """
+    try:
+        import torch
+    except ImportError as error:
+        raise ParameterError("tensors: expected torch to be installed, found none; `pip install torch`") from error
+
+    def made(value: Any) -> Any:
+        if sparse.issparse(value):
+            entries: Any = sparse.coo_array(value)  # type: ignore[call-overload]
+            places = torch.as_tensor(np.stack(entries.coords).astype(np.int64))
+            data = torch.as_tensor(np.array(entries.data))
+            found = torch.sparse_coo_tensor(places, data, entries.shape, check_invariants=False).coalesce()
+        else:
+            found = torch.as_tensor(np.array(value))  # a copy: ours are read-only
+        return found.to(device=device, dtype=dtype if found.is_floating_point() else None)
+
+    found = tuple(made(value) for value in values)
+    return found[0] if len(found) == 1 else found
 
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:

@@ -1,155 +1,272 @@
-"""The add-on for Blender: what it writes, and all its buttons where an interpreter with `bpy` is named."""
+"""The extension for Blender: its zip file, its computing process, and all its buttons where `bpy` is installed."""
 
 from __future__ import annotations
 
 import importlib
 import json
 import os
-import shutil
+import platform
 import subprocess
 import sys
 import tomllib
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
+import cagemap
 from cagemap.example import example_pair
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
-from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.mesh import CatmullClark
-from cagemap.subdivision import refine
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh import ControlMesh
 
 from locations import FIXTURES, ROOT
 
-ADDONS = ROOT / "examples" / "blender"
+EXTENSION = ROOT / "blender" / "cagemap_blender"
+BUILD = ROOT / "blender" / "build.py"
 
 
 @pytest.fixture
-def outgoing(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The module that writes models, with empty stand-ins for Blender's own."""
-    monkeypatch.syspath_prepend(str(ADDONS))
-    for name in ("bpy", "mathutils"):
-        monkeypatch.setitem(sys.modules, name, SimpleNamespace(Matrix=np.array))
+def client(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module that starts the computing process; it needs no Blender."""
     package = ModuleType("cagemap_blender")
-    package.__path__ = [str(ADDONS / "cagemap_blender")]
+    package.__path__ = [str(EXTENSION)]
     monkeypatch.setitem(sys.modules, "cagemap_blender", package)
-    for name in ("outgoing", "incoming", "errors"):
-        monkeypatch.delitem(sys.modules, f"cagemap_blender.{name}", raising=False)
-    return importlib.import_module("cagemap_blender.outgoing")
+    monkeypatch.delitem(sys.modules, "cagemap_blender.client", raising=False)
+    return importlib.import_module("cagemap_blender.client")
 
 
-def test_the_written_model_is_the_cage_with_its_seams_and_creases(outgoing: ModuleType, tmp_path: Path) -> None:
-    mesh = example_pair(64).source
-    faces = [mesh.face(i).tolist() for i in range(mesh.n_faces)]
-    edges = np.array([[0, 1], faces[3][:2], faces[9][:2]])
-    tags = [
-        "t scheme 0/0/1 catmull-clark",
-        "t interpolateboundary 1/0/0 2",
-        *outgoing.crease_tags(edges, np.array([0.0, 0.5, 1.0]), np.zeros(mesh.n_vertices)),
-    ]
-    uvs = mesh.uvs[mesh.uv_indices]
-    (tmp_path / "cage.obj").write_text(outgoing.mesh_text(mesh.positions, faces, uvs, None, tags))
-    read = read_mesh(tmp_path / "cage.obj")
-    np.testing.assert_allclose(read.positions, mesh.positions, atol=1e-7)
-    np.testing.assert_array_equal(read.face_indices, mesh.face_indices)
-    np.testing.assert_allclose(read.uvs[read.uv_indices], uvs, atol=1e-7)
-    assert read.scheme == CatmullClark("edge_only")
-    assert sorted(read.crease_sharpness) == [2.5, 10.0]  # 10 c^2
+@pytest.fixture
+def worker(client: ModuleType) -> Iterator[Any]:
+    made = client.Worker()
+    yield made
+    made.stop()
 
 
-def test_names_of_landmarks_are_without_the_numbers_that_blender_adds(outgoing: ModuleType) -> None:
-    assert [outgoing.plain_name(name) for name in ("nose", "nose.001", "toe.2", "a.b.012")] == [
-        "nose",
-        "nose",
-        "toe.2",
-        "a.b",
-    ]
+def answer(worker: Any, name: str, **arguments: Any) -> tuple[str, Any]:
+    worker.send(name, arguments)
+    while (message := worker.receive(timeout=300.0))[0] == "stage":
+        assert worker.busy
+    assert not worker.busy
+    return message
 
 
-def test_every_pair_has_a_folder_of_its_own(outgoing: ModuleType) -> None:
-    kept = ["pony", "Pony.001", "馬", "Hÿena"]
-    assert [outgoing.file_name(name) for name in kept] == kept
-    changed = ["a b", "a/b", "a\\b", "..", ".a", "🐎", "🐖"]
-    names = [outgoing.file_name(name) for name in changed]
-    assert len({*names, "a_b"}) == len(changed) + 1
-    assert not any(set(name) & set("/\\ ") or name.startswith(".") for name in names)
+def arrays(mesh: ControlMesh, scheme: str = "catmull-clark") -> dict[str, Any]:
+    """A mesh as the extension sends it."""
+    none = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    return {
+        "name": mesh.name,
+        "positions": mesh.positions,
+        "sizes": mesh.face_sizes,
+        "corners": mesh.face_indices,
+        "loops": np.arange(len(mesh.face_indices)),
+        "scheme": scheme,
+        "options": {},
+        "creases": none,
+        "sharp_corners": none,
+    }
 
 
-def test_the_manifest_is_one_that_blender_takes() -> None:
-    manifest = tomllib.loads((ADDONS / "cagemap_blender" / "blender_manifest.toml").read_text())
-    for words in (manifest["tagline"], *manifest["permissions"].values()):
-        assert len(words) <= 64
-        assert words[-1].isalnum()
-    oldest = tuple(map(int, manifest["blender_version_min"].split(".")))
-    assert f'"blender": {oldest}' in (ADDONS / "cagemap_blender" / "__init__.py").read_text()
+def two_pieces(mesh: ControlMesh) -> ControlMesh:
+    """A mesh with a small copy of itself beside it."""
+    eye = 0.05 * mesh.positions + mesh.positions.max(axis=0)
+    return ControlMesh(
+        np.concatenate([mesh.positions, eye]),
+        np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + mesh.face_offsets[1:]]),
+        np.concatenate([mesh.face_indices, mesh.n_vertices + mesh.face_indices]),
+        name=mesh.name,
+    )
 
 
-def test_long_names_are_cut_as_blender_cuts_them(outgoing: ModuleType) -> None:
-    assert outgoing.short_name("wrapped pony") == "wrapped pony"
-    assert outgoing.short_name("é" * 40) == "é" * 31  # 63 bytes
-
-
-def test_a_hidden_modifier_does_not_subdivide(outgoing: ModuleType) -> None:
-    def stack(*shown: bool) -> SimpleNamespace:
-        kinds = zip(("SUBSURF", "MIRROR", "MULTIRES"), shown, strict=True)
-        return SimpleNamespace(modifiers=[SimpleNamespace(type=kind, show_viewport=on) for kind, on in kinds])
-
-    assert outgoing.cage_modifier(stack(False, True, False)) is None
-    assert outgoing.modifier_tags(stack(False, True, False)) == ["t scheme 0/0/1 none"]
-    assert outgoing.cage_modifier(stack(False, True, True)).type == "MULTIRES"
-
-
-def test_tiles_that_were_written_are_found(outgoing: ModuleType, tmp_path: Path) -> None:
-    incoming = importlib.import_module("cagemap_blender.incoming")
-    for name in ("a+b.1001.png", "a+b.1012.png", "aab.1002.png", "a+b.10010.png", "a+b.1003.exr"):
-        (tmp_path / name).touch()
-    assert incoming.tile_numbers(tmp_path / "a+b.<UDIM>.png") == {1001, 1012}
+def squares(mesh: ControlMesh) -> tuple[np.ndarray, np.ndarray]:
+    """UVs (c, 2) with every face in a place of its own, and the middles of the places."""
+    side = int(np.ceil(np.sqrt(mesh.n_faces)))
+    faces = np.arange(mesh.n_faces)
+    middles = (np.column_stack([faces % side, faces // side]) + 0.5) / side
+    turn = 2 * np.pi * (np.arange(len(mesh.face_indices)) - mesh.face_offsets[mesh.corner_faces])
+    turn /= mesh.face_sizes[mesh.corner_faces]
+    return middles[mesh.corner_faces] + 0.45 / side * np.column_stack([np.cos(turn), np.sin(turn)]), middles
 
 
 @pytest.mark.slow
-def test_all_buttons_in_blender(tmp_path: Path) -> None:
+@pytest.mark.parametrize("scheme", ["catmull-clark", "none"])
+def test_under_the_identity_values_of_all_pieces_come_back(worker: Any, scheme: str) -> None:
+    mesh = two_pieces(example_pair(64).target)
+    moved = mesh.with_positions(mesh.positions + np.array([3.0, -1.0, 2.0]))
+    points = {name: {"nose": (one.positions[5]).tolist()} for name, one in (("target", moved), ("source", mesh))}
+    kind, found = answer(
+        worker,
+        "match",
+        target=arrays(moved, scheme),
+        source=arrays(mesh, scheme),
+        target_points=points["target"],
+        source_points=points["source"],
+        vertices=2000,
+    )
+    assert kind == "done", found
+    numbers = np.random.default_rng(3)
+    n, c, m = mesh.n_vertices, len(mesh.face_indices), mesh.n_faces
+    weights, offsets = numbers.random((n, 3)), numbers.random((n, 3))
+    vertices, corners = {"a": numbers.random(n), "b": numbers.random((n, 4))}, {"uv": numbers.random((c, 2))}
+    _, values = answer(worker, "values", vertices=vertices, corners=corners)
+    for name, array in (vertices | corners).items():
+        np.testing.assert_allclose((values["vertices"] | values["corners"])[name], array, atol=1e-9)
+    # Sums of weights are kept, whatever they are: Blender does not ask that they are 1.
+    np.testing.assert_allclose(answer(worker, "weights", weights=weights)[1]["weights"], weights, atol=1e-9)
+    np.testing.assert_allclose(answer(worker, "shapes", shapes={"s": offsets})[1]["shapes"]["s"], offsets, atol=1e-6)
+    materials = numbers.integers(0, 3, m)
+    np.testing.assert_array_equal(answer(worker, "materials", materials=materials)[1]["materials"], materials)
+    uvs, middles = squares(mesh)
+    pixels = numbers.integers(0, 255, (256, 256, 3)).astype(np.uint8)
+    image = {"name": "i", "pixels": pixels, "size": (256, 256), "uvs": uvs, "normals": False}
+    baked = answer(worker, "bake", images=[image], target_uvs=uvs)[1]["images"]["i"][0]
+    column, row = (256 * middles).astype(int).T
+    np.testing.assert_array_equal(baked[255 - row, column], pixels[255 - row, column])
+    # In tiles: the source's image on 1001 and 1002, the target's layout half on each.
+    shift = np.zeros_like(uvs)
+    shift[np.isin(mesh.corner_faces, np.flatnonzero(np.arange(m) % 2)), 0] = 1.0
+    tiled = image | {"pixels": {1001: pixels, 1002: pixels[::-1].copy()}, "uvs": uvs + shift}
+    tiles = answer(worker, "bake", images=[tiled], target_uvs=uvs + shift)[1]["images"]["i"]
+    for tile, own in ((1001, slice(0, None, 2)), (1002, slice(1, None, 2))):
+        given = tiled["pixels"][tile][255 - row, column][own]
+        np.testing.assert_array_equal(tiles[tile][255 - row, column][own], given)
+
+
+@pytest.mark.slow
+def test_what_is_wrong_is_said_and_the_process_goes_on(worker: Any) -> None:
+    assert answer(worker, "wrap") == ("refused", "The two objects are not matched yet. Press Match.")
+    mesh = arrays(ControlMesh.from_faces(np.eye(3), [[0, 1, 2]], name="corner"))
+    asked = {"target_points": {}, "source_points": {}, "vertices": 2000}
+    broken = mesh | {"positions": np.full((3, 3), np.nan)}
+    kind, said = answer(worker, "match", target=broken, source=mesh, **asked)
+    assert kind == "refused"
+    assert said.startswith("corner")
+    kind, said = answer(worker, "match", target={}, source=mesh, **asked)
+    assert kind == "refused"
+    assert "fault of cagemap" in said
+    assert answer(worker, "wrap")[0] == "refused"  # the same process answers
+
+
+@pytest.mark.slow
+def test_a_crash_is_an_error_message(worker: Any) -> None:
+    mesh = arrays(example_pair(64).target)
+    worker.send("match", {"target": mesh, "source": mesh, "target_points": {}, "source_points": {}, "vertices": 2000})
+    assert worker.receive(timeout=300.0) == ("stage", "prepare")
+    worker._process.kill()
+    while (message := worker.receive(timeout=300.0))[0] == "stage":
+        pass
+    assert message[0] == "refused"
+    assert "ended" in message[1]
+    assert not worker.has_match
+    assert answer(worker, "wrap")[1] == "The two objects are not matched yet. Press Match."  # by another process
+
+
+def test_the_computing_process_imports_only_what_is_packed() -> None:
+    build = {}
+    exec(BUILD.read_text(encoding="utf-8").partition("def requirements")[0], build | {"__file__": str(BUILD)}, build)
+    packed = {name.replace("-", "_") for name in build["NEEDED"]} | {"numpy", "llvmlite", "cagemap"}
+    script = f"import runpy, sys; runpy.run_path({str(EXTENSION / 'worker.py')!r}); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    found = {name.partition(".")[0] for name in done.stdout.split()} - set(sys.stdlib_module_names)
+    ours = {
+        name for name in found if name in {"OpenImageIO", "pydantic", "typer", "embreex", "xatlas", "filelock", "rich"}
+    }
+    assert not ours
+    assert packed <= found | {"fast_simplification", "rslab"}
+
+
+def test_the_manifest_is_one_that_blender_takes() -> None:
+    manifest = tomllib.loads((EXTENSION / "blender_manifest.toml").read_text(encoding="utf-8"))
+    for words in (manifest["tagline"], *manifest["permissions"].values()):
+        assert len(words) <= 64
+        assert words[-1].isalnum()
+    assert manifest["version"] == cagemap.__version__
+    assert manifest["blender_version_min"] == "4.2.0"
+
+
+@pytest.fixture(scope="session")
+def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The zip file for this platform."""
+    system = {"Linux": "linux", "Darwin": "macos", "Windows": "windows"}[platform.system()]
+    name = f"{system}-{'arm64' if platform.machine() in ('arm64', 'aarch64') else 'x64'}"
+    folder = tmp_path_factory.mktemp("extension")
+    subprocess.run([sys.executable, str(BUILD), name, "-o", str(folder)], check=True, capture_output=True)
+    (made,) = folder.glob("*.zip")
+    return made
+
+
+@pytest.mark.slow
+def test_all_buttons_in_blender(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     blender = os.environ.get("CAGEMAP_BPY")
     if not blender:
-        pytest.skip("CAGEMAP_BPY names no interpreter that has bpy (python3.11 -m venv V; V/bin/pip install bpy)")
+        pytest.skip("CAGEMAP_BPY names no interpreter that has bpy: run `make test-blender`")
+    extension: Path = request.getfixturevalue("extension")
+    with zipfile.ZipFile(extension) as packed:
+        listed = tomllib.loads(packed.read("blender_manifest.toml").decode())["wheels"]
+        assert {name.removeprefix("./") for name in listed} == {n for n in packed.namelist() if n.endswith(".whl")}
     pair = example_pair(64)
     write_mesh(tmp_path / "deer.obj", pair.target)
     write_mesh(tmp_path / "pony.obj", pair.source)
     write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
     write_image(tmp_path / "pony.png", pair.texture)
-    command = shutil.which("cagemap")
-    assert command is not None
-    script = FIXTURES / "blender_scene.py"
+    fresh = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(
-        [blender, str(script), str(ADDONS), str(tmp_path), command], capture_output=True, text=True, check=False
+        [blender, str(FIXTURES / "blender_scene.py"), str(extension), str(tmp_path)],
+        env=fresh | {"BLENDER_USER_RESOURCES": str(tmp_path / "profile")},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    said = json.loads(done.stdout.splitlines()[-1])
-    for case, words in (
-        ("unsaved", "Choose a mesh as target"),
-        ("too early", "not matched yet"),
-        ("mirror", "Mirror"),
-        ("edit", "deer: is in Edit Mode"),
-        ("changed", "it was changed"),
-        ("taken", "shape keys of its own called mine"),
-    ):
-        assert words in said[case], said[case]
-    *apart, size = said["wrapped"]
-    assert np.abs(apart).max() < 0.1 * size  # on the source, where that stands
-    assert said["wider"] == pytest.approx(1.2, abs=0.1)
-    assert {"kept", "high"} == set(said["groups"])
-    assert said["keys"][:2] == [["wide", 0.0], ["wrapped pony", 1.0]]
-    assert said["tiles"] == [1001, 1003]
-    assert said["materials"][-2:] == ["cagemap deer_pony", "cagemap tiled"]
-    folder = tmp_path / "cagemap" / "pony__deer"
-    result = json.loads((folder / "RESULT" / "manifest.json").read_text())
-    assert len(json.loads((folder / "target_points.json").read_text())["points"]) == len(pair.landmarks.target)
-    assert result["quality"]["landmark_error_mean"] < 0.01
-    # What is matched is what Blender shows, creases included.
-    refined = refine(read_mesh(folder / "source.obj"), 2, CatmullClark("edge_only"))
-    shown = np.load(tmp_path / "refined.npy")
-    assert len(shown) == refined.finest.n_vertices
-    assert cKDTree(shown).query(refined.finest.positions)[0].max() < 1e-5 * np.ptp(shown)
+    said = json.loads((tmp_path / "said.json").read_text())
+    window = said["background"]
+    assert window["answers"] == ["RUNNING_MODAL", "PASS_THROUGH", "CANCELLED", "FINISHED"]
+    assert window["returned after"] < 2.0  # a loaded machine
+    assert window["second"] == "CANCELLED"
+    assert window["stopped"] == [0, False, False]
+    assert window["written"] == [0, False, True]
+    assert any("prepare" in text for text in window["status"] if text)
+    assert window["status"][-1] is None
+    assert window["changed"] == "CANCELLED"
+    assert "same mesh" in window["why"][1]
+    assert max(said["texels that differ"]) < 0.01  # faces smaller than a texel
+    for name, apart in said.items():
+        if name.startswith("identity"):
+            assert max(apart.values()) <= 1e-6, (name, apart)
+    for name in ("walk subdivided", "walk plain"):
+        walk = said[name]
+        for case, words in (
+            ("nothing", "Choose a mesh as source"),
+            ("follow too early", "not matched as they are now"),
+            ("mirror", "Mirror"),
+            ("edit", "deer is in Edit Mode"),
+            ("rigged again", "deer is rigged already, by skeleton on deer"),
+            ("taken", "vertex groups of its own called own"),
+        ):
+            assert words in walk[case], (case, walk[case])
+        assert walk["still matched"]
+        assert walk["groups"] == ["high", "root", "tip"]
+        assert walk["wider"] == pytest.approx(1.2, abs=0.1)
+        assert walk["materials"][-2:] == ["coat on deer", "hoof on deer"]
+        assert walk["materials again"] == walk["materials"]  # those of the earlier run are replaced
+        assert walk["images"] == ["tiled.1001.png on deer"]
+        assert walk["image"][:3] == [64, 64, True]
+        assert walk["image"][3] > 0.01  # not of one colour
+        assert walk["tiles"] == ["TILED", [1001, 1002], 2, 64, 64]
+        *apart, size = walk["wrapped"]
+        assert np.abs(apart).max() < 0.1 * size  # on the source, where that stands
+        assert sorted(parent for parent, _ in walk["landmarks"]) == ["deer", "pony"]
+        assert walk["at cursor"] < 0.05 * size
+        most, mean = walk["followed"]
+        assert most > 0.01 > mean  # around the landmark alone
+        assert walk["live"] > 0.01
+        assert walk["rig"] == ["skeleton on deer", ["root", "tip"], True]
+        assert walk["bone inside"]
+        assert walk["connected"]
+        assert walk["coat"][0] == "skeleton on deer"
+        assert walk["coat"][1] < 0.05

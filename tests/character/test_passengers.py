@@ -16,7 +16,7 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from cagemap.cli.app import match as match_command
-from cagemap.example import ExamplePair, example_pair
-from cagemap.files.images.image import write_image
+from cagemap.example import ExamplePair
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points
-from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import file_hash, read_result
 from cagemap.files.result.surface_store import prepared
 from cagemap.mesh.landmarks import NamedPoints
@@ -26,21 +25,6 @@ from cagemap.tasks.match import MatchRequest, match_config, read_inputs
 from command_line import MATCH, Run
 
 COARSE = ["--level", 1, "-k", 20, "--set", "method.search_vertices=300"]
-
-
-@pytest.fixture(scope="module")
-def pair() -> ExamplePair:
-    return example_pair(64)
-
-
-@pytest.fixture
-def pair_files(pair: ExamplePair, tmp_path: Path) -> Path:
-    """The built-in pair as files."""
-    write_mesh(tmp_path / "deer.obj", pair.target)
-    write_mesh(tmp_path / "pony.obj", pair.source)
-    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
-    write_image(tmp_path / "pony.png", pair.texture)
-    return tmp_path
 
 
 @pytest.mark.slow
@@ -93,8 +77,9 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: Non
 
 @pytest.mark.slow
 def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
-    run: Run, pair_files: Path, pair: ExamplePair
+    run: Run, pair_files: Path, built_in_pair: ExamplePair
 ) -> None:
+    pair = built_in_pair
     names = pair.landmarks.names
     source = pair.landmarks.source.copy()
     wrong = names.index("hoof_hind_L")

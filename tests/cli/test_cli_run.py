@@ -15,11 +15,9 @@ from typer.testing import CliRunner
 
 from cagemap.cli.app import app
 from cagemap.errors import FormatError, ParameterError
-from cagemap.example import example_pair
+from cagemap.example import ExamplePair
 from cagemap.files.atomic import write_whole
 from cagemap.files.code_version import code_version
-from cagemap.files.images.image import write_image
-from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
@@ -78,15 +76,10 @@ NUMBERED = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    pair = example_pair(64)
-    write_mesh(tmp_path / "deer.obj", pair.target)
-    write_mesh(tmp_path / "pony.obj", pair.source)
-    write_image(tmp_path / "pony.png", pair.texture)
-    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
-    (tmp_path / "broken.obj").write_text("v 0 0 0\nf 1 2 3\n")
-    (tmp_path / "job.toml").write_text(JOB)
-    return tmp_path
+def folder(pair_files: Path) -> Path:
+    (pair_files / "broken.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    (pair_files / "job.toml").write_text(JOB)
+    return pair_files
 
 
 def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> None:
@@ -112,7 +105,7 @@ def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, mon
     assert minutes[500] == pytest.approx(10.0, abs=0.1)  # a task takes what it takes
 
 
-def test_a_dry_run_foresees_what_will_be_refused(folder: Path) -> None:
+def test_a_dry_run_foresees_what_will_be_refused(folder: Path, built_in_pair: ExamplePair) -> None:
     def said(command: str) -> str:
         (folder / "job.toml").write_text(JOB.replace('texture = "{source.color}"\nsize = 64', command))
         run = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"])
@@ -122,7 +115,7 @@ def test_a_dry_run_foresees_what_will_be_refused(folder: Path) -> None:
     texture = 'texture = "{source.color}"'
     assert "refused" not in said(texture)
     assert "broken cannot be used: " in said(texture)
-    pair = example_pair(64)
+    pair = built_in_pair
     write_mesh(folder / "deer.obj", replace(pair.target, uvs=None, uv_indices=None))
     assert "will be refused, for deer has no texture coordinates: add `unwrap = true`" in said(texture)
     assert "refused" not in said(texture + "\nunwrap = true")

@@ -27,8 +27,7 @@ def mesh(tmp_path_factory):
 
 
 def run(*given, **options):
-    with Stages() as stages:
-        return run_functions(FunctionsRequest(*given, **options), stages)[0]
+    return run_functions(FunctionsRequest(*given, **options), Stages())[0]
 
 
 def test_what_is_written_is_what_the_basis_has(mesh, tmp_path):

@@ -13,9 +13,7 @@ from typer.testing import CliRunner
 
 from cagemap.cli.app import app
 from cagemap.errors import FormatError, ParameterError
-from cagemap.example import example_pair
-from cagemap.files.images.image import read_image, write_image
-from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.jobs import plan_job, read_job, spanning_tree
@@ -34,14 +32,9 @@ from example_result import identity_result, textured_cube
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    pair = example_pair(64)
-    write_mesh(tmp_path / "deer.obj", pair.target)
-    write_mesh(tmp_path / "pony.obj", pair.source)
-    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
-    write_image(tmp_path / "pony.png", pair.texture)
-    (tmp_path / "RESULT").mkdir()
-    return tmp_path
+def folder(pair_files: Path) -> Path:
+    (pair_files / "RESULT").mkdir()
+    return pair_files
 
 
 def requests(folder: Path) -> tuple[MatchRequest, TransferRequest]:

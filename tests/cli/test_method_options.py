@@ -54,8 +54,7 @@ def test_each_side_has_its_own_level_and_schedule(tmp_path):
         source_schedule="10,8", parameter=("rounds=0", "laplacian=0.01", "heat=4"),
         target_symmetry=(tmp_path / "s.json",), source_symmetry=(tmp_path / "s.npy",),
     )  # fmt: skip
-    with Stages() as stages:
-        run_match(request, stages)
+    run_match(request, Stages())
     result = read_result(tmp_path / "R")
     assert result.functional_map.shape == (22, 18)
     used = result.manifest["parameters"]
@@ -100,8 +99,7 @@ def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
         source_laplacian="mean", accuracy=1e-8, target_accuracy=1e-10, source_literal=True, symmetry=False,
         parameter=("rounds=0",),
     )  # fmt: skip
-    with Stages() as stages:
-        run_match(request, stages)
+    run_match(request, Stages())
     result = read_result(tmp_path / "R")
     used = result.manifest["parameters"]
     assert (used["target_laplacian"], used["target_stabilisation"], used["source_laplacian"]) == (

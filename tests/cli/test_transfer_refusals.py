@@ -14,7 +14,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.errors import FormatError, ParameterError, explained
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import write_result
-from cagemap.paper import HfmConfig
+from cagemap.paper.hfm import HfmConfig
 from cagemap.tasks import transfer as door
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -85,6 +85,8 @@ def fail() -> str:
         ("detail_texture", Path("d.png")),
         ("rays", 3),
         ("influences", 3),
+        ("only", "hip"),
+        ("mirror", True),
         ("size", 8),
         ("bits", 16),
         ("scale", 2.0),

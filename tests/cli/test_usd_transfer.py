@@ -48,8 +48,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _run(**options: object) -> str:
-    with Stages() as stages:
-        summary, _ = run_transfer(TransferRequest(result=Path("RESULT"), **options), stages)
+    summary, _ = run_transfer(TransferRequest(result=Path("RESULT"), **options), Stages())
     return summary
 
 
@@ -88,8 +87,7 @@ def test_usual_names_of_maps_are_bound_and_what_is_left_out_is_said(folder: Path
         write_image(folder / f"in_{name}.png", gray)
     maps = texture_and_maps([f"{name}=in_{name}.png" for name in [*expected, "gloss", "opacity"]])[1]
     request = TransferRequest(result=Path("RESULT"), maps=maps, output=folder / "out.png", usd=folder / "look.usda")
-    with Stages() as stages:
-        _, warnings = run_transfer(request, stages)
+    _, warnings = run_transfer(request, Stages())
     left = [line for line in warnings if "not bound" in line]
     assert [line.partition(":")[0] for line in left] == ["gloss", "opacity"]  # alpha has the input already
     stage = Usd.Stage.Open(str(folder / "look.usda"))

@@ -16,11 +16,13 @@ from test_damaged_files import mutated_bytes, mutated_entries, outcome
 from cagemap.errors import FormatError
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, humanoid_bones
-from cagemap.files.gltf.contents import read_contents
+from cagemap.files.gltf.contents import contents_of
 from cagemap.files.gltf.document import Document, glb_bytes, read_document, write_document
+from cagemap.files.gltf.parts import read_scene
 from cagemap.mesh.checks import check_mesh
 from cagemap.tasks.mesh_commands import check_files
 
+from fbx_scenes import fbx_arm
 from gltf_scenes import arm
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
@@ -133,6 +135,26 @@ def test_damaged_copies_of_files_as_they_come(name: str, tmp_path: Path, shared_
     assert 0 < refused < count
 
 
+@pytest.mark.slow
+def test_damaged_copies_of_an_fbx_file(tmp_path: Path) -> None:
+    """The library reads them in a process of its own, which may stop: this one goes on with a named error."""
+    pytest.importorskip("ufbx")
+    path, rng = tmp_path / "made.fbx", np.random.default_rng(7)
+    content = fbx_arm(image=b"\x89PNG" + bytes(60), leaf=True, posed=True).bytes()
+    path.write_bytes(content)
+    use(path)
+    refused = 0
+    for number in range(40):
+        changed = bytearray(mutated_bytes(content, rng) if number % 4 == 0 else content)
+        if number % 4:  # records keep their lengths
+            for at in rng.integers(30, len(content), 6).tolist():
+                changed[at] = int(rng.integers(256))
+        path.write_bytes(changed)
+        refused += not outcome(lambda: use(path))
+    assert list(tmp_path.iterdir()) == [path]
+    assert 0 < refused < 40
+
+
 def _json_of(content: bytes) -> Any:
     (length,) = struct.unpack_from("<I", content, 12)
     return json.loads(content[20 : 20 + length])
@@ -177,5 +199,5 @@ def _all_of(document: Document, path: Path) -> None:
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
     character = character_of(read_document(path))
     humanoid_bones(read_document(path))
-    read_contents(path)
+    contents_of(read_scene(read_document(path)))
     check_mesh(character.parts[0].mesh)

@@ -19,8 +19,7 @@ from cagemap.deform.problem import Problem
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import level_triangles, refine

@@ -111,7 +111,7 @@ def test_what_does_not_fit_is_refused(itself):
         np.zeros((0, 0)),
         np.full(itself.target.control.n_vertices, -1),
     ):
-        with pytest.raises(ParameterError, match="start: expected"):
+        with pytest.raises(ParameterError, match="map: expected"):
             research.paper_map(itself, start=start)
     backwards = np.arange(itself.target.control.n_vertices)[::-1]
     with pytest.raises(ParameterError, match="pairs of arrays"):

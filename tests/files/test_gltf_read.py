@@ -271,6 +271,17 @@ def test_glbs_that_are_cut_short(tmp_path: Path) -> None:
     path.write_bytes(struct.pack("<4sII", b"glTF", 1, len(content)) + content[12:])
     with pytest.raises(FormatError, match="version 2, got 1"):
         read_document(path)
+    for chunk, message in ((b"\xff\0\0\0JSON", "ends after the file"), (b"\0\0\0\0BIN\0", "expected a JSON chunk")):
+        path.write_bytes(struct.pack("<4sII", b"glTF", 2, 20) + chunk)
+        with pytest.raises(FormatError, match=message):
+            read_document(path)
+
+
+@pytest.mark.parametrize(("text", "message"), [("[]", "with an asset, got other JSON"), ('{"a": NaN}', "number NaN")])
+def test_other_json_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "other.gltf").write_text(text)
+    with pytest.raises(FormatError, match=message):
+        read_document(tmp_path / "other.gltf")
 
 
 @pytest.mark.parametrize(

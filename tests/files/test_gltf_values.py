@@ -66,14 +66,17 @@ def test_a_file_without_a_skin_is_refused(tmp_path: Path) -> None:
 def test_check_says_what_a_file_holds(file: Path, tmp_path: Path) -> None:
     text, _ = check_files([file])
     for line in (
-        "body           strip, the largest surface",
-        "passengers     1: ball",
-        "skeleton       2 joints, at most 2 a vertex",
-        "shapes         1: raise",
-        "animations     1: bend (2 s)",
+        "arm.glb: strip\n",
+        "  vertices              6\n",
+        "body        strip: is matched",
+        "passengers  1 (ball): ride on the body",
+        "skeleton    2 joints, at most 2 a vertex: is carried, with its weights",
+        "shapes      1 (raise): are carried",
+        "animations  1 (bend (2 s)): are retargeted",
     ):
         assert line in text
-    assert "component:" not in text
+    for word in ("component:", "--weld", "set aside"):
+        assert word not in text
     (held,) = json.loads(check_values([file])[0])
     assert held["contents"]["joints"] == 2
     write_mesh(tmp_path / "plain.obj", read_gltf(file))

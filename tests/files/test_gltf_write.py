@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import cube, icosahedron
 
 from cagemap.character.values import Character
 from cagemap.errors import FormatError
@@ -19,6 +20,7 @@ from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import Document, image_bytes, read_document, write_document
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import extract
 from cagemap.tasks.mesh_commands import refine_file
 
@@ -74,6 +76,55 @@ def _same(one: Character, other: Character, tolerance: float = 1e-6) -> None:
             for track, also in zip(animation.tracks, again_moving.tracks, strict=True):
                 assert (track.joint, track.channel) == (also.joint, also.channel)
                 np.testing.assert_allclose(track.values, also.values, atol=tolerance)
+
+
+def _faces(mesh: ControlMesh) -> list[tuple[int, ...]]:
+    return [tuple(mesh.face(number).tolist()) for number in range(mesh.n_faces)]
+
+
+def test_polygons_come_back_as_polygons(tmp_path: Path) -> None:
+    """Also faces round one vertex that all begin with it, which together look like one fan; of two materials."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)])
+    faces = [(0, 1, 2, 3), (0, 3, 4), (0, 4, 5, 6), (0, 6, 7, 8, 9, 10), (0, 10, 11), (0, 11, 12, 1)]
+    disk = ControlMesh.from_faces(np.vstack([np.zeros(3), rim]), faces)
+    disk = replace(disk, face_materials=np.array([0, 1, 0, 0, 1, 0]), material_names=("a", "b"))
+    write_mesh(tmp_path / "disk.glb", disk)
+    read = read_mesh(tmp_path / "disk.glb")
+    # The primitives of the materials follow each other.
+    assert _faces(read) == [_faces(disk)[number] for number in (0, 2, 3, 5, 1, 4)]
+    np.testing.assert_allclose(read.positions, disk.positions, atol=1e-6)
+    assert read_document(tmp_path / "disk.glb").json["extensionsUsed"] == ["FB_ngon_encoding"]
+    rng = np.random.default_rng(3)
+    for number in range(20):  # begun anywhere, in any order
+        turned = [tuple(np.roll(face, rng.integers(len(face)))) for face in faces]
+        other = ControlMesh.from_faces(disk.positions, [turned[k] for k in rng.permutation(6)])
+        write_mesh(tmp_path / f"{number}.glb", other)
+        assert _faces(read_mesh(tmp_path / f"{number}.glb")) == _faces(other)
+
+
+@pytest.mark.parametrize("stated", [3, [[0]], [[0, 1], [2]], [[9, 1]], [[0, 4]], [[-1, 0]], [[0.5, 1]], "a", [{}]])
+def test_corners_of_polygons_that_are_none_are_refused(stated: Any, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.glb", cube())
+    document = read_document(tmp_path / "box.glb")
+    document.json["meshes"][0]["primitives"][0]["extras"] = {"cagemap_fan_starts": stated}
+    with pytest.raises(FormatError, match="expected faces and their corners"):
+        character_of(document)
+
+
+def test_a_rig_that_cannot_go_along_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_document(tmp_path / "arm.glb", arm())
+    write_mesh(tmp_path / "box.glb", cube(), like=tmp_path / "arm.glb")
+    assert "its skeleton, shapes, animations are left out" in caplog.text
+    assert "skins" not in read_document(tmp_path / "box.glb").json
+    caplog.clear()
+    write_mesh(tmp_path / "same.glb", read_mesh(tmp_path / "arm.glb"), like=tmp_path / "arm.glb")
+    assert caplog.text == ""
+
+
+def test_triangles_need_no_extension(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "ball.glb", icosahedron())
+    assert "extensionsUsed" not in read_document(tmp_path / "ball.glb").json
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf", ".vrm"])
@@ -154,6 +205,22 @@ def test_a_new_image_for_one_of_two_materials_that_share_one() -> None:
     assert made.json["textures"][slots[0]["index"]]["sampler"] == 0
     with pytest.raises(FormatError, match="sleeve, ball"):
         character_glb(character_of(document), document, {("hat", "baseColorTexture"): other})
+    for slot, data, message in (
+        ("baseColorTexture", b"text", "PNG or JPEG"),
+        ("shine", other, "a texture slot of glTF"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            character_glb(character_of(document), document, {("sleeve", slot): data})
+
+
+def test_documents_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    document = arm()
+    with pytest.raises(FormatError, match=r"a name ending in \.glb, \.gltf, \.vrm"):
+        write_document(tmp_path / "a.obj", document)
+    document.json["asset"]["generator"] = float("nan")
+    with pytest.raises(FormatError, match="not finite"):
+        write_document(tmp_path / "a.glb", document)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_new_image_of_one_material_replaces_the_old_one() -> None:
@@ -282,9 +349,10 @@ def _validator() -> str:
 def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path) -> None:
     validator = _validator()
     pytest.importorskip("DracoPy")
+    pytest.importorskip("ufbx")
     place = shared_data / "characters"
     files = [*(place / "foreign" / name for name in READ), place / "rigs" / "character_A.glb"]
-    files.append(place / "rigs" / "target_B_body.glb")
+    files += [place / "rigs" / "target_B_body.glb", *sorted((place / "foreign").glob("*.fbx"))]
     written = []
     for file in files:
         document = read_document(file)

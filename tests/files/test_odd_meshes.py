@@ -48,21 +48,12 @@ OFF = {
     "counts right behind the first word": "OFF4 1 0\n" + _ROWS + _END,
     "small letters": "off 4 1\n" + _ROWS + _END,
 }
+FILES = {"obj": OBJ, "ply": PLY, "off": OFF}
 
 
-@pytest.mark.parametrize("case", OBJ)
-def test_odd_obj_files_are_read(tmp_path: Path, case: str) -> None:
-    _is_the_square(tmp_path / "mesh.obj", OBJ[case].encode())
-
-
-@pytest.mark.parametrize("case", PLY)
-def test_odd_ply_files_are_read(tmp_path: Path, case: str) -> None:
-    _is_the_square(tmp_path / "mesh.ply", PLY[case].encode())
-
-
-@pytest.mark.parametrize("case", OFF)
-def test_odd_off_files_are_read(tmp_path: Path, case: str) -> None:
-    _is_the_square(tmp_path / "mesh.off", OFF[case].encode())
+@pytest.mark.parametrize(("kind", "case"), [(kind, case) for kind, texts in FILES.items() for case in texts])
+def test_odd_files_are_read(tmp_path: Path, kind: str, case: str) -> None:
+    _is_the_square(tmp_path / f"mesh.{kind}", FILES[kind][case].encode())
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

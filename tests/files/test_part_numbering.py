@@ -64,12 +64,12 @@ def test_rows_of_a_part_in_any_order() -> None:
     rows = FileRows(extract(scene, find_part(scene, "body").faces[::-1]), scene)
     for count, own in ((scene.n_vertices, rows.vertices), (scene.n_faces, rows.faces)):
         values = np.arange(count)
-        np.testing.assert_array_equal(rows.taken(values), own)
+        np.testing.assert_array_equal(rows.to_part(values), own)
         below = -np.ones(count, dtype=np.int64)
-        np.testing.assert_array_equal(rows.given_back(own, below)[own], own)
-        assert (np.delete(rows.given_back(own, below), own) == -1).all()
+        np.testing.assert_array_equal(rows.to_file(own, below)[own], own)
+        assert (np.delete(rows.to_file(own, below), own) == -1).all()
     corners = np.arange(len(scene.face_indices))
-    np.testing.assert_array_equal(scene.face_indices[rows.taken(corners)], rows.vertices[rows.part.face_indices])
+    np.testing.assert_array_equal(scene.face_indices[rows.to_part(corners)], rows.vertices[rows.part.face_indices])
     np.testing.assert_array_equal(rows.placed(rows.part.positions), scene.positions)
 
 

@@ -22,17 +22,8 @@ from cagemap.files.result.folder import (
     read_result,
     write_result,
 )
-from cagemap.maps.hypotheses.confidence import (
-    LOOK,
-    SURE,
-    SURE_COST,
-    SURE_GAP,
-    SURE_SHEARED,
-    TWO,
-    Confidence,
-    MapShape,
-    Reading,
-)
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.maps.hypotheses.signs import SIGNS
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -266,7 +257,7 @@ def test_hashes_depend_on_content_only(tmp_path: Path) -> None:
 def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: Path) -> None:
     places = result.point_map.images.positions
     readings = (Reading("as given", 1e-4, places), Reading("mirrored", 2e-4, places, exchange=((0, 2), (2, 0))))
-    unsure = Confidence(TWO, 1.0, 2.0, readings, None, MapShape(0.0, 1.0, 0.0))
+    unsure = Confidence(TWO, readings)
     write_result(tmp_path / "R", replace(result, confidence=unsure))
     back = read_result(tmp_path / "R").confidence
     assert back is not None
@@ -274,34 +265,27 @@ def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: 
 
 
 def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:
-    """'sure' once did not ask how much a tenth of the map is sheared, and did not write it down."""
-    measured, places = MapShape.of(result.point_map).sheared, result.point_map.images.positions
-    for sheared, verdict in ((SURE_SHEARED + 0.1, LOOK), (1.5, SURE)):
-        sure = Confidence(SURE, 1.0, 2.0, (Reading("", 1e-4, places),), None, MapShape(0.0, 1.0, 0.0, sheared))
-        write_result(tmp_path / verdict, replace(result, confidence=sure))
-        back = read_result(tmp_path / verdict).confidence
+    """Bounds of signs change, and older results have none."""
+    answers, bound = (Reading("", 1e-4, result.point_map.images.positions),), SIGNS["stretched"].bound
+    for name, value, verdict in (("much", bound + 0.1, LOOK), ("little", bound, SURE)):
+        given = Confidence(SURE, answers, {"cost": 1.0, "stretched": value})
+        write_result(tmp_path / name, replace(result, confidence=given))
+        back = read_result(tmp_path / name).confidence
         assert back is not None
-        assert (back.verdict, back.shape.sheared) == (verdict, sheared)
-        assert back.message.startswith("look at it") == (verdict == LOOK)
+        assert (back.verdict, back.signs) == (verdict, given.signs)
+        assert back.message.startswith(verdict)
         # What the report shows is what was read, not the sentence of then.
-        old = json.loads((tmp_path / verdict / MANIFEST).read_text())
+        old = json.loads((tmp_path / name / MANIFEST).read_text())
         old["confidence"] |= {"verdict": SURE, "message": "the sentence of then: sure"}
-        (tmp_path / verdict / MANIFEST).write_text(json.dumps(old))
-        again = read_result(tmp_path / verdict).manifest
+        (tmp_path / name / MANIFEST).write_text(json.dumps(old))
+        again = read_result(tmp_path / name).manifest
         # Being sure is nothing to warn of.
         assert (landmark_messages(again)[:1], assurance(again)) == (
             ([back.message], "") if verdict == LOOK else ([], back.message)
         )
-    for cost, gap in ((1.01e4 * SURE_COST, 2.0), (1.0, 0.99 * SURE_GAP)):
-        dear = Confidence(SURE, cost, gap, (Reading("", 1e-4, places),), None, MapShape())
-        write_result(tmp_path / f"{cost}", replace(result, confidence=dear))
-        back = read_result(tmp_path / f"{cost}").confidence
-        assert back is not None
-        assert back.verdict == LOOK
-    manifest = json.loads((tmp_path / SURE / "manifest.json").read_text())
-    del manifest["confidence"]["sheared"]
-    (tmp_path / SURE / "manifest.json").write_text(json.dumps(manifest))
-    back = read_result(tmp_path / SURE).confidence
+    del old["confidence"]["signs"]
+    (tmp_path / name / MANIFEST).write_text(json.dumps(old))
+    back = read_result(tmp_path / name).confidence
     assert back is not None
-    assert back.shape.sheared == measured
-    assert back.verdict == (SURE if measured <= SURE_SHEARED else LOOK)
+    assert back.verdict == LOOK
+    assert "match again" in back.message

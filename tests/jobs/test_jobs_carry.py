@@ -20,10 +20,10 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_manifest, write_result
 from cagemap.jobs import Plan, plan_job, read_job, spanning_tree
 from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
-from cagemap.jobs.detours import with_ways
+from cagemap.jobs.detours import with_detours
 from cagemap.maps.places import cage_points_of, located
 from cagemap.mesh.landmarks import NamedPoints
-from cagemap.spectral.prepare import prepare_surface
+from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.tasks.requests.catalogue import COMMANDS
 
@@ -88,7 +88,7 @@ def test_a_way_round_is_taken_where_a_map_is_doubtful(folder: Path) -> None:
     pairs = {("a", "b"): ("a", "c", "b")}
     matches = [replace(t, pair=("b", "c"), name="match b c") for t in plan.tasks if t.pair == ("b", "a")][:1]
     extra = [replace(t, pair=("c", "a"), name="match c a") for t in matches]
-    around = with_ways(replace(plan, tasks=(*matches, *extra, *plan.tasks)), pairs, "1")
+    around = with_detours(replace(plan, tasks=(*matches, *extra, *plan.tasks)), pairs, "1")
     before, after = ({t.request["asset"]: t for t in p.tasks if t.kind == "carry"} for p in (plan, around))
     assert after["b"].request["steps"][0][0].endswith("RESULT-around")
     assert any(name.startswith("compose b -> a") for name in after["b"].needs)

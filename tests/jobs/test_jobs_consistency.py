@@ -1,4 +1,4 @@
-"""A collection's own knowledge: spoiled pairs are found by the ways round them."""
+"""A collection's own knowledge: spoiled pairs are found by the detours around them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from examples.shapes import torus
 from cagemap.jobs import Plan, Task
 from cagemap.jobs.consistency import (
     Consistency,
-    _ways,
+    _detours,
     disagreement,
     measure_consistency,
     read_consistency,
     write_consistency,
 )
-from cagemap.jobs.detours import composed_map, has_ways_round, with_ways
+from cagemap.jobs.detours import composed_map, has_detours, with_detours
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -50,7 +50,7 @@ def test_maps_that_agree_have_no_error() -> None:
 def test_a_pair_with_left_and_right_exchanged_is_named_and_has_a_way_round() -> None:
     verdict = measure_consistency(collection((("c", "e"),)))
     assert verdict.doubtful == (("c", "e"),)
-    way = verdict.ways["c", "e"]
+    way = verdict.detours["c", "e"]
     assert (way[0], way[-1], len(way)) == ("c", "e", 3)
     others = [error for pair, error in verdict.errors.items() if pair != ("c", "e")]
     assert max(others) < 0.1 * verdict.errors["c", "e"]
@@ -105,8 +105,8 @@ def test_outputs_of_a_doubtful_pair_are_made_from_the_way_round(tmp_path: Path) 
 
     pairs = (("c", "a"), ("b", "a"), ("c", "b"))  # source, target
     plan = Plan(tmp_path, tuple(task(kind, pair) for pair in pairs for kind in ("match", "transfer")), pairs)
-    assert has_ways_round(plan)
-    changed = with_ways(plan, {("a", "c"): ("a", "b", "c")}, "1")
+    assert has_detours(plan)
+    changed = with_detours(plan, {("a", "c"): ("a", "b", "c")}, "1")
     compose = next(task for task in changed.tasks if task.kind == "compose")
     assert compose.pair == ("c", "a")
     assert compose.needs == ("match ('b', 'a')", "match ('c', 'b')")
@@ -117,10 +117,10 @@ def test_outputs_of_a_doubtful_pair_are_made_from_the_way_round(tmp_path: Path) 
     assert bakes["b", "a"] == next(task for task in plan.tasks if task.kind == "transfer" and task.pair == ("b", "a"))
     order = {task.name: number for number, task in enumerate(changed.tasks)}
     assert all(order[need] < order[task.name] for task in changed.tasks for need in task.needs if need in order)
-    assert not has_ways_round(Plan(tmp_path, (), pairs[:2]))
+    assert not has_detours(Plan(tmp_path, (), pairs[:2]))
 
 
 @pytest.mark.parametrize(("error", "found"), [(0.19, False), (0.21, True)])
 def test_a_way_round_is_at_least_twice_as_good(error: float, found: bool) -> None:
     errors = {("a", "c"): error, ("a", "b"): 0.05, ("b", "c"): 0.05}
-    assert _ways(errors, [("a", "c")]) == ({("a", "c"): ("a", "b", "c")} if found else {})
+    assert _detours(errors, [("a", "c")]) == ({("a", "c"): ("a", "b", "c")} if found else {})

@@ -17,9 +17,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
-from cagemap.example import example_pair
+from cagemap.example import ExamplePair
 from cagemap.files.landmarks.pairs import write_landmarks
-from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 
 from locations import FIXTURES
@@ -48,13 +47,9 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    pair = example_pair(16)
-    write_mesh(tmp_path / "deer.obj", pair.target)
-    write_mesh(tmp_path / "pony.obj", pair.source)
-    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
-    write_landmarks(tmp_path / "back.json", pair.landmarks.reversed())
-    return tmp_path
+def folder(pair_files: Path, built_in_pair: ExamplePair) -> Path:
+    write_landmarks(pair_files / "back.json", built_in_pair.landmarks.reversed())
+    return pair_files
 
 
 def single(folder: Path, target: str, source: str, landmarks: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.jobs import Outcome, Plan, Task, missing_tasks, open_crew, run_plan
+from cagemap.jobs import Outcome, Plan, Task, missing_tasks, open_client, run_plan
 from cagemap.jobs.plan import content_hash
 from cagemap.jobs.run import execute, kept_outcome
 
@@ -165,9 +165,9 @@ def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) ->
         *(task(tmp_path, f"after-{name}", (name,)) for name in ("good", "unlucky", "deadly", "bad")),
     )
     finished: list[str] = []
-    with open_crew(workers=2) as crew:
+    with open_client(workers=2) as connect:
         outcomes = run_plan(
-            Plan(tmp_path, tasks, ()), write_name, crew, lambda outcome, done, total: finished.append(outcome.name)
+            Plan(tmp_path, tasks, ()), write_name, connect, lambda outcome, done, total: finished.append(outcome.name)
         )
     states = {name: outcome.state for name, outcome in outcomes.items()}
     assert states == {
@@ -187,8 +187,8 @@ def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) ->
 @pytest.mark.slow
 def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -> None:
     tasks = (task(tmp_path, "deadly", trouble="die"), *(task(tmp_path, f"good-{k}") for k in range(3)))
-    with open_crew(workers=1) as crew:  # all wait on the one that dies
-        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, crew)
+    with open_client(workers=1) as connect:  # all wait on the one that dies
+        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, connect)
     assert {name: outcome.state for name, outcome in outcomes.items()} == {
         "deadly": "failed",
         "good-0": "done",
@@ -204,19 +204,19 @@ def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None
     tasks = (task(tmp_path, "one"), task(tmp_path, "two", ("one",)))
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        open_crew(cluster.scheduler_address) as crew,
+        open_client(cluster.scheduler_address) as connect,
     ):
-        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, crew)
+        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, connect)
     assert [outcomes[name].state for name in ("one", "two")] == ["done", "done"]
 
 
 @pytest.mark.slow
 def test_an_address_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with (
-        open_crew("tcp://127.0.0.1:9") as crew,
+        open_client("tcp://127.0.0.1:9") as connect,
         pytest.raises(ParameterError, match=r"127\.0\.0\.1:9 does not answer"),
     ):
-        run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, crew)
+        run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, connect)
 
 
 def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,9 +241,9 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
     bokeh.__spec__ = ModuleSpec("bokeh", None)
     monkeypatch.setitem(sys.modules, "bokeh", bokeh)
     told: list[str] = []
-    with open_crew(None, 3, told.append) as crew:
+    with open_client(None, 3, told.append) as connect:
         assert not told
-        crew()
-        crew()
+        connect()
+        connect()
     assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
     assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)

@@ -33,7 +33,7 @@ from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair
 from cagemap.mesh.topology import edge_table
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
-from cagemap.spectral.prepare import prepare_surfaces
+from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
 from cagemap.tasks.match_parts import PartInputs
@@ -386,11 +386,14 @@ def test_every_fault_of_curves_is_named() -> None:
 
 def test_files_of_pairs_hold_curves(tmp_path: Path) -> None:
     mesh = bar()
-    landmarks = replace(ends_of(mesh), curves=rings_of(mesh))
+    rings = rings_of(mesh)
+    backwards = CageCurves.of_vertices([ring(mesh, height)[::-1] for height in RINGS], [True] * len(RINGS))
+    landmarks = replace(ends_of(mesh), curves=replace(rings, source=backwards))
     write_landmarks(tmp_path / "pairs.json", landmarks)
     read, _ = read_landmarks(tmp_path / "pairs.json", "bar.obj", "slid.obj")
     assert read.curves.names == landmarks.curves.names
-    np.testing.assert_array_equal(read.curves.target.points.vertices, landmarks.curves.target.points.vertices)
+    np.testing.assert_array_equal(read.curves.target.points.vertices, rings.target.points.vertices)
+    np.testing.assert_array_equal(read.curves.source.points.vertices, backwards.points.vertices)
     assert read.curves.source.closed.all()
     turned = read.reversed().curves
     np.testing.assert_array_equal(turned.target.points.vertices, read.curves.source.points.vertices)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.truth import compare_with_truth, true_map
 
-from cagemap import BasisConfig, Landmarks, MatchConfig, Surface, match, prepare_surface, read_mesh, refine
-from cagemap.deform.config import ElasticConfig, Stage, StartConfig
+from cagemap import BasisConfig, Landmarks, Surface, match, prepare_surface, read_mesh, refine
+from cagemap.deform.config import SearchConfig
 from cagemap.example import example_pair
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# A quick fit: the question is which basin it ends in.
-QUICK = MatchConfig(
-    start=StartConfig(search_vertices=1000),
-    elastic=ElasticConfig(coarse_vertices=400, coarse=Stage(15, (5e-2, 2e-4), 1e-2), fine=Stage(3, (2e-4, 5e-5), 3e-4)),
-)
+from quick_match import QUICK
+
+# The question is which basin the fit ends in.
+CONFIG = replace(QUICK, elastic=replace(QUICK.elastic, search=SearchConfig()))
 
 
 def only(landmarks: Landmarks, names: list[str]) -> Landmarks:
@@ -40,7 +41,7 @@ def creatures() -> tuple[Surface, Surface, Landmarks]:
 )
 def test_sides_are_kept(creatures, names):
     target, source, landmarks = creatures
-    found = match(target, source, only(landmarks, names), QUICK)
+    found = match(target, source, only(landmarks, names), CONFIG)
     own = target.refinement.finest.positions
     image = found.point_map.pull_back(source.refinement.finest.positions)
     # Both creatures are mirror-symmetric in x; near the middle the side says nothing.

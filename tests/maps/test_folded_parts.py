@@ -1,4 +1,4 @@
-"""Folded parts laid out within discs: one-to-one where theory says so, and nothing else moved."""
+"""Folded parts flattened within discs: one-to-one where theory says so, and nothing else moved."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.maps.projection.lay_out import (
-    LEAST_SHARE,
-    MOST_FOLDED,
+from cagemap.maps.projection.config import FlattenConfig
+from cagemap.maps.projection.flatten import (
     Disc,
     combined,
     convex_weights,
     flat_disc,
+    flatten_folded_parts,
     folded_parts,
-    lay_out_parts,
     moved_to,
 )
 from cagemap.maps.quality import flipped_triangles
@@ -124,7 +123,7 @@ def test_a_disc_that_is_all_rim_stays_as_it_is() -> None:
 def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
     disc, places = round_disc()
     chosen, goals = np.array([0, 3]), np.array([[2.5, 1.0], [-2.0, -3.0]])
-    moved = moved_to(places, disc.rim, chosen, goals)
+    moved = moved_to(places, disc.rim, chosen, goals, 50)
     assert moved is not None
     np.testing.assert_allclose(moved[chosen], goals, atol=1e-12)
     np.testing.assert_allclose(moved[disc.rim], places[disc.rim], atol=1e-12)
@@ -134,7 +133,7 @@ def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
 
 def test_landmarks_cannot_leave_the_disc() -> None:
     disc, places = round_disc()
-    assert moved_to(places, disc.rim, np.array([0]), np.array([[9.0, 0.0]])) is None
+    assert moved_to(places, disc.rim, np.array([0]), np.array([[9.0, 0.0]]), 50) is None
 
 
 @pytest.mark.parametrize("held", [[], [(0.5, 0.5)]])
@@ -145,7 +144,7 @@ def test_a_part_that_collapsed_is_laid_out_and_the_rest_stays(held: list[tuple[f
     landmarks = np.array(nearest, dtype=np.int64)
     flipped = flipped_triangles(images, triangles)
     assert surface.areas[flipped].sum() > 0.01
-    found = lay_out_parts(images, flipped, surface, landmarks)
+    found = flatten_folded_parts(images, flipped, surface, landmarks)
     assert not flipped_triangles(found, triangles).any()
     np.testing.assert_array_equal(found.positions[landmarks], images.positions[landmarks])
     moved = np.linalg.norm(found.positions - images.positions, axis=1) > 1e-9
@@ -160,9 +159,9 @@ def test_a_landmark_beside_its_natural_place_stays_and_does_not_fold_the_part_ag
     off = int(np.argmin(np.linalg.norm(surface.positions[:, :2] - [0.5653, 0.509], axis=1)))  # in the turned-over ring
     before = flipped_triangles(images, triangles)
     assert before[np.any(triangles == off, axis=1)].all()
-    free = lay_out_parts(images, before, surface, np.zeros(0, dtype=np.int64))
+    free = flatten_folded_parts(images, before, surface, np.zeros(0, dtype=np.int64))
     assert np.linalg.norm(free.positions[off] - images.positions[off]) > 0.0125  # a spacing
-    found = lay_out_parts(images, before, surface, np.array([off]))
+    found = flatten_folded_parts(images, before, surface, np.array([off]))
     np.testing.assert_array_equal(found.barycentric[off], images.barycentric[off])
     assert not flipped_triangles(found, triangles).any()
 
@@ -176,7 +175,7 @@ def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
         flipped |= np.linalg.norm(middle - centre, axis=1) < radius
     flipped[np.argmin(np.linalg.norm(middle - [0.9, 0.1], axis=1))] = True
     parts = folded_parts(surface, flipped)
-    assert surface.areas[0] < LEAST_SHARE
+    assert surface.areas[0] < FlattenConfig().min_part
     assert len(parts) == 2
     np.testing.assert_allclose(positions[parts[0]].mean(axis=0), [0.7, 0.7, 0], atol=0.01)
     np.testing.assert_allclose(positions[parts[1]].mean(axis=0), [0.25, 0.25, 0], atol=0.01)
@@ -186,7 +185,7 @@ def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
 def test_a_map_that_is_folded_all_over_is_left_alone() -> None:
     surface = flat_grid()
     positions, triangles = surface.positions, surface.triangles
-    flipped = positions[triangles].mean(axis=1)[:, 0] < 1.5 * MOST_FOLDED
+    flipped = positions[triangles].mean(axis=1)[:, 0] < 1.5 * FlattenConfig().max_folded
     assert folded_parts(surface, flipped) == []
 
 
@@ -204,7 +203,7 @@ def test_the_border_of_a_surface_stays_where_it_is() -> None:
     images, surface = collapsed((0.0, 0.5), 0.14)
     flipped = flipped_triangles(images, surface.triangles)
     assert flipped.any()
-    found = lay_out_parts(images, flipped, surface, np.zeros(0, dtype=np.int64))
+    found = flatten_folded_parts(images, flipped, surface, np.zeros(0, dtype=np.int64))
     border = np.isin(surface.positions[:, :2], [0.0, 1.0]).any(axis=1)
     np.testing.assert_array_equal(found.positions[border], images.positions[border])
 
@@ -221,7 +220,7 @@ def test_a_limb_is_not_thrown_about_for_a_ring_of_folds_at_its_root() -> None:
     images = SurfacePoints(mast, flat.triangle, flat.barycentric)
     flipped = flipped_triangles(images, triangles)
     folded = mast.areas[flipped].sum()
-    assert LEAST_SHARE < folded < MOST_FOLDED
-    laid = lay_out_parts(images, flipped, mast, np.zeros(0, dtype=np.int64))
+    assert FlattenConfig().min_part < folded < FlattenConfig().max_folded
+    laid = flatten_folded_parts(images, flipped, mast, np.zeros(0, dtype=np.int64))
     far = np.linalg.norm(laid.positions - images.positions, axis=1) > 0.05
     assert mast.vertex_areas[far].sum() <= 5.0 * folded

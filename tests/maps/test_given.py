@@ -13,6 +13,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import prepare_pair
 from cagemap.spectral import BasisConfig
 
+from quick_match import QUICK
+
 
 @pytest.fixture(scope="module")
 def pair():
@@ -77,7 +79,7 @@ def test_bases_of_others_may_be_flipped_and_mixed(pair):
 
 def test_the_steps_follow_each_other_from_any_form(pair):
     true, vertices, coarse, matrix = forms(pair)
-    prepared = prepare_pair(pair.target, pair.source)
+    prepared = prepare_pair(pair.target, pair.source, QUICK)
     for given in (vertices, coarse, matrix):
         found = research.elastic(pair, given, prepared)
         assert np.linalg.norm(found.images.positions - true.images.positions, axis=1).mean() < 0.02

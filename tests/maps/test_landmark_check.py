@@ -10,17 +10,16 @@ import pytest
 from examples.shapes import torus, voxels
 from scipy import sparse
 
-from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface, update_match
-from cagemap.deform.config import ElasticConfig, SearchConfig, Stage, StartConfig
+from cagemap import BasisConfig, Landmarks, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.deform.energy import energy_matrix
-from cagemap.deform.fit import with_cost
 from cagemap.deform.graph import ElasticGraph, cluster_graph
+from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.folder import landmark_messages
-from cagemap.maps.hypotheses.confidence import Reading
+from cagemap.maps.hypotheses.confidence import TWO, Reading
 from cagemap.maps.landmarks import check, mirrored
-from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
+from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
     misplaced_pairs,
@@ -33,17 +32,9 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.topology import handle_count
 from cagemap.pipeline import match_pair, prepare_pair
 
+from quick_match import QUICK
+
 LEVEL = 1  # 1700 and 2200 vertices
-# A quick fit: these tests ask which landmarks are followed, not how accurate the map is.
-CONFIG = MatchConfig(
-    start=StartConfig(search_vertices=1000),
-    elastic=ElasticConfig(
-        coarse_vertices=400,
-        coarse=Stage(15, (5e-2, 2e-4), 1e-2),
-        fine=Stage(3, (2e-4, 5e-5), 3e-4),
-        search=SearchConfig(doubtful=np.inf, limb_rotation=np.inf),  # never several starts
-    ),
-)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +134,7 @@ def test_landmarks_mirrored_as_a_whole_are_no_exchange_of_two(pair, graphs):
 def test_exchanged_feet_are_left_out_and_named(pair):
     """Once the whole map was met with crossed legs, and nothing said so."""
     _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
-    found = match(pair[0], pair[1], exchanged, CONFIG)
+    found = match(pair[0], pair[1], exchanged, QUICK)
     assert [(suspect.name, suspect.evidence) for suspect in found.suspects] == [
         ("hoof_front_L", SIDES),
         ("hoof_front_R", SIDES),
@@ -154,7 +145,7 @@ def test_exchanged_feet_are_left_out_and_named(pair):
 def test_an_exchange_that_the_map_does_not_mind_is_kept_and_told(pair, monkeypatch):
     _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
     monkeypatch.setattr(check, "coarse_map_cost", lambda problem: 1e-4)
-    found = match(pair[0], pair[1], exchanged, CONFIG)
+    found = match(pair[0], pair[1], exchanged, QUICK)
     assert found.suspects == ()
     assert "'hoof_front_L', 'hoof_front_R' seem to be exchanged" in found.landmark_check.notes[0]
 
@@ -179,7 +170,7 @@ def bridged(pair: tuple[Surface, Surface, Landmarks]) -> Surface:
 def test_where_parts_have_grown_together_no_landmark_is_left_out(pair, bridged):
     """Correct fingertips of arms that a scan had joined were left out, and the hands went elsewhere."""
     _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
-    found = match(bridged, pair[1], exchanged, CONFIG)
+    found = match(bridged, pair[1], exchanged, QUICK)
     assert found.suspects == ()
     assert "'hoof_front_R'" in found.landmark_check.notes[0]
     assert "one surface has handles that the other lacks" in found.landmark_check.notes[0]
@@ -187,7 +178,7 @@ def test_where_parts_have_grown_together_no_landmark_is_left_out(pair, bridged):
 
 def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged):
     right, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
-    found = update_match(match(bridged, pair[1], right, CONFIG), exchanged, CONFIG)
+    found = update_match(match(bridged, pair[1], right, QUICK), exchanged, QUICK)
     assert found.suspects == ()
     assert any("one surface has handles that the other lacks" in note for note in found.landmark_check.notes)
 
@@ -247,20 +238,24 @@ def test_mirrored_landmarks_turn_the_other_way_round(pair, graphs):
     assert orientation_agreement(target, (source[0] * mirror, source[1] * mirror)) < -0.4
 
 
-def test_the_cost_of_a_map_of_mirrored_landmarks_is_its_own(pair, monkeypatch):
-    """The manifest said the other answer's cost, and that both fit alike."""
+def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(pair, monkeypatch):
+    """Where arms are crossed, correct ones seem mirrored, and were called 'two answers'."""
     target, source, landmarks = pair
-    prepared = prepare_pair(target, source, CONFIG)
+    prepared = prepare_pair(target, source, QUICK)
     points = Pair(target, source, point_pairs(target, source, landmarks))
-    found = match_pair(prepared, landmarks, CONFIG).point_map
+    found = match_pair(prepared, landmarks, QUICK).point_map
     near = np.asarray(found.images.positions[: prepared.mesh.n])
     other = Reading("another", 3e-4, near * [-1.0, 1.0, 1.0])
     monkeypatch.setattr(mirrored, "found_readings", lambda problem, progress: (other,))
-    doubt = mirrored.mirrored_readings(prepared, points, found)
-    given, exchanged = doubt.readings
-    assert given.cost == with_cost(prepared, near).cost
-    assert exchanged.cost == other.cost
-    assert (doubt.cost, doubt.gap) == (1e4 * given.cost, other.cost / given.cost)
+    known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
+    dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
+    doubt, kept = mirrored.mirrored_readings(prepared, points, dear, known)
+    assert (doubt.verdict, kept) == (TWO, known)
+    assert [reading.cost for reading in doubt.readings] == [dear.cost, other.cost]
+    assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
+    none, kept = mirrored.mirrored_readings(prepared, points, cheap, known)
+    assert none is None
+    assert kept.notes == ("another note",)
 
 
 def test_the_quadratic_form_is_the_elastic_energy(graphs):
@@ -329,7 +324,7 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
     away = np.linalg.norm(places - places[landmarks.source[i]], axis=1)
     away[landmarks.source] = 0.0
     slid = with_source(landmarks, {i: int(np.flatnonzero(away > 0.12)[np.argmin(away[away > 0.12])])})
-    found = match(target, source, slid, CONFIG)
+    found = match(target, source, slid, QUICK)
     assert found.suspects == ()
     assert found.quality.landmark_errors.max() < 1e-12
     assert len(found.landmark_check.strains) == len(landmarks)
@@ -342,14 +337,14 @@ def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pai
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
     costs = iter((1.1e-4, 1e-4))  # with all, without the accused: correct ears of a walking fox had this ratio
     monkeypatch.setattr(check, "coarse_map_cost", lambda problem: next(costs))
-    found = match(target, source, wrong, CONFIG)
+    found = match(target, source, wrong, QUICK)
     assert found.suspects == ()
     assert wrong.names[3] in found.landmark_check.notes[0]
 
 
 @pytest.fixture(scope="module")
 def followed(pair) -> MatchResult:
-    return match(*pair, CONFIG)
+    return match(*pair, QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -393,20 +388,20 @@ def test_the_result_tells_of_it(misled):
 
 def test_trusted_landmarks_are_met_even_if_wrong(pair, misled):
     _, wrong, _ = misled
-    found = match(pair[0], pair[1], wrong, replace(CONFIG, check_landmarks=False))
+    found = match(pair[0], pair[1], wrong, replace(QUICK, check_landmarks=False))
     assert found.suspects == ()
     assert found.quality.landmark_errors.max() < 1e-12
 
 
 def test_few_pairs_are_said_not_to_be_checked(pair):
-    found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))), CONFIG)
+    found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))), QUICK)
     assert found.suspects == ()
     assert "too few" in found.landmark_check.notes[0]
 
 
 def test_shuffled_pairs_are_kept_and_noted(pair):
     shuffled = replace(pair[2], source=np.random.default_rng(33).permutation(pair[2].source))
-    found = match(pair[0], pair[1], shuffled, CONFIG)
+    found = match(pair[0], pair[1], shuffled, QUICK)
     assert found.suspects == ()
     assert "contradict" in found.landmark_check.notes[0]
 
@@ -417,7 +412,7 @@ def test_landmarks_of_another_mesh_are_asked_about(pair):
     count = target.control.n_vertices
     moved = (landmarks.target + count // 3) % count
     foreign = Landmarks(landmarks.names, moved, landmarks.source, "another", landmarks.source_name)
-    result = match(target, source, foreign, CONFIG)
+    result = match(target, source, foreign, QUICK)
     assert result.quality.flipped_area > 0.05
     (note,) = [note for note in result.landmark_check.notes if "are these landmarks of these meshes?" in note]
     assert f"{100 * result.quality.flipped_area:.0f} % of the target is folded over" in note
@@ -453,12 +448,12 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
 
 def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair):
     target, source, landmarks = pair
-    before = match(target, source, landmarks, CONFIG)
+    before = match(target, source, landmarks, QUICK)
     assert before.suspects == ()
     before = replace(before, landmark_check=LandmarkCheck(notes=("a note",)))
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
-    updated = update_match(before, wrong, CONFIG)
+    updated = update_match(before, wrong, QUICK)
     assert [suspect.pair for suspect in updated.suspects] == [3]
     assert updated.landmark_check.notes == ("a note",)
-    trusting = update_match(before, wrong, replace(CONFIG, check_landmarks=False))
+    trusting = update_match(before, wrong, replace(QUICK, check_landmarks=False))
     assert trusting.suspects == ()

@@ -87,6 +87,6 @@ def posed(control: ControlMesh) -> ControlMesh:
 
 
 def test_a_posed_creature_is_found_however_it_is_turned() -> None:
-    result = match(prepare_surface(creature(), 2), prepare_surface(posed(creature()), 2))
+    result = match(prepare_surface(creature(), 1), prepare_surface(posed(creature()), 1))
     images, places = result.point_map.images.positions, result.point_map.source.positions
     assert np.linalg.norm(images - places, axis=1).mean() < 0.02

@@ -68,7 +68,7 @@ def test_a_set_of_faces_does_not_leak_and_a_vertex_group_is_refined() -> None:
         face_mask(refinement, np.ones(8))
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 @given(width=st.floats(0.0, 1.0), face=st.integers(0, 5))
 def test_a_soft_edge_lies_inside_and_rises_no_faster_than_its_width(width: float, face: int) -> None:
     surface = _surface(cube(), 3)
@@ -248,14 +248,12 @@ def _run_match(folder: Path, name: str, **options: object) -> None:
         parameter=("search_vertices=500",),
         **options,
     )
-    with Stages() as stages:
-        run_match(request, stages)
+    run_match(request, Stages())
 
 
 def _run_transfer(folder: Path, output: str, **options: object) -> tuple[str, list[str]]:
     request = TransferRequest(folder / "RESULT", folder / output, **options)
-    with Stages() as stages:
-        return run_transfer(request, stages)
+    return run_transfer(request, Stages())
 
 
 def test_a_masked_match_keeps_its_masks_and_pulls_only_there(scene: Path) -> None:
@@ -293,17 +291,22 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
 
 
-def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path) -> None:
+@pytest.fixture(scope="module")
+def whole(scene: Path) -> Path:
+    """The same pair matched without masks."""
     _run_match(scene, "WHOLE")
+    return scene / "WHOLE"
+
+
+def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: Path) -> None:
     alphas = []
     for result, masks in (
         ("RESULT", {}),
-        ("WHOLE", {"target_mask": "front", "source_mask": "not:hind"}),
+        (whole.name, {"target_mask": "front", "source_mask": "not:hind"}),
         ("RESULT", {"target_mask": "front", "source_mask": "not:hind", "mask_edge": 0.0}),
     ):
         request = TransferRequest(scene / result, scene / "further.png", texture=scene / "texture.png", **masks)
-        with Stages() as stages:
-            run_transfer(request, stages)
+        run_transfer(request, Stages())
         alphas.append(read_image(scene / "further.png").pixels[..., 3].astype(int))
     at_match, later, both = alphas
     # The maps differ where nothing pulls, so the source's soft edge lies a little elsewhere.
@@ -323,18 +326,17 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path) -> None:
         _run_transfer(scene, "painted.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
 
 
-def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path) -> None:
+def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path, whole: Path) -> None:
     with Stages() as stages:
-        part, _ = run_wrap(WrapRequest((scene / "WHOLE",), scene / "part.obj", target_mask="front"), stages)
-        every, _ = run_wrap(WrapRequest((scene / "WHOLE",), scene / "all.obj"), stages)
+        part, _ = run_wrap(WrapRequest((whole,), scene / "part.obj", target_mask="front"), stages)
+        every, _ = run_wrap(WrapRequest((whole,), scene / "all.obj"), stages)
     assert "has no counterpart and follows its surroundings" in part
     assert "has no counterpart" not in every
-    write_map(scene / "map.npz", read_result(scene / "WHOLE").point_map)
+    write_map(scene / "map.npz", read_result(whole).point_map)
     asked = MapRequest(
         scene / "map.npz", scene / "target.obj", scene / "source.obj", scene / "MAP", 2, target_mask="front"
     )
-    with Stages() as stages:
-        run_map(asked, stages)
+    run_map(asked, Stages())
     found = read_result(scene / "MAP")
     assert found.masks.source is None
     assert 0.2 < np.mean(found.masks.target == 0) < 0.8
@@ -394,8 +396,7 @@ def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:
     offsets = np.load(scene / "shapes.npz")["up"]
     assert np.all(offsets[weight == 0] == 0)
     assert offsets[weight > 0.9, 1].min() > 0.2
-    with Stages() as stages:
-        run_wrap(WrapRequest((scene / "RESULT",), scene / "wrapped.obj"), stages)
+    run_wrap(WrapRequest((scene / "RESULT",), scene / "wrapped.obj"), Stages())
     wrapped = read_mesh(scene / "wrapped.obj").positions
     # The swollen half is not taken over: its cage follows the front, which is as it was.
     behind = weight == 0

@@ -13,7 +13,8 @@ from examples.shapes import voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap.files.meshes.obj import read_obj
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, SURE_MIRRORED, TWO, Confidence
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
+from cagemap.maps.hypotheses.signs import SIGNS
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks
@@ -131,7 +132,7 @@ def test_a_corner_of_three_arms_is_not_surely_its_mirror_image(curve: bool) -> N
     landmarks = replace(Landmarks.none(), curves=Curves(("edge",), line, line)) if curve else None
     confidence = matched(CORNER, mirrored(CORNER), landmarks)[1]
     assert confidence.verdict == LOOK, confidence.summary()
-    assert confidence.mirrored > SURE_MIRRORED
+    assert confidence.signs["mirrored"] > SIGNS["mirrored"].bound
 
 
 def test_a_chair_is_surely_a_chair_however_it_is_turned() -> None:

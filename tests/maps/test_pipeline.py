@@ -102,7 +102,7 @@ def test_added_landmarks_move_the_map_to_them_at_once():
     cage = shapes.creature()
     x, y, z = (cage.positions / np.ptp(cage.positions)).T
     bent = cage.with_positions(np.column_stack([x * (1 + 0.4 * z), y + 0.3 * z**2, z * (1 + 0.4 * x)]))
-    target, source = prepare_surface(cage, 2, BASIS), prepare_surface(bent, 2, BASIS)
+    target, source = prepare_surface(cage, 1, BASIS), prepare_surface(bent, 1, BASIS)
     truth = source.refinement.finest.positions
 
     def errors(result):

@@ -12,8 +12,8 @@ from test_obj import polygon_meshes
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.checks import check_mesh, require_valid, with_openings_closed
-from cagemap.mesh.faces import keep_faces
+from cagemap.mesh.checks import check_mesh, require_valid
+from cagemap.mesh.faces import keep_faces, with_openings_closed
 from cagemap.mesh.mesh_report import MeshReport
 from cagemap.mesh.topology import (
     boundary_loops,

@@ -14,6 +14,8 @@ import cagemap
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh.inputs import control_mesh, landmark_pairs
 
+from quick_match import QUICK
+
 MESH = creature()
 ARRAYS = MESH.positions, MESH.face_indices.reshape(-1, 4)
 
@@ -94,15 +96,15 @@ def test_meshes_are_matched_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("cagemap.pipeline.DEFAULT_VERTICES", 500)
     chosen = np.arange(0, MESH.n_vertices, 9)
     pairs = np.column_stack([chosen, chosen])
-    result = cagemap.match(*target_and_source(), pairs)
+    result = cagemap.match(*target_and_source(), pairs, QUICK)
     assert result.target.finest == 1
     np.testing.assert_array_equal(result.nearest_vertices(), np.arange(MESH.n_vertices))
-    again = cagemap.match(result.target, target_and_source()[1], pairs)
+    again = cagemap.match(result.target, target_and_source()[1], pairs, QUICK)
     np.testing.assert_allclose(again.image(), result.image(), atol=1e-6)
-    updated = cagemap.update_match(result, pairs[1:].tolist())
+    updated = cagemap.update_match(result, pairs[1:].tolist(), QUICK)
     assert len(updated.landmarks) == len(pairs) - 1
-    prepared = cagemap.prepare_pair(result.target, result.source)
-    assert len(cagemap.match_pair(prepared, pairs).landmarks) == len(pairs)
+    prepared = cagemap.prepare_pair(result.target, result.source, QUICK)
+    assert len(cagemap.match_pair(prepared, pairs, QUICK).landmarks) == len(pairs)
     assert len(cagemap.pair_of(result.target, result.source, pairs).landmarks) == len(pairs)
 
 

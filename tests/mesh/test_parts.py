@@ -259,12 +259,11 @@ def _match(folder: Path, name: str, **options: object) -> tuple[str, list[str]]:
         folder / "source.obj",
         folder / "landmarks.json",
         folder / name,
-        level=2,
+        level=1,
         k=30,
         **options,
     )
-    with Stages() as stages:
-        return run_match(request, stages)
+    return run_match(request, Stages())
 
 
 def test_a_file_of_several_pieces_says_how_to_go_on(folder: Path) -> None:

@@ -21,9 +21,9 @@ from cagemap.maps.masks import Masks
 from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
+from cagemap.mesh.faces import signed_volume
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.measures import signed_volume
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.numerics.arrays import FloatArray, read_only
@@ -421,13 +421,13 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
     prepared = prepare_pair(surface, surface)
     known = Reading("as the files stand", 1e-4, prepared.mesh.positions)
     assert len(known.positions) < mesh.n_vertices
-    told = at_finest(Confidence("sure", 1.0, 2.0, (known,), None), prepared).readings[0]
+    told = at_finest(Confidence("sure", (known,)), prepared).readings[0]
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(told.positions[prepared.vertices], known.positions)
     whole = replace(prepared, levels=(surface.finest, prepared.levels[1]))
     known = replace(known, positions=read_only(surface.finest_triangles.positions))
-    told = at_finest(Confidence("sure", 1.0, 2.0, (known,), None), whole).readings[0]
+    told = at_finest(Confidence("sure", (known,)), whole).readings[0]
     np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)
 
 

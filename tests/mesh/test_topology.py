@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh
-from cagemap.mesh.faces import duplicate_faces, keep_faces
-from cagemap.mesh.measures import cage_triangles, face_areas, face_extents, signed_volume
+from cagemap.mesh.faces import cage_triangles, duplicate_faces, face_areas, face_extents, keep_faces, signed_volume
 from cagemap.mesh.topology import (
     boundary_loops,
     corner_fans,

@@ -32,7 +32,6 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.models import open_model
 from cagemap.studio.opening import default_files
 from cagemap.studio.session import Session
-from cagemap.studio.state import View
 from cagemap.tasks.requests.catalogue import all_options
 
 from command_line import Run
@@ -171,21 +170,21 @@ def _rows() -> tuple[FileRows, ControlMesh]:
 
 def test_values_of_the_file_come_and_go_at_welded_vertices(caplog: pytest.LogCaptureFixture) -> None:
     rows, split = _rows()
-    np.testing.assert_array_equal(rows.given_back(rows.taken(split.positions)), split.positions)
+    np.testing.assert_array_equal(rows.to_file(rows.to_part(split.positions)), split.positions)
     np.testing.assert_array_equal(rows.placed(rows.part.positions), split.positions)
     assert not caplog.text
     own, further = rows.copies[0]
     values = np.zeros(split.n_vertices)
     values[further] = 1.0
     sharing = 1 + np.sum(rows.copies[:, 0] == own)
-    assert rows.taken(values)[own] == 1.0 / sharing
+    assert rows.to_part(values)[own] == 1.0 / sharing
     assert "values differ at 1 vertices that were welded: averaged" in caplog.text
     caplog.clear()
     numbers = np.arange(split.n_vertices)
-    np.testing.assert_array_equal(rows.taken(numbers), rows.vertices)
+    np.testing.assert_array_equal(rows.to_part(numbers), rows.vertices)
     assert "those of the first are taken" in caplog.text
     corners = split.positions[split.face_indices]
-    np.testing.assert_array_equal(rows.given_back(rows.taken(corners)), corners)
+    np.testing.assert_array_equal(rows.to_file(rows.to_part(corners)), corners)
 
 
 def test_corners_of_a_mended_mesh_are_those_of_its_vertices() -> None:
@@ -195,14 +194,14 @@ def test_corners_of_a_mended_mesh_are_those_of_its_vertices() -> None:
     mixed = ControlMesh.from_faces(body.positions, faces)
     ready = plain_mesh(mixed).mesh
     assert ready.is_triangle_mesh
-    taken = FileRows(ready, mixed).taken(mixed.positions[mixed.face_indices])
+    taken = FileRows(ready, mixed).to_part(mixed.positions[mixed.face_indices])
     np.testing.assert_array_equal(taken, ready.positions[ready.face_indices])
 
 
 def test_plain_meshes_give_values_to_the_vertices_that_were_joined() -> None:
     given = soup(animal(1))
     rows = FileRows(plain_mesh(given).mesh, given)
-    np.testing.assert_array_equal(rows.given_back(rows.part.positions), given.positions)
+    np.testing.assert_array_equal(rows.to_file(rows.part.positions), given.positions)
 
 
 def test_parts_of_a_welded_mesh_keep_the_copies() -> None:
@@ -214,7 +213,7 @@ def test_parts_of_a_welded_mesh_keep_the_copies() -> None:
     whole = join_meshes([split, far])
     for mesh in (*parts, joined):
         rows = FileRows(mesh, whole)
-        found = rows.given_back(mesh.positions, below=whole.positions)
+        found = rows.to_file(mesh.positions, below=whole.positions)
         np.testing.assert_array_equal(found, whole.positions)
     assert joined.file_copies is not None
     assert len(joined.file_copies) == whole.n_vertices - welded.n_vertices
@@ -423,8 +422,8 @@ def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, 
 
 
 def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
-    opening = Opening(folder / "split.obj", folder / "whole.obj", None, 300)
-    _, opened = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    opening = Opening(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
+    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
     assert isinstance(opened, Opened)
     files = replace(default_files(tmp_path, opening.target, opening.source, None), landmarks=folder / "pairs.json")
     found, notes = load_landmarks(files.landmarks, None, opened.scene, files, Owned())

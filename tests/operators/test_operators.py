@@ -24,7 +24,6 @@ from cagemap.operators import (
     vertex_areas,
 )
 from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, face_terms, gathered
-from cagemap.operators.sec import restrict_pair
 from cagemap.spectral import exact_basis
 from cagemap.subdivision import refine
 from cagemap.surface.triangles import triangle_areas
@@ -194,41 +193,17 @@ def test_stiffness_sums_the_pair_weights_of_all_faces():
     np.testing.assert_allclose(matrix.toarray(), expected, atol=1e-12 * abs(expected).max())
 
 
-def test_joint_restriction_agrees_with_sparse_products(refined):
-    """In any order of the rows, and where rows are as long as they get (all vertices next to each other)."""
+def test_coarse_operators_are_restrictions_and_share_their_pattern(refined):
+    """A^l = (S^l)^T A^{l+1} S^l; surface stores keep one pattern for both."""
     refinement, operators = refined
-    rng = np.random.default_rng(909)
-    subdivision = refinement.matrices[1]
-    mass, stiff = operators.mass[2], operators.stiffness[2]  # below the finest level they share their pattern
-    order = rng.permutation(subdivision.shape[1])
-    starts = subdivision.indptr[-1] - subdivision.indptr[::-1]
-    parts = subdivision.data[::-1], subdivision.indices[::-1], starts
-    backwards = sparse.csr_array(parts, shape=subdivision.shape)[::-1]  # the same with entries of a row descending
-    assert not backwards.has_sorted_indices
-    for unsorted, computed in zip(
-        *(restrict_pair(s, mass, stiff, order) for s in (backwards, subdivision)), strict=True
-    ):
-        np.testing.assert_array_equal(unsorted.data, computed.data)
-    for computed, fine in zip(restrict_pair(subdivision, mass, stiff, order), (mass, stiff), strict=True):
-        expected = restrict(subdivision, fine)
-        assert computed.has_canonical_format
-        np.testing.assert_array_equal(computed.indices, expected.indices)
-        np.testing.assert_array_equal(computed.indptr, expected.indptr)
-        np.testing.assert_allclose(computed.data, expected.data, atol=EXACT * abs(expected.data).max())
-        assert abs(computed - computed.T).max() == 0.0
-
-
-def test_joint_restriction_makes_room_for_long_rows():
-    """A cone of 300 triangles: every vertex is within two steps of every other, rows have 301 entries, not 64."""
-    angles = 2 * np.pi * np.arange(300) / 300
-    positions = np.vstack([[[0, 0, 1]], np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])])
-    faces = np.array([[0, 1 + i, 1 + (i + 1) % 300] for i in range(300)])
-    cone = ControlMesh(positions, np.arange(0, 901, 3), faces.ravel())
-    refinement = refine(cone, 1)
-    operators = build_operators(refinement)
-    expected = restrict(refinement.matrices[0], operators.stiffness[1])
-    assert expected.nnz > 64 * expected.shape[0]
-    assert abs(operators.stiffness[0] - expected).max() < EXACT * abs(expected).max()
+    for level, subdivision in enumerate(refinement.matrices):
+        mass, stiff = operators.mass[level], operators.stiffness[level]
+        np.testing.assert_array_equal(mass.indices, stiff.indices)
+        np.testing.assert_array_equal(mass.indptr, stiff.indptr)
+        for computed, fine in ((mass, operators.mass[level + 1]), (stiff, operators.stiffness[level + 1])):
+            expected = restrict(subdivision, fine)
+            assert computed.has_canonical_format
+            assert abs(computed - expected).max() < EXACT * abs(expected).max()
 
 
 LAPLACIANS = [MeanTriangulation(), AlexaWardetzky(), AlexaWardetzky(2.0), DeGoesButtsDesbrun(), DeGoesButtsDesbrun(0.5)]
@@ -311,3 +286,12 @@ def test_a_stabilisation_is_positive(wrong):
     for kind in (AlexaWardetzky, DeGoesButtsDesbrun, partial(named_laplacian, "mean")):
         with pytest.raises(ParameterError, match="stabilisation"):
             kind(wrong)
+
+
+def test_edges_with_a_cotangent_of_zero_stay_entries():
+    """Both diagonals of a square, and the longest side of a right triangle: graphs take their edges from W."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert stiffness(corners, np.array([[0, 1, 2, 3]])).nnz == 16
+    right = stiffness(corners, np.array([[0, 1, 2]]))
+    assert right[[0], [2]][0] == 0.0
+    assert right[:3].nnz == 9

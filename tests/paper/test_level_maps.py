@@ -42,8 +42,7 @@ def matched(tmp_path_factory):
         *paths, folder / "R", method="paper", target_level=1, source_level=2, target_schedule="40,20",
         source_schedule="40,20,10",
     )  # fmt: skip
-    with Stages() as stages:
-        run_match(request, stages)
+    run_match(request, Stages())
     return folder
 
 
@@ -86,8 +85,7 @@ def test_a_level_is_baked_written_and_drawn(matched, small_pages):
     for level in (None, 0):
         output = matched / f"deer_{level}.png"
         request = TransferRequest(matched / "R", output, texture=matched / "pony.png", level=level, size=64)
-        with Stages() as stages:
-            run_transfer(request, stages)
+        run_transfer(request, Stages())
         images.append(read_image(output).pixels[..., :3].astype(int))
     assert (np.abs(images[0] - images[1]).max(axis=2) > 20).mean() > 0.05
     result = read_result(matched / "R")

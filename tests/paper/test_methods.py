@@ -17,21 +17,13 @@ from cagemap.errors import ParameterError
 from cagemap.maps.level_pairs import search_levels
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.paper import (
-    HfmConfig,
-    MapWeights,
-    PaperConfig,
-    hfm,
-    hfm_map,
-    method,
-    paper_map,
-)
-from cagemap.paper.hfm import both_directions, fit_displacement
-from cagemap.paper.method import orthonormal
+from cagemap.paper import hfm, method
+from cagemap.paper.constraints import MapWeights
+from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
+from cagemap.paper.method import PaperConfig, orthonormal, paper_map
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.spectral.samples import Samples
-from cagemap.spectral.zoomout import ZoomOutSchedule
+from cagemap.spectral.zoomout import Samples, ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
 
 from judged_pairs import Judged
@@ -226,5 +218,5 @@ def test_wrong_parameters_are_refused():
         HfmConfig(zoomout=ZoomOutSchedule(first=2))
     with pytest.raises(ParameterError, match="normal_weight: expected a number of at least 0"):
         HfmConfig(normal_weight=-1.0)
-    with pytest.raises(ParameterError, match="start: expected a finite functional map"):
+    with pytest.raises(ParameterError, match="map: expected a PointMap, a functional map"):
         paper_map(creature_pair(), start=np.arange(3))

@@ -11,7 +11,7 @@ from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.pair import Pair
 from cagemap.maps.paired_mirrors import paired_mirrors
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.mirrors import mirror_symmetries, sends_faces_to_faces
+from cagemap.mesh.mirrors import is_symmetry, mirror_symmetries
 from cagemap.operators import build_operators
 from cagemap.paper.operators import check_symmetry, propagate_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
@@ -63,7 +63,7 @@ def test_box_has_three_planes_and_a_cut_lid_makes_them_inexact():
     mirrors = mirror_symmetries(ControlMesh.from_faces(box.positions, [*faces, *cut]))
     assert len(mirrors) == 3
     assert sum(mirror.exact for mirror in mirrors) < 3
-    assert not sends_faces_to_faces(box, np.roll(np.arange(8), 1))
+    assert not is_symmetry(box, np.roll(np.arange(8), 1))
 
 
 @pytest.mark.parametrize("turned", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])

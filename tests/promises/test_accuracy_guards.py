@@ -19,7 +19,6 @@ from test_same_shape import gap_and_error, requadded
 
 import cagemap
 from cagemap import (
-    Landmarks,
     TriangleSurface,
     choose_level,
     match,
@@ -27,11 +26,7 @@ from cagemap import (
     read_landmarks,
     read_mesh,
     refine,
-    write_mesh,
 )
-from cagemap.example import example_pair
-from cagemap.files.images.image import write_image
-from cagemap.files.landmarks.pairs import write_landmarks
 
 from locations import ROOT
 
@@ -99,30 +94,21 @@ def test_examples_in_docstrings_run(module: str) -> None:
     assert outcome.failed == 0
 
 
-@pytest.fixture
-def example_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Landmarks:
-    pair = example_pair(64)
-    write_mesh(tmp_path / "deer.obj", pair.target)
-    write_mesh(tmp_path / "pony.obj", pair.source)
-    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
-    write_image(tmp_path / "pony.png", pair.texture)
-    monkeypatch.chdir(tmp_path)
-    return pair.landmarks
-
-
 def programs_of(page: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_examples_in_the_docs_run(example_files: Landmarks, tmp_path: Path, one_start: None) -> None:
+@pytest.mark.slow
+def test_examples_in_the_docs_run(pair_files: Path, monkeypatch: pytest.MonkeyPatch, one_start: None) -> None:
     """README.md from files to a baked texture, then the steps of docs/api.md on its surfaces; coarse and small.
 
     Of the first programs of docs/api.md the last is enough: all five run in tests/docs/test_snippets.py.
     """
+    monkeypatch.chdir(pair_files)
     names: dict[str, object] = {}
     first, *programs = programs_of("docs/api.md")
     for code in (*programs_of("README.md"), first, *programs[4:]):
         exec(code.replace("level=3", "level=1").replace("size=1024", "size=32"), names)
-    assert (tmp_path / "deer.png").exists()
-    assert (tmp_path / "RESULT" / "manifest.json").exists()
+    assert (pair_files / "deer.png").exists()
+    assert (pair_files / "RESULT" / "manifest.json").exists()
     assert names["figures"].landmark_errors.max() < 1e-12

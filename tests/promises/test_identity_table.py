@@ -26,6 +26,8 @@ from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
+from fbx_scenes import write_fbx
+
 # The quads lie in 5 x 5 cells of the layout; of several parts, the second lies in the last cell.
 CELLS, TEXELS, QUADS = 5, 12, 22
 JOINTS = 5
@@ -105,6 +107,8 @@ KINDS = {
     "plain masked": Kind("none", masked=True),
     "ply": Kind(None, ".ply"),
     "usd": Kind(None, ".usda"),
+    "glb": Kind("none", ".glb"),
+    "fbx": Kind("none", ".fbx"),
 }
 
 
@@ -122,8 +126,7 @@ class Case:
         """Carry something; ``base`` has the target's own values where they stay outside a mask."""
         own = (("", self.folder / base),) if self.kind.masked and base else ()
         request = TransferRequest(self.folder / "R", self.folder / output, bases=own, force=True, **options)
-        with Stages() as stages:
-            run_transfer(request, stages)
+        run_transfer(request, Stages())
         return request.output
 
     def expected(self, name: str, values: np.ndarray, base: np.ndarray | float = 0.0) -> np.ndarray:
@@ -152,8 +155,10 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     source = mesh_of(kind)
     target = renumbered(source, None if numbers == "same" else np.random.default_rng(5))
     files = [folder / f"{side}{kind.suffix}" for side in ("target", "source")]
+    if kind.suffix == ".fbx":
+        pytest.importorskip("ufbx")
     for file, mesh in zip(files, (target.mesh, source), strict=True):
-        write_mesh(file, mesh)
+        (write_fbx if kind.suffix == ".fbx" else write_mesh)(file, mesh)
     np.savetxt(folder / "mask.csv", target.mesh.positions[:, 0] > 0.5, fmt="%.1f")
     request = MatchRequest(
         *files,
@@ -164,8 +169,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         part="bar" if kind.parts else None,
         target_mask=str(folder / "mask.csv") if kind.masked else None,
     )
-    with Stages() as stages:
-        said, _ = run_match(request, stages)
+    said, _ = run_match(request, Stages())
     manifest = json.loads((folder / "R" / "manifest.json").read_text())
     known = "as it stands, 0.00 % of the model's size apart" if numbers == "others" else "they are one surface"
     assert known in said

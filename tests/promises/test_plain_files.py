@@ -20,9 +20,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import update_match
-from cagemap.studio.compute import Bench, ChooseAnswer, FindMap, Opening, OpenModels, _suggestion, perform
+from cagemap.studio.compute import Bench, FindMap, Opening, OpenModels, _suggestion, perform
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.state import View
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.tasks.match import MatchRequest, run_match
@@ -73,10 +72,10 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
     mesh = animal(2)
     for place, height in zip(places, (1.0, 1.2), strict=True):
         write_mesh(place, mesh.with_positions(mesh.positions * (1.0, height, 1.0)))
-    opening = Opening(*places, None, 5000)
-    bench, opened = perform(Bench(), OpenModels(opening, View()), lambda stage: None)
+    opening = Opening(*places, None, 5000, tmp_path)
+    bench, opened = perform(Bench(), OpenModels(opening), lambda stage: None)
     assert len(opened.scene.target.positions) == mesh.n_vertices
-    bench, found = perform(bench, FindMap(opening, LandmarkList(), View()), lambda stage: None)
+    bench, found = perform(bench, FindMap(opening, LandmarkList()), lambda stage: None)
     assert bench.result is not None
     wanted = mesh.positions * (1.0, 1.2, 1.0)
     assert np.linalg.norm(bench.result.image() - wanted, axis=1).mean() < 0.02 * np.ptp(wanted, axis=0).max()
@@ -87,7 +86,7 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
     assert len(runners_up) == max(1, len(found.known.answers) - 1)
     assert np.linalg.norm(runners_up[0] - images, axis=1).mean() < 0.02 * np.ptp(images, axis=0).max()
     for other in range(1, len(found.known.answers)):
-        bench, chosen = perform(bench, ChooseAnswer(opening, LandmarkList(), other, View()), lambda stage: None)
+        bench, chosen = perform(bench, FindMap(opening, LandmarkList(), answer=other), lambda stage: None)
         assert chosen.known.chosen == other
 
 

@@ -19,9 +19,7 @@ from examples.shapes import cube
 from cagemap.cli import main
 from cagemap.cli.console import say, set_verbosity, tolerate_odd_names, warn
 from cagemap.errors import FormatError
-from cagemap.example import example_pair
 from cagemap.files.images.image import read_image, write_image
-from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.surface_store import surface_key
@@ -33,15 +31,6 @@ from example_result import identity_result
 
 COMMAND = [sys.executable, "-c", "from cagemap.cli import main; main()"]
 MATCH = ["match", "--target", "deer.obj", "--source", "pony.obj", "--landmarks", "landmarks.json", "-o", "R"]
-
-
-@pytest.fixture
-def pair_files(tmp_path: Path) -> Path:
-    pair = example_pair(8)
-    write_mesh(tmp_path / "deer.obj", pair.target)
-    write_mesh(tmp_path / "pony.obj", pair.source)
-    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
-    return tmp_path
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

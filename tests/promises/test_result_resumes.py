@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import cagemap
-from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult
-from cagemap.deform.config import ElasticConfig, SearchConfig
+from cagemap import BasisConfig, Landmarks, MatchResult
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.pipeline import other_answer
+
+from quick_match import QUICK
 
 CONFIG = BasisConfig(count=40)
 
@@ -35,8 +36,7 @@ def matched(landmarks: Landmarks) -> MatchResult:
     away[source] = 0.0
     source[wrong] = np.argmax(away)
     surfaces = cagemap.prepare_surfaces(pair.target, pair.source, (1, 1), CONFIG)
-    one_start = ElasticConfig(search=SearchConfig(doubtful=np.inf, limb_rotation=np.inf))
-    return cagemap.match(*surfaces, replace(landmarks, source=source), MatchConfig(elastic=one_start))
+    return cagemap.match(*surfaces, replace(landmarks, source=source), QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -78,9 +78,9 @@ def test_a_functional_map_that_is_not_stored_is_made(matched: MatchResult, read:
 def test_an_update_of_what_was_read_is_that_of_the_match(
     matched: MatchResult, read: MatchResult, landmarks: Landmarks
 ) -> None:
-    updated = cagemap.update_match(matched, landmarks)
+    updated = cagemap.update_match(matched, landmarks, QUICK)
     assert updated.suspects == ()
-    again = cagemap.update_match(read, landmarks)
+    again = cagemap.update_match(read, landmarks, QUICK)
     assert again.suspects == ()
     np.testing.assert_allclose(again.point_map.images.positions, updated.point_map.images.positions, atol=1e-9)
 

@@ -32,8 +32,13 @@ from cagemap import (
     SurfacePoints,
     TriangleSurface,
 )
+from cagemap.character.roles import body_of
 from cagemap.errors import ParameterError
+from cagemap.example import example_pair
 from cagemap.numerics.kinds import _expected, kinds_checked
+from cagemap.operators.laplacian import named_laplacian
+from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.wrap.config import WrapConfig
 
 from example_result import identity_result
 
@@ -178,6 +183,14 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "no samples": lambda s: BakeOptions(supersample=0),
     "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),  # type: ignore[arg-type]
     "no threads": lambda s: cagemap.thread_limit(0).__enter__(),  # type: ignore[attr-defined]
+    "vertices of a basis": lambda s: BasisConfig(vertices=0),
+    "a Laplacian's name": lambda s: named_laplacian("cot"),
+    "a wrap below level 0": lambda s: WrapConfig(level=-1),
+    "an anchor below 0": lambda s: WrapConfig(anchor=-1.0),
+    "no rays": lambda s: ambient_occlusion(s.triangles, 0),
+    "a size of the texture": lambda s: example_pair(3),
+    "a set of UVs": lambda s: s.mesh.with_uv_set("x"),
+    "a body of no parts": lambda s: body_of(()),
     # landmarks
     "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
     "landmarks as text": lambda s: marks("abc"),
@@ -191,6 +204,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),  # type: ignore[arg-type]
     "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),  # type: ignore[arg-type]
     "an added landmark beyond the mesh": lambda s: cagemap.update_match(s.result, marks([1, 2, 9999])),
+    "fewer points on one side": lambda s: cagemap.PointPairs(s.map.images, s.map.images.at(np.arange(3))),
     # maps
     "a map of three": lambda s: PointMap.from_vertices(s.triangles, s.triangles, np.zeros(3, int)),
     "a map beyond the source": lambda s: PointMap.from_vertices(s.triangles, s.triangles, np.full(s.n, s.n)),

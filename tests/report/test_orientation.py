@@ -13,7 +13,7 @@ from examples.shapes import cube, icosahedron
 from cagemap.example import example_pair
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import Y_UP, Z_UP, Orientation, matching_turn, orientation
 from cagemap.report import draw_gallery
@@ -34,6 +34,7 @@ FILES = [
 ]
 
 
+@cache
 def deer() -> ControlMesh:
     return example_pair(8).target
 

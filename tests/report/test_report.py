@@ -16,7 +16,16 @@ from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.report import CarriedShape, Gallery, Rides, Weights, build_page, draw_gallery, draw_rides, write_report
+from cagemap.report import (
+    CarriedData,
+    CarriedShape,
+    Gallery,
+    Weights,
+    build_page,
+    draw_carried,
+    draw_gallery,
+    write_report,
+)
 from cagemap.report.figures import PAPER, for_display
 from cagemap.report.rig_panels import _edges, control_edges
 from cagemap.report.verdicts import explain, overall
@@ -153,7 +162,7 @@ def test_large_textures_are_averaged_down() -> None:
 
 def test_verdicts_follow_the_figures() -> None:
     good = explain({"flipped_area": 0.001, "coverage": 0.999})
-    assert [merit.verdict for merit in good] == ["good", "good"]
+    assert [rating.verdict for rating in good] == ["good", "good"]
     assert overall(good, []) == "good"
     assert overall(good, ["look at the ears"]) == "fair"
     assert overall(explain({"flipped_area": 0.01}), []) == "fair"
@@ -186,7 +195,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     places = result.point_map.images.positions[:count]
     exchanged = places * [-1.0, 1.0, 1.0]
     answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored & all", 1.1e-4, exchanged))
-    unsure = replace(result, confidence=Confidence(TWO, 1.0, 1.1, answers, 0))
+    unsure = replace(result, confidence=Confidence(TWO, answers, deciding=0))
     gallery = draw_gallery(unsure, size=SIZE)
     page = build_page(unsure, gallery)
     assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 8
@@ -197,10 +206,10 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
         return picture[np.abs(picture / 255.0 - PAPER).max(axis=2) > 0.02].astype(float)
 
     # The same answer again differs nowhere, so all of it is clay; the mirrored one differs away from the plane x = 0.
-    same = replace(unsure, confidence=Confidence(LOOK, 1.0, 1.1, (answers[0], answers[0]), 0))
+    same = replace(unsure, confidence=Confidence(LOOK, (answers[0], answers[0]), deciding=0))
     redness = [np.ptp(drawn(draw_gallery(one, size=SIZE).answers[0][1].target), axis=1).max() for one in (same, unsure)]
     assert redness[0] < 20 < 60 < redness[1]
-    for sure in (result, replace(unsure, confidence=Confidence(SURE, 1.0, 2.0, answers, 0))):
+    for sure in (result, replace(unsure, confidence=Confidence(SURE, answers, deciding=0))):
         assert not draw_gallery(sure, size=(30, 20)).answers
 
 
@@ -212,10 +221,10 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
     result: MatchResult, gallery: Gallery, verdict: str, heading: str
 ) -> None:
     answers = tuple(Reading(name, 1e-4, result.point_map.images.positions) for name in ("one", "another"))
-    page = build_page(replace(result, confidence=Confidence(verdict, 1.0, 1.5, answers, 0)), gallery)
+    page = build_page(replace(result, confidence=Confidence(verdict, answers, deciding=0)), gallery)
     assert heading in page
-    shown = "the target lies on the source one"
-    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{verdict}: {shown}' in page
+    shown = f"{verdict}: the target is aligned with the source one"
+    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{shown}' in page
 
 
 def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, gallery: Gallery) -> None:
@@ -227,14 +236,14 @@ def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, g
         landmark_check=LandmarkCheck(),
         quality=replace(result.quality, landmark_errors=np.zeros(0), warnings=()),
     )
-    sure = build_page(replace(free, confidence=Confidence(SURE, 1.0, 2.0, answers[:1], 0)), gallery)
+    sure = build_page(replace(free, confidence=Confidence(SURE, answers[:1], deciding=0)), gallery)
     assert "The map looks sound." in sure
-    assert "no other way fits nearly as well: sure" in sure
+    assert "no other alignment fits nearly as well" in sure
     assert 'class="warning"' not in sure
     for empty in ("<summary>Landmarks", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
         assert empty not in sure
     # A page speaks the words of the command line.
-    two = build_page(replace(free, confidence=Confidence(TWO, 1.0, 1.1, answers, 0)), gallery)
+    two = build_page(replace(free, confidence=Confidence(TWO, answers, deciding=0)), gallery)
     assert "(--answer 1)" in two
     assert "answer=1" not in two
 
@@ -252,12 +261,12 @@ def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult
     moves = [np.zeros((mesh.n_vertices, 3)) for mesh in (source, control)]
     for move in moves:
         move[:5] = 0.2
-    rides = Rides(
+    carried = CarriedData(
         wrapped=control.with_positions(source.positions),
         weights=Weights(*skins),
         shapes=tuple(CarriedShape(name, *moves) for name in ("smile", "blink")),
     )
-    panels = draw_rides(result, rides, SIZE)
+    panels = draw_carried(result, carried, SIZE)
     assert [len(panel.pictures) for panel in panels] == [8, 4, 4]
     page = build_page(result, gallery, panels)
     assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 16
@@ -273,4 +282,4 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     segments = control_edges(refinement)
     edges = _edges(refinement.control)
     assert len(segments) == len(edges) * 2**refinement.n_levels
-    assert draw_rides(result, Rides(), SIZE) == ()
+    assert draw_carried(result, CarriedData(), SIZE) == ()

@@ -23,14 +23,14 @@ from cagemap.mesh.schemes import Plain
 from cagemap.operators.coarse_levels import refined
 from cagemap.pictures import Z_UP
 from cagemap.report import (
+    CarriedData,
     CarriedShape,
     Passenger,
     Pose,
-    Rides,
     Weights,
     build_page,
+    draw_carried,
     draw_gallery,
-    draw_rides,
     report_models,
     write_report,
 )
@@ -107,7 +107,7 @@ def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchRe
     control, source = result.target.control, result.source.control
     ones = [np.ones((mesh.n_vertices, 1)) for mesh in (source, control)]
     moved = [np.tile([0.0, size, 0.0], (8, 1)) for size in (0.5, 1.0)]
-    rides = Rides(
+    carried = CarriedData(
         wrapped=control.with_positions(source.positions),
         weights=Weights(*ones),
         shapes=(CarriedShape("smile", *moved),),
@@ -115,7 +115,7 @@ def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchRe
     )
     n = len(result.target.vertices)
     masked = replace(result, masks=Masks(np.linspace(0, 1, n), None))
-    models = report_models(masked, seen(masked), rides=rides)
+    models = report_models(masked, seen(masked), carried=carried)
     assert [look.name for look in models.looks][-2:] == ["Masks", "Weights"]
     wrapped, smile, sit = models.shapes
     assert wrapped.source is None
@@ -174,7 +174,7 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
     places = result.point_map.images.positions[:8]
     answers = (Reading("one", 1e-4, places), Reading("another", 1.1e-4, -places))
-    unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, 1.0, 1.1, answers, 5))
+    unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
     unsure = replace(unsure, quality=replace(result.quality, landmark_errors=np.zeros(3)))
     models = report_models(unsure, seen(unsure))
     assert [(mark.number, mark.side, mark.vertex) for mark in models.marks] == [
@@ -219,8 +219,10 @@ def test_textures_become_small_enough_for_a_page() -> None:
 def test_passengers_and_poses_are_sections_of_the_page(result: MatchResult) -> None:
     control, source = result.target.control, result.source.control
     hats = [mesh.with_positions(mesh.positions * 0.3 + [0, 1.0, 0]) for mesh in (source, control)]
-    rides = Rides(passengers=(Passenger("hat", *hats),), poses=(Pose("stand", source.positions, control.positions),))
-    panels = draw_rides(result, rides, (40, 30))
+    carried = CarriedData(
+        passengers=(Passenger("hat", *hats),), poses=(Pose("stand", source.positions, control.positions),)
+    )
+    panels = draw_carried(result, carried, (40, 30))
     assert [(panel.title, len(panel.pictures)) for panel in panels] == [("Passengers", 4), ("Poses", 2)]
     page = build_page(result, draw_gallery(result, size=(30, 20)), panels)
     assert "<summary>Passengers" in page

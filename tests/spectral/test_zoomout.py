@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.spectral.samples import Samples, evenly_spaced, fit_functional_map
-from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_coordinates, nearest_samples, zoomout
+from cagemap.spectral.zoomout import (
+    Samples,
+    ZoomOutSchedule,
+    evenly_spaced,
+    fit_functional_map,
+    nearest_coordinates,
+    nearest_rows,
+    nearest_samples,
+    zoomout,
+)
 
 RNG = np.random.default_rng(271)
 
@@ -69,3 +77,12 @@ def test_coordinates_beside_the_functions_tell_mirror_images_apart():
     alike = Samples(np.vstack([cosines(points)] * 2), np.full(300, 1 / 300), 0.1 * half)
     np.testing.assert_array_equal(nearest_coordinates(alike, alike) >= 150, half[:, 0] == 1.0)
     np.testing.assert_array_equal(nearest_samples(alike, alike, np.eye(36)), np.arange(300))
+
+
+def test_nearest_rows_is_the_exhaustive_search():
+    rng = np.random.default_rng(271)
+    points, queries = rng.standard_normal((300, 7)), rng.standard_normal((5000, 7))
+    found = nearest_rows(queries.astype(np.float32), points.astype(np.float32))
+    distances = ((queries[:, None, :] - points[None, :, :]) ** 2).sum(axis=2)
+    # float32 may exchange two points at almost the same distance: compare distances, not indices.
+    np.testing.assert_allclose(distances[np.arange(5000), found], distances.min(axis=1), atol=1e-5)

@@ -280,7 +280,7 @@ def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
 
     runner = Runner(wait, lambda _: None, lambda _: None, ended.put)
     runner.start(runs(tmp_path))
-    assert ended.get(timeout=60).text == "finish: done"
+    assert ended.get(timeout=60).text == "Bake: done"
 
 
 def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> Non
     runner = Runner(on_job, lambda _: None, lambda _: None, ended.put)
     runner._cancelled = True
     runner._work(())
-    assert ended.get(timeout=10).text == "finish: cancelled"
+    assert ended.get(timeout=10).text == "Bake: cancelled"
 
 
 def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, boxes: Pat
     for place, position, side in ((item.target, clicked[0], "target"), (item.source, clicked[1], "source")):
         assert np.linalg.norm(np.array(place.position) - position) < 0.01 * opened.scene.shape(side).radius
         assert max(place.weights) < 0.9
-    opened.save_as(name)
+    opened.save(name)
     opened.remove(1)
     if name not in PER_MESH:
         assert opened.state.files.landmarks.name == (name or "b__a.json")
@@ -132,7 +132,7 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, boxes: Pat
     for side in ("target", "source"):
         np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
     for refused in ("refused.md", "refused"):
-        opened.save_as(refused)
+        opened.save(refused)
         assert "Choose such a name" in opened.state.messages[-1].text
         assert not (boxes / refused).exists()
 
@@ -152,7 +152,7 @@ def test_curves_of_a_file_are_used_and_saved_again(opened: Session, boxes: Path)
     assert kept.curves.names == ("rim",)
     np.testing.assert_array_equal(kept.curves.target.points.vertices, corners)
     for name in ("other.json", "both.points.json"):
-        opened.save_as(name)
+        opened.save(name)
     assert json.loads((boxes / "other.json").read_text())["curves"] == [curve]
     opened.load(Path("both.target.points.json"), Path("both.source.points.json"))
     np.testing.assert_array_equal(opened.state.history.present.curves.source.points.vertices, corners)
@@ -190,7 +190,7 @@ def test_no_word_of_the_page_reaches_outside(opened: Session, boxes: Path, path:
         return set(boxes.parent.rglob("*"))
 
     before, files, history = listed(), opened.state.files, opened.state.history
-    opened.save_as(path)
+    opened.save(path)
     opened.load(Path(path))
     opened.load(files.target, Path(path))
     for key, option in opened.options.items():
@@ -214,12 +214,12 @@ def test_an_autosave_of_the_name_to_save_as_is_moved_aside(opened: Session, boxe
     theirs.write_text("unsaved")
     click(opened, "target", 0)
     opened.accept()
-    opened.save_as("other.json")
+    opened.save("other.json")
     click(opened, "target", 3)
     assert theirs.with_name(f"{theirs.name}.1").read_text() == "unsaved"
     for path in boxes.glob(".*autosave*"):
         path.unlink()
-    opened.save_as("b__a.json")
+    opened.save("b__a.json")
 
 
 def test_files_are_added_under_free_names(session: Session, boxes: Path) -> None:

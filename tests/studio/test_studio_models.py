@@ -12,7 +12,9 @@ from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
 
+import imageio.v3 as imageio
 import numpy as np
+import pygltflib
 import pytest
 import trimesh
 from examples.shapes import creature, cube
@@ -22,22 +24,21 @@ from cagemap.errors import ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.parts import extract
 from cagemap.studio.autosave import Owned
 from cagemap.studio.compute import (
     Bench,
-    ChooseAnswer,
-    Dress,
     FindMap,
     Found,
     Opened,
     Opening,
     OpenModels,
+    ShowBaked,
     perform,
     told_apart,
 )
+from cagemap.studio.downloads import textured
 from cagemap.studio.finish import FinishOptions, commands
-from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.glb import Drawn, glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList
 from cagemap.studio.models import open_model, with_texture
@@ -45,31 +46,46 @@ from cagemap.studio.opening import default_files
 from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
-from cagemap.studio.skins import Images, Look, crossing_triangles, faced, light_on, source_skin, texture_colors
-from cagemap.studio.state import View
+from cagemap.studio.skins import Images, Look, crossing_triangles, faced, source_skin, target_skin, texture_colors
+from cagemap.studio.state import Output, Studio
 from cagemap.studio.worker import DROPPED, Failure, Worker, _serve
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
+from cagemap.transfer.attributes import encode_srgb as to_display
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
     return list(trimesh.load(io.BytesIO(data), file_type="glb").geometry.values())
 
 
+def attributes_of(data: bytes, name: str) -> dict[str, np.ndarray]:
+    """Attributes of a mesh of a binary glTF file, and the corners of its triangles."""
+    document = pygltflib.GLTF2.load_from_bytes(data)
+    (part,) = next(mesh for mesh in document.meshes if mesh.name == name).primitives
+
+    def array(number: int) -> np.ndarray:
+        accessor = document.accessors[number]
+        view = document.bufferViews[accessor.bufferView]
+        kind = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[accessor.componentType]
+        columns = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[accessor.type]
+        found = np.frombuffer(document.binary_blob(), kind, accessor.count * columns, view.byteOffset)
+        return found.reshape(accessor.count, columns)
+
+    found = {key: array(number) for key, number in vars(part.attributes).items() if isinstance(number, int)}
+    return found | {"corners": array(part.indices).reshape(-1, 3)}
+
+
 def test_glb_is_read_by_others_as_it_was_written() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    colors = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]])
-    data = glb(
-        [
-            Primitive(points, np.array([[0, 1, 2], [0, 2, 3]]), colors),
-            Primitive(points, np.zeros((0, 3), dtype=np.int64), colors),
-        ]
-    )
+    attributes = {"POSITION": points, "TEXCOORD_0": points[:, :2], "_TRUST": points[:, 0]}
+    none = Drawn("none", attributes, np.zeros((0, 3), dtype=np.int64))
+    data = glb([Drawn("model", attributes, np.array([[0, 1, 2], [0, 2, 3]])), none])
     (mesh,) = read_back(data)
     np.testing.assert_allclose(mesh.vertices, points)
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
-    written = np.asarray(mesh.visual.vertex_attributes["color"][:, :3], dtype=float)
-    np.testing.assert_array_equal(written, np.rint(65535 * colors))
+    read = attributes_of(data, "model")
+    np.testing.assert_allclose(read["TEXCOORD_0"], points[:, :2] * [1, -1] + [0, 1])  # glTF's v points down
+    np.testing.assert_allclose(read["_TRUST"].ravel(), points[:, 0])
 
 
 @pytest.mark.parametrize("quarters", range(4))
@@ -89,23 +105,6 @@ def test_a_source_is_seen_from_the_side_that_the_target_is_seen_from(quarters: i
     np.testing.assert_allclose(seen.to_file(target.to_view(target.positions)), source.positions, atol=1e-9)
     assert faced(seen, target, images) is seen
     assert faced(source, target, None) is source
-
-
-def test_light_falls_on_every_side_and_most_on_the_first_views() -> None:
-    rng = np.random.default_rng(5)
-    normals = rng.normal(size=(500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    light = light_on(normals)
-    assert 0.1 < light.min()
-    assert light.max() <= 1
-    np.testing.assert_allclose(normals[light.argmax()], [-0.4, 0.75, 0.6], atol=0.35)
-
-
-def test_only_a_closed_model_hides_its_inner_side() -> None:
-    box = cube()
-    inside_out = replace(box, face_indices=box.face_indices.reshape(-1, 4)[:, ::-1].ravel().copy())
-    open_box = extract(box, np.arange(5))
-    assert [shape_of(refine(mesh, 1)).encloses for mesh in (box, inside_out, open_box)] == [True, False, False]
 
 
 def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
@@ -137,13 +136,14 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
     laid_out = shape.with_uvs(shape.positions[:, :2] / 100 + 0.5, shape.face_indices)
     write_mesh(tmp_path / "c_unwrapped.obj", laid_out)
     write_image(tmp_path / "c.png", np.full((8, 8, 3), 90, dtype=np.uint8))
-    baked = View("baked", baked=tmp_path / "c.png", layout=tmp_path / "c_unwrapped.obj")
     for scheme in ("none", "bilinear", None):
         paths = tmp_path / "a.obj", tmp_path / "b.obj"
-        opening = Opening(*paths, None, 300, schemes=(scheme, scheme), ups=("z", None))
-        bench, opened = perform(Bench(), OpenModels(opening, View("plain")), lambda _: None)
-        _, dressed = perform(bench, Dress(opening, baked, None), lambda _: None)
-        (plain,), (shown,) = (read_back(skins[0]) for skins in (opened.scene.skins, dressed.skins))
+        opening = Opening(*paths, None, 300, tmp_path, schemes=(scheme, scheme), ups=("z", None))
+        bench, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+        task = ShowBaked(opening, tmp_path / "c.png", tmp_path / "c_unwrapped.obj", None)
+        _, skin = perform(bench, task, lambda _: None)
+        (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
+        assert b'"baked"' in skin
         assert cKDTree(plain.vertices).query(shown.vertices)[0].max() < 1e-6
 
 
@@ -174,7 +174,7 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, speck)
     opening = Opening(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, ("none", "none"))
-    bench, opened = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    bench, opened = perform(Bench(), OpenModels(opening), lambda _: None)
     assert isinstance(opened, Opened)
     assert any("set aside" in note for note in opened.notes)
     shape = opened.scene.target
@@ -189,7 +189,7 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     assert [item.target for item in again.items] == [item.target for item in picked.items]
     # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
     assert commands(all_options(), files, FinishOptions(), landmarks=True)[0].request.target_scheme == "none"
-    bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120), View()), lambda _: None)
+    bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120)), lambda _: None)
     assert isinstance(found, Found)
     places = found.images.on(opened.scene.source.triangles, opened.scene.source.positions)
     assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
@@ -241,7 +241,6 @@ def test_parts_have_names_and_triangles_belong_to_them() -> None:
     numbers = np.array([0, 0, 0, 1, 1, 1])
     named = replace(mesh, face_objects=numbers, object_names=("head", "body"), face_materials=numbers * 0)
     shape = shape_of(refine(replace(named, material_names=("skin",)), 2))
-    assert shape.parts == ("head", "body", "skin")
     assert part_name(shape, 0) == "head, skin"
     assert part_name(shape, len(shape.triangles) - 1) == "body, skin"
     assert part_name(shape_of(refine(mesh, 2)), 0) == ""
@@ -272,13 +271,34 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     places = np.array([[0.1, 0.9], [1.9, 0.1], [0.9, 1.1], [1.5, 1.5]])
     assert look.texture is not None
     assert look.texture.shape == (16, 16, 3)
-    np.testing.assert_allclose(texture_colors(look, places), [*np.eye(3), np.zeros(3)])
+    np.testing.assert_array_equal(texture_colors(look, places), [*(255 * np.eye(3)), np.zeros(3)])
     # The page's card has the whole of it between 0 and 1.
     mesh = unwrapped_cube()
     shape = shape_of(refine(mesh.with_uvs(2 * mesh.uvs, mesh.uv_indices), 1))
-    (drawn,) = read_back(source_skin(shape, look, View()))
+    drawn = attributes_of(source_skin(shape, look), "model")
     assert shape.uvs.max() > 1.9
-    assert 0.9 < drawn.visual.uv.max() < 1.0
+    assert 0.9 < drawn["TEXCOORD_0"].max() < 1.0
+
+
+def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.obj", unwrapped_cube())
+    write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
+    files = default_files(tmp_path, tmp_path / "box.obj", tmp_path / "box.obj", None)
+    model = textured(Studio(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)))
+    (tmp_path / "box.glb").write_bytes(model)
+    opening = Opening(tmp_path / "box.obj", tmp_path / "box.glb", None, 300, tmp_path)
+    for _ in range(2):  # the file that was put there is used again
+        _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+        assert opened.source.texture == tmp_path / "box_texture.png"
+    assert opened.source.look.texture is not None
+    np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
+    (tmp_path / "box_texture.png").write_bytes(b"another's")
+    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+    assert opened.source.texture == tmp_path / "box_texture1.png"
+    assert (tmp_path / "box_texture.png").read_bytes() == b"another's"
+    named = replace(opening, texture=tmp_path / "t.png")
+    _, opened = perform(Bench(), OpenModels(named), lambda _: None)
+    assert opened.source.texture == tmp_path / "t.png"
 
 
 def test_seams_are_found_where_texture_coordinates_jump() -> None:
@@ -293,6 +313,33 @@ def test_seams_are_found_where_texture_coordinates_jump() -> None:
     np.testing.assert_array_equal(crossing, (own != own[:, :1]).any(axis=1))
 
 
+def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:
+    """Under the identity the samples of a triangle are the source's own colours, whatever corners they lie between."""
+    mesh = replace(unwrapped_cube(), face_materials=np.arange(6), material_names=tuple("abcdef"))
+    colors = np.random.default_rng(3).random((6, 3))
+    shape = shape_of(refine(mesh, 3))
+    images = identity(len(shape.positions), shape.triangles)
+    pixels = np.random.default_rng(4).integers(0, 255, (64, 64, 3), dtype=np.uint8)
+    for look in (Look(colors=colors), Look(texture=pixels, encoded=b"\xff\xd8\xff")):
+        data = target_skin(shape, Look(), shape, look, images)
+        picture = imageio.imread(data[data.index(b"\x89PNG") :], extension=".png")
+        seams = attributes_of(data, "seams")
+        corners = seams["corners"]
+        side = np.sqrt(picture.shape[0] * picture.shape[1] / len(corners))
+        column, row = (seams["TEXCOORD_0"][corners].mean(axis=1) * picture.shape[1::-1]).astype(int).T
+        centre = seams["POSITION"][corners].mean(axis=1)
+        around = shape.to_view(shape.positions[shape.triangles].mean(axis=1))
+        triangle = cKDTree(around).query(centre)[1]
+        if look.colors is None:
+            uvs = shape.uvs[shape.uv_triangles[triangle]].mean(axis=1)
+            wanted = texture_colors(look, uvs)
+        else:
+            wanted = np.rint(255 * to_display(colors[shape.faces[triangle]]))
+        found = picture[row, column]
+        assert side >= 3
+        assert (np.abs(found.astype(float) - wanted).max(axis=1) < 2).mean() > (0.95 if look.texture is None else 0.3)
+
+
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]:
     folder = tmp_path_factory.mktemp("models")
@@ -301,37 +348,29 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]
     # Not the very same surface, which has one answer.
     write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
     write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    task = OpenModels(Opening(folder / "a.obj", folder / "b.obj", folder / "t.png", 300), View())
+    task = OpenModels(Opening(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, folder))
     bench, _ = perform(Bench(), task, lambda _: None)
     return bench, task
 
 
 def landmarks(bench: Bench, *vertices: int) -> LandmarkList:
-    assert bench.models is not None
-    shapes = bench.models.target.shape, bench.models.source.shape
+    shapes = bench.target.shape, bench.source.shape
     pairs = (Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
     return LandmarkList(tuple(pairs))
 
 
 def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
-    bench, first = perform(bench, FindMap(task.opening, landmarks(bench, *range(8)), View()), lambda _: None)
+    bench, first = perform(bench, FindMap(task.opening, landmarks(bench, *range(8))), lambda _: None)
     assert isinstance(first, Found)
-    bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7)), View()), lambda _: None)
+    bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7))), lambda _: None)
     assert isinstance(second, Found)
     assert set(second.known.strain) == {f"v{v}" for v in range(7)}
-    _, dressed = perform(bench, Dress(task.opening, View("checker"), second.images), lambda _: None)
-    assert dressed.skins[0] != second.skin
+    assert second.skins[1] is None  # the source faces as the target does
     # The models are translates of each other: the map carries a point to the same point, five units to the right.
-    models = bench.models
-    assert models is not None
-    scene = Scene(
-        models.target.shape,
-        models.source.shape,
-        (models.target.mirror, models.source.mirror),
-        dressed.skins,
-        second.images,
-    )
+    target, source = bench.target, bench.source
+    mirrors = target.mirror, source.mirror
+    scene = Scene(target.shape, source.shape, mirrors, (second.skins[0], b""), second.images)
     there = carried_place(scene, "target", vertex_place(scene.target, 0))
     assert there is not None
     # Within two edges of the preview's level.
@@ -345,21 +384,21 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
 def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
     with pytest.raises(ParameterError, match="answer 99"):
-        perform(bench, ChooseAnswer(task.opening, LandmarkList(), 99, View()), lambda _: None)
-    bench, first = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
+        perform(bench, FindMap(task.opening, LandmarkList(), answer=99), lambda _: None)
+    bench, first = perform(bench, FindMap(task.opening, LandmarkList()), lambda _: None)
     assert isinstance(first, Found)
     # A box on a box: each half turn is an answer.
     assert len(first.known.answers) > 1
     assert first.known.confidence
-    bench, second = perform(bench, ChooseAnswer(task.opening, LandmarkList(), 1, View()), lambda _: None)
+    bench, second = perform(bench, FindMap(task.opening, LandmarkList(), answer=1), lambda _: None)
     assert isinstance(second, Found)
     assert second.known.chosen == 1
     assert not np.array_equal(first.images.triangle, second.images.triangle)
     # One landmark moves that answer, and taking it away gives it back.
-    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0), View()), lambda _: None)
+    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0)), lambda _: None)
     assert isinstance(third, Found)
     assert set(third.known.strain) == {"v0"}
-    bench, fourth = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
+    bench, fourth = perform(bench, FindMap(task.opening, LandmarkList()), lambda _: None)
     assert isinstance(fourth, Found)
     np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
 
@@ -370,21 +409,19 @@ def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[Benc
     for step in range(3):
         if step == 1:  # all but two of the eight
             taken += [vertex for vertex in range(8) if vertex not in taken][:5]
-        bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
+        bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken)), lambda _: None)
         assert isinstance(found, Found)
         assert found.known.suggestion not in (None, *taken)
         taken.append(found.known.suggestion or 0)
-    _, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
+    _, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken)), lambda _: None)
     assert isinstance(found, Found)
     assert found.known.suggestion is None
 
 
 def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:
     bench, _ = opened
-    models = bench.models
-    assert models is not None
-    shape = models.target.shape
-    scene = Scene(shape, models.source.shape, (models.target.mirror, models.source.mirror), (b"", b""))
+    shape = bench.target.shape
+    scene = Scene(shape, bench.source.shape, (bench.target.mirror, bench.source.mirror), (b"", b""))
     corner = vertex_place(shape, 0)
     across = mirrored(scene, "target", corner)
     assert across is not None
@@ -397,7 +434,7 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     _, task = opened
     stages: list[str] = []
     worker = Worker(stages.append)
-    missing = worker.run(OpenModels(replace(task.opening, target=Path("/nowhere/a.obj")), View()))
+    missing = worker.run(OpenModels(replace(task.opening, target=Path("/nowhere/a.obj"))))
     assert isinstance(missing, Failure)
     assert missing.kind == "FormatError"
     assert "a.obj" in missing.message
@@ -416,7 +453,7 @@ def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
 ) -> None:
     """One that has ended already, or is named no more, disturbs no other."""
     _, task = opened
-    unwanted, wanted = FindMap(task.opening, LandmarkList(), View()), Dress(task.opening, View(), None)
+    unwanted, wanted = FindMap(task.opening, LandmarkList()), ShowBaked(task.opening, Path(), None, None)
     here, there = Pipe()
     worker = Worker(lambda stage: worker.drop(unwanted))
     monkeypatch.setattr(worker, "_connected", lambda: here)
@@ -435,7 +472,7 @@ def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
     for _ in range(2):
         assert worker.run(unwanted) == Failure(DROPPED, "the computation is not wanted any more")
         worker.drop(unwanted)
-        assert worker.run(wanted) == "Dress"
+        assert worker.run(wanted) == "ShowBaked"
     here.close()
     serving.join(10)
     assert not serving.is_alive()
@@ -445,7 +482,7 @@ def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> Non
     bench, task = opened
     one = landmarks(bench, 0).items[0]
     with pytest.raises(ValueError, match="one pair only"):
-        perform(bench, FindMap(task.opening, LandmarkList((one, replace(one, name="again"))), View()), lambda _: None)
+        perform(bench, FindMap(task.opening, LandmarkList((one, replace(one, name="again")))), lambda _: None)
 
 
 def test_answers_of_one_name_are_told_apart() -> None:

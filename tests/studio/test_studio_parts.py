@@ -28,12 +28,10 @@ from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, re
 from cagemap.studio.landmarks import Landmark, LandmarkList, keep_elsewhere, place
 from cagemap.studio.models import open_model
 from cagemap.studio.opening import chosen_files, default_files, result_of, with_parts
-from cagemap.studio.page.part_choices import WHOLE, labels
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.skins import source_skin
-from cagemap.studio.state import View
 from cagemap.studio.worker import Failure
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
@@ -61,8 +59,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def opened(folder: Path, *parts: str | None) -> Scene:
-    opening = Opening(folder / "a.obj", folder / "b.obj", None, 300, parts=(parts[0], parts[-1]))
-    _, answer = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    opening = Opening(folder / "a.obj", folder / "b.obj", None, 300, folder, parts=(parts[0], parts[-1]))
+    _, answer = perform(Bench(), OpenModels(opening), lambda _: None)
     return answer.scene
 
 
@@ -81,29 +79,29 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
         open_model(folder / "a.obj", None, None, 300, "nose")
 
 
-def test_what_is_left_alone_is_drawn_unless_it_is_hidden(folder: Path) -> None:
+def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     model = open_model(folder / "a.obj", None, None, 300)
     rest = model.look.rest
     assert rest is not None
     assert model.shape.leaves_any
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
-    shown, hidden = (source_skin(model.shape, model.look, View(rest=rest)) for rest in (True, False))
-    assert len(shown) > len(hidden)
+    assert b'"rest"' in source_skin(model.shape, model.look)
     write_mesh(folder / "one.obj", creature())
     alone = open_model(folder / "one.obj", None, None, 300)
     assert alone.look.rest is None
     assert (alone.offer.titles, alone.offer.opened) == ((), None)
 
 
-def test_labels_name_every_part_once_and_the_whole_where_it_can_be_opened(folder: Path) -> None:
+def test_every_part_is_offered_once_and_the_whole_where_it_can_be_opened(folder: Path) -> None:
     offer = open_model(folder / "a.obj", None, None, 300).offer
-    assert list(labels(offer).values()) == list(offer.titles)
+    assert len(set(offer.titles)) == len(offer.titles) == len(offer.faces)
+    assert not offer.whole
     body = creature()
     front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
     write_mesh(folder / "halves.obj", replace(body, face_groups=front, group_names=("back", "front")))
     offer = open_model(folder / "halves.obj", None, None, 300).offer
-    assert labels(offer)[WHOLE] is None
+    assert offer.whole
     assert {"group:back", "group:front"} & set(offer.titles)
 
 
@@ -273,11 +271,11 @@ def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monke
     session.open(files)
     models = session._preview.models
     assert models.parts == ("object:nose", None)
-    session._receive(OpenModels(models, View()), Failure("ParameterError", "no nose"))
+    session._receive(OpenModels(models), Failure("ParameterError", "no nose"))
     assert "no nose" in session.state.messages[-1].text
     assert session._preview.models.parts == (None, None)
     again = session._preview.models
-    session._receive(OpenModels(again, View()), Failure("ParameterError", "no file"))
+    session._receive(OpenModels(again), Failure("ParameterError", "no file"))
     assert session._preview.models is again
     session.close()
 
@@ -314,7 +312,7 @@ def test_a_file_whose_one_part_is_all_of_it_can_be_shown(tmp_path: Path) -> None
     mesh = replace(body, face_materials=front, material_names=("back", "front"), object_schemes=("catmull-clark",))
     offer = take_part(mesh, None, plain=False).offer
     assert offer.titles
-    assert offer.opened in labels(offer).values()
+    assert offer.whole if offer.opened is None else offer.opened in offer.titles
 
 
 def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:

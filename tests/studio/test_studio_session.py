@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
+from cagemap.files.images.image import write_image
 from cagemap.files.result.manifest import note_transfer
 from cagemap.studio.compute import FindMap, Found, OpenModels, Task
 from cagemap.studio.finish import FinishOptions
@@ -25,7 +27,7 @@ from cagemap.studio.state import Files, Message, Output, RunningJob, Studio, Vie
 from cagemap.studio.worker import DROPPED, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
-from studio_boxes import Idle, at_rest, click, click_between, until
+from studio_boxes import Idle, click, click_between, until
 
 
 def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
@@ -50,7 +52,7 @@ def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Sessi
     before = opened.state
     assert opened._preview.models is not None
     others = replace(opened._preview.models, vertices=7)
-    opened._receive(OpenModels(others, View()), Failure("FormatError", "of another pair"))
+    opened._receive(OpenModels(others), Failure("FormatError", "of another pair"))
     assert opened.state == before
 
 
@@ -58,7 +60,7 @@ def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(o
     """Another part, and back at once: the answer comes when its models count again."""
     before = opened.state
     assert opened._preview.models is not None
-    opened._receive(OpenModels(opened._preview.models, View()), Failure(DROPPED, "not wanted"))
+    opened._receive(OpenModels(opened._preview.models), Failure(DROPPED, "not wanted"))
     assert opened.state == before
 
 
@@ -69,12 +71,10 @@ def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> N
     # About where half a turn about the vertical takes the box, which is slanted.
     places = scene.source.centre + (scene.target.positions - scene.target.centre) * [-1.0, 1.0, -1.0]
     triangle, weights, _ = closest_points(build_tree(scene.source.positions, scene.source.triangles), places)
-    answer = Found(Images(triangle, weights, scene.images.trust), scene.skins[0], opened.state.map)
-    opened._receive(FindMap(opened._preview.models, LandmarkList(), View()), answer)
-    until(lambda: opened.scene.source is not scene.source, opened)
-    until(lambda: at_rest(opened), opened)
+    answer = Found(Images(triangle, weights, scene.images.trust), (b"target", b"source"), opened.state.map)
+    opened._receive(FindMap(opened._preview.models, LandmarkList()), answer)
     np.testing.assert_array_equal(opened.scene.source.turn, np.diag([-1.0, 1.0, -1.0]))
-    assert opened.scene.skins[1] != scene.skins[1]
+    assert opened.scene.skins == (b"target", b"source")
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
@@ -129,14 +129,14 @@ def test_only_the_first_opening_is_said_to_compile(monkeypatch: pytest.MonkeyPat
         if job is not None:
             titles.append(job.title)
 
-    preview = Preview(100, lambda: (LandmarkList(), View(), None), on_job, lambda *_: None)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None), on_job, lambda *_: None)
     for count in (1, 2):
         preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
         end = time.monotonic() + 10
         while len(titles) < count and time.monotonic() < end:
             time.sleep(0.01)
     preview.close()
-    assert ["compiles" in title for title in titles] == [True, False]
+    assert ["first run" in title for title in titles] == [True, False]
 
 
 def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,7 +154,7 @@ def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.Mo
             goes_on.set()
 
     monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
-    preview = Preview(100, lambda: (LandmarkList(), View(), None), lambda _: None, lambda *_: None)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None), lambda _: None, lambda *_: None)
     files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
     preview.open(replace(files, parts=("one", None)))
     assert isinstance(begun.get(timeout=10), OpenModels)
@@ -177,7 +177,7 @@ def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.Mo
 def test_cancelling_ends_what_runs(opened: Session) -> None:
     def cancel(state: Studio, _: object) -> None:
         if state.preview_job is not None and state.preview_job.stage:
-            opened.cancel_preview()
+            opened.cancel()
 
     images = opened.scene.images
     opened._preview.stop()  # so that the next map starts with the files, in stages
@@ -195,22 +195,19 @@ def test_a_target_without_uvs_is_laid_out(opened: Session) -> None:
     assert bake.request.unwrap
 
 
-def test_a_bake_of_a_texture_that_is_not_open_is_refused_or_says_so(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_an_image_colours_are_baked_or_the_wrap_made(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[list[str]] = []
     monkeypatch.setattr(opened._runner, "start", lambda todo: begun.append([command.title for command in todo]))
     opened._change(files=replace(opened.state.files, texture=None))
-    opened.finish(FinishOptions())
-    assert begun == []
-    assert opened.state.messages[-1].kind == "error"
-    assert "none is open. Choose one under Models" in opened.state.messages[-1].text
-    opened.finish(FinishOptions(wrap=True, report=False))
-    assert begun == [["match", "wrap"]]
-    assert "no texture is open, so none is baked" in opened.state.messages[-1].text
+    for colored, made in ((True, "material colours"), (False, "wrap")):
+        opened._scene = replace(opened.scene, colored=colored)
+        opened.finish(FinishOptions(report=False))
+        assert begun[-1] == ["match", made]
+        assert "the source has no image" in opened.state.messages[-1].text
+    opened._change(messages=())
     opened.finish(FinishOptions(texture=False))
-    assert begun[1:] == [["match", "report"]]
-    assert sum("none is baked" in message.text for message in opened.state.messages) == 1
+    assert begun[-1] == ["match", "report"]
+    assert not opened.state.messages
 
 
 def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session, boxes: Path) -> None:
@@ -229,13 +226,13 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     opened.finish(options)
     until(at_work, opened)
     opened.finish(options)
-    assert said("no finish to be running")
-    opened.cancel_finish()
-    until(lambda: said("finish: cancelled"), opened)
+    assert said("a bake is running")
+    opened.cancel()
+    until(lambda: said("Bake: cancelled"), opened)
     assert opened.state.finish_job is None
     assert files() == before
     opened.finish(replace(options, texture=False))
-    until(lambda: said("finish: done"), opened)
+    until(lambda: said("Bake: done"), opened)
     assert [output.what for output in opened.state.outputs] == ["the map"]
     # The map is there: another bake of it does not compute it again, unless something has changed; that something was
     # made of it is noted beside it.
@@ -247,7 +244,7 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     assert left == [todo[1:]]
     opened._change(messages=())
     opened.finish(replace(options, texture=False))
-    until(lambda: said("finish: done"), opened)
+    until(lambda: said("Bake: done"), opened)
     assert [output.what for output in opened.state.outputs] == ["the map"]
     assert arrays.stat().st_mtime_ns == written
     last = opened._last._made
@@ -268,31 +265,48 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
         path.unlink()
 
 
-def test_the_view_is_drawn_anew_only_where_it_changes(opened: Session) -> None:
+def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted: list[None] = []
+    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: wanted.append(None))
     before = opened.scene.skins
-    opened.show(View(cages=True))
-    opened.show(View("colours"))
-    until(lambda: opened.scene.skins[0] != before[0] and opened.scene.skins[1] != before[1], opened)
-    opened.show(View())
-    until(lambda: opened.scene.skins == before, opened)
-
-
-def test_a_killed_computation_leaves_the_map_on_the_target(opened: Session) -> None:
-    before = opened.scene.skins
-    opened._preview.stop()
-    for view in (View("colours"), View()):
-        shown = opened.scene.skins
+    for view in (View(cages=True), View("colours"), View("checker", doubts=False), View()):
         opened.show(view)
-        until(lambda shown=shown: opened.scene.skins[0] != shown[0], opened)
     assert opened.scene.skins == before
+    assert not wanted
 
 
-def test_a_view_that_changes_with_the_landmarks_is_drawn_on_both(opened: Session) -> None:
+def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Path) -> None:
+    write_image(boxes / "b.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     before = opened.scene.skins
-    with opened._lock:
-        opened.match_again()
-        opened.show(View("checker"))
-    until(lambda: opened.scene.skins[0] != before[0] and opened.scene.skins[1] != before[1], opened)
+    opened._preview.stop()  # a killed computation reads the models again
+    baked(opened, boxes)
+    until(lambda: opened.scene.skins[0] != before[0], opened)
+    revision = opened.state.map.revision
+    click(opened, "target", 1)
+    opened.accept()
+    assert opened.state.view.mode == "texture"
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert b"baked" not in opened.scene.skins[0]
+
+
+def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) -> None:
+    corners = cube().positions
+    across = np.argmin(np.linalg.norm(corners[:, None] * [-1.0, 1.0, 1.0] - corners, axis=2), axis=1)
+    opened._scene = replace(opened.scene, mirrors=(across, across))
+    opened.show(replace(opened.state.view, symmetric=True))
+    click(opened, "target", 2)
+    opened.accept()
+    placed, image = opened.state.history.present.complete
+    assert opened.state.selected == placed.number
+    assert {image.target.corners[k] for k in range(3)} == set(across[list(placed.target.corners)])
+    opened.undo()
+    assert opened.state.history.present.complete == ()  # both in one step
+    opened.redo()
+    opened.remove(placed.number)
+    click(opened, "target", 2)
+    click(opened, "source", 2)
+    assert len(opened.state.history.present.complete) == 2  # the counterpart is there already
+    opened._scene = replace(opened.scene, mirrors=(None, None))
 
 
 def baked(session: Session, boxes: Path) -> Path:
@@ -301,7 +315,7 @@ def baked(session: Session, boxes: Path) -> Path:
     with session._lock:
         session._change(outputs=(Output(image, "texture"),))
         session._finishing = session.state.wish
-        session._ended(Message("note", "finish: done"))
+        session._ended(Message("note", "Bake: done"))
     assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
     return image
 
@@ -311,7 +325,7 @@ def test_a_bake_is_shown_though_its_map_cannot_be_compared(
 ) -> None:
     monkeypatch.setattr("cagemap.studio.session.led_elsewhere", lambda *_: [][0])
     baked(opened, boxes)
-    assert [message.kind for message in opened.state.messages[-2:]] == ["error", "note"]
+    assert "error" in [message.kind for message in opened.state.messages[-3:]]
 
 
 def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, boxes: Path) -> None:
@@ -327,24 +341,24 @@ def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, b
     baked(opened, boxes)
     opened.undo()
     shown.append(opened.state.view)
-    assert shown == [View()] * 3
+    assert [view.mode for view in shown] == ["texture"] * 3
     # Nor is one that ends after the landmarks have changed.
     with opened._lock:
         opened._finishing = opened.state.wish
         opened.redo()
-        opened._ended(Message("note", "finish: done"))
-    assert opened.state.view == View()
+        opened._ended(Message("note", "Bake: done"))
+    assert opened.state.view.mode == "texture"
     assert "before the last changes" in opened.state.messages[-1].text
     # Nor on other models, nor while the next one is made of other options.
     baked(opened, boxes)
     opened.finish(FinishOptions(given={("match", "vertices"): 300}))
-    assert opened.state.view == View()
-    opened.cancel_finish()
+    assert opened.state.view.mode == "texture"
+    opened.cancel()
     until(lambda: opened.state.finish_job is None, opened)
     until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
     baked(opened, boxes)
     opened.open(opened.state.files)
-    assert opened.state.view == View()
+    assert opened.state.view.mode == "texture"
     until(lambda: opened.state.map.revision >= 1, opened)
 
 
@@ -352,10 +366,10 @@ def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path
     opened.show_as(mode="baked")
     assert opened.state.view.mode == "texture"
     assert "Press Bake" in opened.state.messages[-1].text
-    image = baked(opened, boxes)
+    before, image = opened.state.view, baked(opened, boxes)
     opened.look_at(None)
     opened.show_as(mode="baked", cages=True)
-    assert opened.state.view == View("baked", cages=True, baked=image)
+    assert opened.state.view == replace(before, mode="baked", cages=True, baked=image)
 
 
 def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:

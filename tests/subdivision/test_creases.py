@@ -164,9 +164,9 @@ def test_a_creased_surface_goes_through_the_whole_method() -> None:
     creased = mesh.with_creases(edges, np.resize([0.7, 2.3, 10], len(edges))).with_corners([0, 5], [1.5, 10])
     bent = creased.with_positions(creased.positions * [1.1, 0.95, 1.05])
     picked = np.unique(np.linspace(0, mesh.n_vertices - 1, 9).astype(int))
-    target, source = (prepare_surface(control, 2, BasisConfig(count=40)) for control in (bent, creased))
+    target, source = (prepare_surface(control, 1, BasisConfig(count=40)) for control in (bent, creased))
     result = match(target, source, Landmarks(tuple(f"point {i}" for i in range(len(picked))), picked, picked))
-    gaps = np.linalg.norm(result.point_map.images.positions - source.triangles(2).positions, axis=1)
+    gaps = np.linalg.norm(result.point_map.images.positions - source.triangles(1).positions, axis=1)
     # The same cage, stretched a little, at unit area: vertices map to themselves but for what stretching moves.
     assert np.median(gaps) < 0.01
     assert result.quality.flipped_area < 0.01

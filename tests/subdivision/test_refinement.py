@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import (
     CatmullClark,
     Loop,
@@ -39,7 +39,7 @@ from cagemap.subdivision import (
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
 from cagemap.subdivision.refinement import state_of
-from cagemap.subdivision.state import boundary_corners
+from cagemap.subdivision.sharpness import boundary_corners
 from cagemap.subdivision.topology import control_topology
 
 CLOSED = [cube(), tetrahedron(), icosahedron(), torus(5, 4), poles(3), poles(8), bipyramid(7), pyramid(), creature()]

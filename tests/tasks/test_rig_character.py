@@ -14,18 +14,19 @@ from cagemap.character.values import Character, Part, posed
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
-from cagemap.files.gltf.material_images import material_images, read_material_image
+from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
+from cagemap.files.images.image import Image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import face_areas
+from cagemap.mesh.faces import face_areas
 
 from command_line import Run
-from example_character import ball, bare_body, character, write_character
+from example_character import ball, bare_body, character, with_material, write_character
 
 
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:
-    return bare_body(2)
+    return bare_body(1)
 
 
 @pytest.fixture
@@ -117,6 +118,29 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         np.testing.assert_allclose(posed(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
+def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Character, body: ControlMesh) -> None:
+    """Those of its own eye always, those of the body if asked for; names that both files have are told apart."""
+    own = ball("my_eye", body.positions[np.argmax(body.positions[:, 1])] - [0, 0.3, 0], 0.1)
+    own = replace(own.with_uvs(own.positions[:, :2] % 1.0, own.face_indices), material_names=("eye",))
+    images = {
+        (name, "baseColorTexture"): png_bytes(Image(np.full((4, 4, 3), grey, np.uint8)))
+        for name, grey in (("body", 10), ("eye", 20))
+    }
+    given = Character((Part("body", with_material(body)), Part("my_eye", own)))
+    write_document("B.glb", character_glb(given, images=images), force=True)
+    for words in ((), ("--keep-textures", "--force")):
+        made = _rig(run, *words)
+        document = read_document("OUT.glb")
+        greys = {}
+        for part in made.parts:
+            (name,) = part.mesh.material_names
+            found = material_images(document, name)
+            greys[part.name] = [int(read_material_image(document, one).pixels.max()) for one in found]
+        assert greys["my_eye"] == [20]
+        assert (greys["body"] == [10]) == bool(words)
+        assert greys["hat"] == []
+
+
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:
     own = ball("my_eye", body.positions[np.argmax(body.positions[:, 1])] - [0, 0.3, 0], 0.1)
     write_document("B.glb", character_glb(Character((Part("skin", body), Part("my_eye", own)))), force=True)
@@ -149,7 +173,7 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
     [
         (["--passengers", "cape"], "expected names of parts of the character (eye, hat), got cape"),
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
-        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, got '.obj'"),
+        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, .fbx, got '.obj'"),
         (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),

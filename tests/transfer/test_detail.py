@@ -30,7 +30,13 @@ from cagemap.transfer.detail import (
     detail_over,
     own_transfer,
 )
-from cagemap.transfer.exact_corners import Aim, Landing, corner_samples, lookup_matrix, make_exact
+from cagemap.transfer.exact_corners import (
+    LookupTargets,
+    SurfaceTargets,
+    corner_samples,
+    lookup_matrix,
+    make_lookups_exact,
+)
 from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 
@@ -41,10 +47,10 @@ SIZE = 64
 PLAIN = BakeOptions(supersample=1)
 
 
-def to(wanted: np.ndarray) -> Callable[[np.ndarray], Aim]:
+def to(wanted: np.ndarray) -> Callable[[np.ndarray], LookupTargets]:
     """Lookups are to read these values (k, c), all channels alike."""
     k, c = wanted.shape
-    return lambda _: Aim(wanted, np.broadcast_to(np.eye(c), (k, c, c)))
+    return lambda _: LookupTargets(wanted, np.broadcast_to(np.eye(c), (k, c, c)))
 
 
 def waves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,14 +118,14 @@ def test_lookups_become_exact_by_the_least_change() -> None:
     image = rng.normal(size=(20, 30, 2)).astype(np.float32)
     places, wanted = rng.uniform((0, 0), (30, 20), (40, 2)), rng.normal(size=(40, 2))
     before = image.copy()
-    make_exact(image, places, to(wanted))
+    make_lookups_exact(image, places, to(wanted))
     lookups = lookup_matrix(places, 20, 30).toarray()
     np.testing.assert_allclose(lookups @ image.reshape(-1, 2), wanted, atol=0.05)
     least = np.linalg.lstsq(lookups, wanted - lookups @ before.reshape(-1, 2))[0]
     assert np.abs((image - before).reshape(-1, 2) - least).max() < 0.05 * np.abs(least).max()
     # What is right already stays as it is, to the last bit.
     again = image.copy()
-    make_exact(again, places, to(lookups @ again.reshape(-1, 2).astype(np.float64)))
+    make_lookups_exact(again, places, to(lookups @ again.reshape(-1, 2).astype(np.float64)))
     np.testing.assert_array_equal(again, image)
 
 
@@ -137,7 +143,9 @@ def test_displaced_corners_that_share_their_texels_lie_on_the_surface_and_may_sl
     for slides in (True, False):
         image = np.zeros((5, 5, 3), dtype=np.float32)
         normals = np.broadcast_to(normal, (12, 3))
-        make_exact(image, places, Landing(surface, points, normals, scattered, np.full(12, slides), frame))
+        make_lookups_exact(
+            image, places, SurfaceTargets(surface, points, normals, scattered, np.full(12, slides), frame)
+        )
         heights[slides] = lookup_matrix(places, 5, 5) @ image.reshape(-1, 3)
     np.testing.assert_allclose(heights[True][:, 2], 0.1, atol=2e-3)
     assert np.abs(heights[True][:, :2]).max() < 1e-3  # what does not matter does not move
@@ -219,7 +227,7 @@ def test_corners_outside_the_image_change_nothing_in_it() -> None:
     assert uvs.min() >= 0
     assert uvs.max() <= 1
     empty = np.ones((4, 4, 1), dtype=np.float32)
-    make_exact(empty, np.zeros((0, 2)), to(np.zeros((0, 1))))
+    make_lookups_exact(empty, np.zeros((0, 2)), to(np.zeros((0, 1))))
     assert (empty == 1).all()
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.mesh import ControlMesh
-from cagemap.transfer.overlapping_uvs import doubled_materials, doubled_share
+from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 
 UNIT = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 
@@ -32,22 +32,22 @@ def test_the_share_is_that_of_the_area(shift: float, tile: tuple[int, int]) -> N
     mesh = squares([tile, (tile[0] + shift, tile[1])], 0.39)
     common = max(0.0, 0.39 - shift) / 0.39
     # Turned squares of 200 texels a side have hardly a texel more or less than their area; 40 of 40 000 are allowed.
-    assert doubled_share(mesh) == pytest.approx(common / 2, abs=1e-3)
+    assert overlapping_share(mesh) == pytest.approx(common / 2, abs=1e-3)
 
 
 def test_what_only_touches_or_is_not_convex_is_not_doubled() -> None:
-    assert doubled_share(squares([(0, 0), (0.25, 0), (0, 0.25), (1.0, 0.0)], 0.25)) < 1e-3
+    assert overlapping_share(squares([(0, 0), (0.25, 0), (0, 0.25), (1.0, 0.0)], 0.25)) < 1e-3
     arrow = np.array([(0.1, 0.1), (0.9, 0.5), (0.1, 0.9), (0.5, 0.5)])
-    assert doubled_share(squares([(0.0, 0.0)], 1.0).with_uvs(arrow, np.arange(4))) < 1e-3
-    assert doubled_share(squares([(0.0, 0.0), (0.0, 0.0)], 40.0)) == 0.0  # a texture that is repeated
-    assert doubled_share(replace(squares([(0, 0)], 0.25), uvs=None, uv_indices=None)) == 0.0
+    assert overlapping_share(squares([(0.0, 0.0)], 1.0).with_uvs(arrow, np.arange(4))) < 1e-3
+    assert overlapping_share(squares([(0.0, 0.0), (0.0, 0.0)], 40.0)) == 0.0  # a texture that is repeated
+    assert overlapping_share(replace(squares([(0, 0)], 0.25), uvs=None, uv_indices=None)) == 0.0
 
 
 @settings(max_examples=30, deadline=None)
 @given(side=st.floats(0.05, 0.3), place=st.tuples(st.floats(0.0, 0.6), st.floats(0.0, 0.6)))
 def test_squares_along_rows_of_texels_are_not_doubled(side: float, place: tuple[float, float]) -> None:
     """Counted along its sides, one of 77 texels would have 76 of them, and 3 % less area."""
-    assert doubled_share(squares([place], side)) < 0.02
+    assert overlapping_share(squares([place], side)) < 0.02
 
 
 def test_cards_thinner_than_a_texel_are_not_doubled() -> None:
@@ -55,13 +55,13 @@ def test_cards_thinner_than_a_texel_are_not_doubled() -> None:
     places = [((i + 0.14) / 128, (j + 0.14) / 4) for i in range(128) for j in range(4)]
     cards = [np.array(place) + UNIT * [0.0015, 0.24] for place in places]
     mesh = squares(places, 1.0).with_uvs(np.concatenate(cards), np.arange(4 * len(cards)))
-    assert doubled_share(mesh) < 0.02
+    assert overlapping_share(mesh) < 0.02
 
 
 def test_materials_are_named_where_they_lie_over_each_other() -> None:
     places = [(0.0, 0.0), (0.0, 0.0), (0.5, 0.0), (1.0, 0.0)]
-    assert doubled_materials(squares(places, 0.4, [0, 1, 1, 1]), 0.02) == ("skin", "eyes")
+    assert overlapping_materials(squares(places, 0.4, [0, 1, 1, 1]), 0.02) == ("skin", "eyes")
     # Mirrored halves of one material read the same image.
-    assert doubled_materials(squares(places, 0.4, [0, 0, 1, 1]), 0.02) == ()
-    assert doubled_materials(squares([(0, 0), (1, 0)], 0.4, [0, 1]), 0.02) == ()
-    assert doubled_materials(squares(places, 0.4), 0.02) == ()
+    assert overlapping_materials(squares(places, 0.4, [0, 0, 1, 1]), 0.02) == ()
+    assert overlapping_materials(squares([(0, 0), (1, 0)], 0.4, [0, 1]), 0.02) == ()
+    assert overlapping_materials(squares(places, 0.4), 0.02) == ()

@@ -100,8 +100,8 @@ def test_a_checker_that_shrinks_by_four_does_not_alias(angle: float) -> None:
     level, source, size = plane(32, 32), plane(32, 32), 84
     point_map = plane_map(level, 32, 32, lambda p: 0.5 + (p - 0.5) @ turn.T * (4 * size / 512))
     transfer = prepare_transfer(level, source, point_map)
-    small, large = (bake_texture(transfer, checker, size=s)[..., 0] for s in (size, 16 * size))
-    # 16 times larger nothing is lost: its low frequencies are what the small image should have.
+    small, large = (bake_texture(transfer, checker, size=s)[..., 0] for s in (size, 8 * size))
+    # 8 times larger nothing is lost: its low frequencies are what the small image should have.
     expected, found = spectrum(large, size), spectrum(small, size)
     beside = found[expected < 0.01 * expected.max()]
     assert beside.max() < 0.025 * expected.max()  # 0.09 with a box of 16 samples
@@ -190,7 +190,7 @@ def test_labels_are_never_mixed() -> None:
         bake_texture(transfer, labels, size=9, options=BakeOptions(filter="cubic"))  # type: ignore[arg-type]
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 @given(height=st.integers(1, 40), width=st.integers(1, 40), seed=st.integers(0, 99))
 def test_halving_keeps_what_is_constant_and_reads_only_what_is_covered(height: int, width: int, seed: int) -> None:
     pixels = noise(height, width, 2, "float32", seed)

@@ -12,7 +12,7 @@ from scipy import sparse
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, refine, triangles
 from cagemap.subdivision.level_meshes import truncated
 from cagemap.subdivision.linear_values import corner_triangles, interpolate_linearly

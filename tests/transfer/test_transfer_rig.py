@@ -21,7 +21,8 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.maps import dense_map, read_images, source_level, write_map
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -131,6 +132,8 @@ def test_shapes_come_back_under_the_identity_and_zero_stays_zero(ring: Refinemen
     shape = 0.2 * np.random.default_rng(3).normal(size=ring.control.positions.shape)
     np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
     np.testing.assert_allclose(carry_shape(carrier, 0 * shape), 0, rtol=0, atol=1e-12)
+    # Constants have no gradient, so that the sum is the anchor's: the ridge is nothing beside it.
+    assert 0 < carrier.ridge.sum() < 1e-6 * carrier.matrix.sum()
     with pytest.raises(ParameterError, match="one a control vertex"):
         carry_shape(carrier, shape[1:])
 
@@ -339,6 +342,39 @@ def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:
     got = read_mesh(place / "faces" / "smile.obj").positions - target.positions
     np.testing.assert_allclose(got, 2 * given, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(read_mesh(place / "faces" / "large.obj").positions, target.positions)
+
+
+def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder: Path) -> None:
+    place, rng = result_folder.parent, np.random.default_rng(8)
+    names = ["spine", "arm.L", "arm.R"]
+    given, own = rng.dirichlet(np.ones(3), 8), rng.dirichlet(np.ones(3), 8)
+    for name, table in (("w.csv", given), ("own.csv", own)):
+        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    outcome = run("transfer", "R", "--weights", "w.csv", "--only", "arm.L, arm.R", "--base", "own.csv", "-o", "o.npz")
+    assert outcome.code == 0, outcome.err
+    with np.load(place / "o.npz") as carried:
+        table = np.column_stack([carried[name] for name in names])
+    np.testing.assert_allclose(table, chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
+    outcome = run("transfer", "R", "--weights", "w.csv", "--mirror", "-o", "m.npz")
+    assert outcome.code == 0, outcome.err
+    control = identity_result().target.control
+    with np.load(place / "m.npz") as carried:
+        table = np.column_stack([carried[name] for name in names])
+    swapped = table[:, [0, 2, 1]]
+    assert any(np.abs(swapped[mirror.image] - table).max() < 1e-9 for mirror in mirror_symmetries(control))
+    for words, message in (
+        (("--only", "leg"), "names of joints (spine, arm.L, arm.R), got leg"),
+        (("--only", "spine"), "Give them as --base"),
+        (("--only", "spine", "--base", "short.csv"), "weights of spine, arm.L, arm.R"),
+    ):
+        (place / "short.csv").write_text("spine\n" + "\n".join(["1"] * 8))
+        refused = run("transfer", "R", "--weights", "w.csv", *words, "-o", "never.npz")
+        assert refused.code == 2
+        assert message in refused.err
+    np.save(place / "w.npy", given)
+    refused = run("transfer", "R", "--weights", "w.npy", "--mirror", "-o", "never.npy")
+    assert "named joints" in refused.err
+    assert not list(place.glob("never*"))
 
 
 def test_a_user_sees_that_weights_were_normalised(run: Run, result_folder: Path) -> None:

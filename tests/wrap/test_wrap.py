@@ -21,7 +21,7 @@ from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer.normal_rays import meet
+from cagemap.transfer.normal_rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from cagemap.wrap.counterpart import counterpart
 from cagemap.wrap.fit import fit_net
@@ -237,12 +237,12 @@ def test_wrapped_surface_and_what_is_missing_are_the_source() -> None:
     np.testing.assert_allclose(fine.finest.positions, ground.positions / ground.scale, rtol=0, atol=1e-12)
     own = transfer.point_map.source
     _, _, before = closest_points(detail.surface.tree, own.positions)
-    met = meet(detail.surface, own.positions, own.vertex_normals)
-    _, _, after = closest_points(ground.tree, ground.scale / own.scale * met.foot.positions)
+    hits = intersect_normals(detail.surface, own.positions, own.vertex_normals)
+    _, _, after = closest_points(ground.tree, ground.scale / own.scale * hits.foot.positions)
     assert after.max() < 1e-12
     assert before.mean() > 1e-5
     # Nearly everywhere the normal meets the source, so that heights alone lead there as well.
-    off = np.linalg.norm(own.positions + met.heights[:, None] * own.vertex_normals - met.foot.positions, axis=1)
+    off = np.linalg.norm(own.positions + hits.heights[:, None] * own.vertex_normals - hits.foot.positions, axis=1)
     assert np.mean(off < 1e-6) > 0.999
 
 

@@ -9,8 +9,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangles import corner_sums, normalized

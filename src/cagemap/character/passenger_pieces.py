@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
-from cagemap.numerics.graphs import components
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, nearest_rotations
 
 Kind = Literal["cloth", "rigid", "similarity"]
 KINDS: tuple[Kind, ...] = ("cloth", "rigid", "similarity")

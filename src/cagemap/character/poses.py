@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.character.bones import humanoid_names
 from cagemap.character.values import Animation, Channel, Rig, Track
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 
 # A rig counts as turned against another where that explains the places of its joints with less than this share of the
 # error; else both have the same axes.

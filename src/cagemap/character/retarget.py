@@ -12,8 +12,7 @@ from cagemap.character.bones import humanoid_names
 from cagemap.character.poses import require_joints, rest_keys, to_parents, turn_and_scale
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 
 # Bones shorter than this, of the size of the rig, have no length to compare.
 _SHORTEST_BONE = 1e-6

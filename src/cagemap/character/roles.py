@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from cagemap.character.values import Part
 from cagemap.errors import ParameterError
-from cagemap.mesh.measures import face_areas
+from cagemap.mesh.faces import face_areas
 from cagemap.mesh.mesh_report import first_few
 
 # Words in the names of parts that are worn or set in, whatever their size.

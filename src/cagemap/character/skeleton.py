@@ -10,8 +10,7 @@ from cagemap.character.poses import least_rotation, pose_at, rest_keys, to_paren
 from cagemap.character.retarget import retarget
 from cagemap.character.values import Animation, Rig
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.transfer.skeleton import carry_joints
 
 # A child whose direction is within this cosine of an axis of its joint ends the joint's bone.

@@ -87,12 +87,15 @@ class Part:
         Of the joints of the character's rig, rows sum to 1.
     shapes : dict of str to (n, 3) float64
         Offsets of the vertices.
+    normals : (c, 3) float64 or None
+        Unit normal of every face corner, where a file states them; `cagemap.character.normals.moved` keeps them.
     """
 
     name: str
     mesh: ControlMesh
     weights: sparse.csr_array | None = field(default=None, repr=False)
     shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)
+    normals: FloatArray | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

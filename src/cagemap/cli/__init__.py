@@ -1,4 +1,4 @@
-"""The command ``cagemap``: words in, calls of the library, words out."""
+"""The command ``cagemap``: options in, tasks called, messages out."""
 
 from __future__ import annotations
 

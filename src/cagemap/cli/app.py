@@ -146,7 +146,8 @@ def demo(
 @_command()
 def check(
     meshes: Annotated[
-        list[Path], typer.Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl, glTF, VRM or USD.")
+        list[Path],
+        typer.Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
     ],
     as_json: Annotated[
         bool, typer.Option("--json", show_default=False, help="Say the same as JSON, for scripts.  [default: off]")

@@ -1,4 +1,4 @@
-"""Commands of the command line: each makes a request of its options and hands it to its task."""
+"""Commands of the command line: each makes a request from its options and runs its task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands say: results on standard output, warnings and steps on standard error, as much as was asked for."""
+"""Output of commands: results on standard output, warnings and progress on standard error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The door of the command line: every problem becomes one message and an exit code."""
+"""Entry point of the command line: every error becomes one message and an exit code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress for people: a line per stage, off a terminal only of commands that take long."""
+"""Progress on the command line: a line per stage; without a terminal only where a stage takes long."""
 
 from __future__ import annotations
 

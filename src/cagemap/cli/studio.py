@@ -17,7 +17,7 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
     Raises
     ------
     ParameterError
-        If viser is not installed, a file is missing, or the address cannot be served.
+        If the web server is not installed, a file is missing, or the address cannot be served.
     """
     try:
         from cagemap.studio.page.app import PageRequest, run_page

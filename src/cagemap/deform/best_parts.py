@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 
 
 def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:

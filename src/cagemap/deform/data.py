@@ -12,7 +12,7 @@ from cagemap.deform.config import DataConfig
 from cagemap.deform.counterparts import round_trip_weights, trusted
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
-from cagemap.spectral.samples import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface

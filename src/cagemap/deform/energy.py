@@ -12,9 +12,8 @@ from scipy import sparse
 from cagemap.deform.config import FoldConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.system import BlockPattern, ConstantTerms, VertexTerms
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.factorization import Factorization
-from cagemap.numerics.rotations import nearest_rotations
 from cagemap.surface.triangles import normalized
 
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).

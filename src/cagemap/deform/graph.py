@@ -20,9 +20,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import GraphConfig
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, read_only
 from cagemap.numerics.factorization import Factorization, factor
-from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import kept
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -19,8 +19,7 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import minimise
 from cagemap.deform.prepared import RestShape
 from cagemap.deform.problem import Problem
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:

@@ -14,9 +14,8 @@ from cagemap.deform.problem import Problem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.spectral.samples import Samples, evenly_spaced
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_coordinates, zoomout
+from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced, nearest_coordinates, zoomout
 
 # Source vertices that a start is sought among: twice as many as there are vertices to start.
 START_SAMPLES = 3000

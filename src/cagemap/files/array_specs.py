@@ -1,7 +1,7 @@
-"""What arrays in files must be: kind, shape and range, stated as a table and checked once, at the door.
+"""Specifications of arrays in files (kind, shape, range), checked once when a file is read.
 
-Shapes name their sizes, and one name means one size throughout a file. Past this door no index is out of range and no
-number is NaN that was not allowed to be, which compiled kernels rely on.
+Shapes name their sizes; one name means one size throughout a file. Compiled kernels rely on these checks: no index is
+out of range, and no number is NaN unless allowed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class Form:
+class ArraySpec:
     """What one array must be.
 
     Attributes
@@ -48,16 +48,16 @@ class Form:
 
 
 def check_arrays(
-    path: Path, arrays: Mapping[str, NDArray[Any]], forms: Mapping[str, Form], sizes: dict[str, int], remedy: str
+    path: Path, arrays: Mapping[str, NDArray[Any]], specs: Mapping[str, ArraySpec], sizes: dict[str, int], remedy: str
 ) -> dict[str, NDArray[Any]]:
-    """Arrays that are what their forms say, as int64 or float64 and read-only; others are left out.
+    """Arrays that are what their specs say, as int64 or float64 and read-only; others are left out.
 
     Parameters
     ----------
     path : path
         The file, for messages.
     arrays : mapping of str to array
-    forms : mapping of str to Form
+    specs : mapping of str to ArraySpec
     sizes : dict of str to int
         Sizes known beforehand; those found are added.
     remedy : str
@@ -68,13 +68,13 @@ def check_arrays(
     FormatError
         Names the first array that is not what it should be.
     """
-    missing = [name for name, form in forms.items() if name not in arrays and not form.optional]
+    missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
     if missing:
         raise FormatError(f"{path}: lacks {', '.join(map(repr, missing))}. {remedy}")
-    present = {name: form for name, form in forms.items() if name in arrays}
-    for name, form in present.items():
-        _check_shape(path, name, arrays[name], form, sizes, remedy)
-    return {name: _checked(path, name, arrays[name], form, sizes, remedy) for name, form in present.items()}
+    present = {name: spec for name, spec in specs.items() if name in arrays}
+    for name, spec in present.items():
+        _check_shape(path, name, arrays[name], spec, sizes, remedy)
+    return {name: _checked(path, name, arrays[name], spec, sizes, remedy) for name, spec in present.items()}
 
 
 def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
@@ -89,9 +89,11 @@ def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, reme
         raise FormatError(f"{path}: '{name}' does not count from 0 to {count} in ascending order. {remedy}")
 
 
-def _check_shape(path: Path, name: str, array: NDArray[Any], form: Form, sizes: dict[str, int], remedy: str) -> None:
-    fits = array.ndim == len(form.shape)
-    for size, wanted in zip(array.shape, form.shape, strict=False):
+def _check_shape(
+    path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
+) -> None:
+    fits = array.ndim == len(spec.shape)
+    for size, wanted in zip(array.shape, spec.shape, strict=False):
         if isinstance(wanted, int):
             fits &= size == wanted
         elif "|" in wanted:
@@ -102,16 +104,16 @@ def _check_shape(path: Path, name: str, array: NDArray[Any], form: Form, sizes: 
     if not fits:
         expected = ", ".join(
             str(sizes.get(size, size)) if isinstance(size, str) and "+" not in size else str(size)
-            for size in form.shape
+            for size in spec.shape
         )
         raise FormatError(f"{path}: {name} has shape {array.shape}, expected ({expected}). {remedy}")
 
 
 def _checked(
-    path: Path, name: str, array: NDArray[Any], form: Form, sizes: dict[str, int], remedy: str
+    path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
 ) -> NDArray[Any]:
-    if form.below:
-        base, _, more = form.below.partition("+")
+    if spec.below:
+        base, _, more = spec.below.partition("+")
         limit = sizes.get(base, 0) + int(more or 0)  # none where the array that it counts in is missing
         if array.dtype.kind not in "iu":
             raise FormatError(f"{path}: {name} holds {array.dtype}, expected whole numbers. {remedy}")
@@ -122,9 +124,9 @@ def _checked(
         if array.dtype.kind not in "fiu":
             raise FormatError(f"{path}: {name} holds {array.dtype}, expected numbers. {remedy}")
         checked = np.ascontiguousarray(array, dtype=np.float64)
-        if not form.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
+        if not spec.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
             raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
-        if form.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):
+        if spec.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):
             raise FormatError(f"{path}: {name} holds numbers outside 0 to 1. {remedy}")
     checked.flags.writeable = False
     return checked

@@ -1,4 +1,4 @@
-"""Writing so that a reader never sees half a file, and that nothing is lost that cagemap did not write.
+"""Atomic writing: no reader sees half a file, and foreign files are never replaced.
 
 Every file goes through `atomic_path`: written beside, flushed to disk, moved into place. It replaces only files that
 carry cagemap's own mark (`cagemap.files.ownership`), and follows symbolic links.

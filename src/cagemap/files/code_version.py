@@ -1,4 +1,4 @@
-"""What version of the code computed something, so that stored work is never mistaken for that of other code."""
+"""Version of the code, so that results stored by other code are not reused."""
 
 from __future__ import annotations
 

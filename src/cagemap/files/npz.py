@@ -1,4 +1,4 @@
-"""Archives of named arrays (``.npz``): any names, no pickles, nothing believed that the archive itself contradicts."""
+"""Archives of named arrays (``.npz``), read without pickles and checked."""
 
 from __future__ import annotations
 

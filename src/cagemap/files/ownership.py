@@ -1,4 +1,4 @@
-"""The mark that says 'written by cagemap, and not changed since': how a file of our own is told from anyone else's.
+"""Checksum marks in files: whether cagemap wrote a file, and whether it was changed since.
 
 A writer puts `mark` where its format has a place for words: a comment in OBJ, MTL, PLY and zip archives (NPZ), a key in
 JSON, the ``generator`` of HTML, the ``Software`` of images. `cagemap.files.atomic` then replaces the blank checksum by

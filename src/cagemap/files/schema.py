@@ -1,4 +1,4 @@
-"""The words in cagemap's own files as typed records, so that nothing of another type gets past the door."""
+"""Records of cagemap's own files, validated by type."""
 
 from __future__ import annotations
 
@@ -66,18 +66,11 @@ class ConfidenceRecord(Record):
 
     verdict: Literal["sure", "look at it", "two answers"]
     message: str
-    cost: float
-    gap: float | None = None
+    signs: dict[str, float] | None = None
     deciding: Annotated[int, Field(ge=0)] | None = None
     file_vertex: Annotated[int, Field(ge=0)] | None = None
     part: str = ""
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
-    folded: float = 0.0
-    aspect: float = 1.0
-    unreached: float = 0.0
-    sheared: float | None = None
-    jumps: float = 0.0
-    mirrored: float = 1.0
 
 
 class InputRecord(Record):

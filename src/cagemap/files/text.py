@@ -1,4 +1,4 @@
-"""What the text formats share: reading a file as text, and messages that name a place in it."""
+"""Shared by text formats: reading a file as text, and messages that name a line."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Many pairs: a job file says what is wanted, its tasks run side by side, and what is done is never done again."""
+"""Many pairs: a job file, its plan of tasks, and running it; finished tasks are kept."""
 
 from cagemap.jobs.consistency import Consistency, measure_consistency
 from cagemap.jobs.job import Job, read_job
 from cagemap.jobs.job_schema import Asset, OutputRule, PairRule
 from cagemap.jobs.page import pair_rows, write_library
 from cagemap.jobs.plan import Plan, Task, plan_job
-from cagemap.jobs.run import Outcome, missing_tasks, open_crew, run_plan
+from cagemap.jobs.run import Outcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.tree import spanning_tree
 
 __all__ = [
@@ -19,7 +19,7 @@ __all__ = [
     "Task",
     "measure_consistency",
     "missing_tasks",
-    "open_crew",
+    "open_client",
     "pair_rows",
     "plan_job",
     "read_job",

@@ -1,8 +1,8 @@
-"""Landmarks given on one model of a collection travel to the others along its maps, to be corrected there.
+"""Landmarks of one model of a collection, carried to the others along its maps, to be corrected there.
 
-Each other model gets a file of its own. As long as nobody has edited it, it is written anew whenever a map changes, and
-no match reads it: it says what the maps say. Edited, it is the landmarks of that model: matches of two models that both
-have landmarks use them, and the file is never written again.
+Every other model gets a file. While nobody has edited it, it is rewritten whenever a map changes, and no match reads
+it. Once edited, it holds the landmarks of that model: it is never written again, and matches of two models with
+landmarks use it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalized
 
-# Distance, of sqrt(area), between the answers of both directions of a map from which on a point is to be looked at.
+# Points where both directions of a map differ by more than this, of sqrt(area), are reported.
 DOUBTFUL = 0.01
 
 
@@ -81,7 +81,7 @@ def with_carried(plan: Plan, job: Job, version: str) -> Plan:
     given = job.assets[job.carry.source].landmarks
     assert given is not None
     content, made = file_hash(given), []
-    for name, way in _ways(job.carry.source, matches).items():
+    for name, way in _paths(job.carry.source, matches).items():
         if job.assets[name].landmarks is not None:
             continue
         steps = [_between(here, there, matches) for here, there in itertools.pairwise(way)]
@@ -155,17 +155,17 @@ def carried_notes(figures: list[dict[str, Any]]) -> list[str]:
     return notes
 
 
-def _ways(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:
-    """Models along the shortest way of maps from one to every other that can be reached."""
-    ways, waiting = {start: [start]}, deque([start])
+def _paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:
+    """Models along the shortest path of maps from one model to every other."""
+    paths, waiting = {start: [start]}, deque([start])
     while waiting:
         here = waiting.popleft()
         near = [source if target == here else target for source, target in matches if here in (source, target)]
-        for name in sorted(set(near) - set(ways)):
-            ways[name] = [*ways[here], name]
+        for name in sorted(set(near) - set(paths)):
+            paths[name] = [*paths[here], name]
             waiting.append(name)
-    del ways[start]
-    return ways
+    del paths[start]
+    return paths
 
 
 def _between(here: str, there: str, matches: Mapping[Pair, Task]) -> tuple[Task, bool]:

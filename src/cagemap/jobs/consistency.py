@@ -1,7 +1,7 @@
-"""What a collection knows about its maps: the way A -> C should agree with every way round A -> B -> C.
+"""Cycle consistency of a collection: the map A -> C should agree with every detour A -> B -> C.
 
-The disagreement of a triple is at most the sum of the errors of its three maps. Least squares with errors that are not
-negative therefore tells which pairs are wrong: those that no triple through them can explain otherwise.
+The disagreement of a triple is at most the sum of the errors of its three maps. Non-negative least squares over all
+triples estimates these errors.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Pair = tuple[str, str]  # target, source: the direction of T12
 # A pair is doubtful from this error on, of sqrt(area), if it also has this many times the collection's median error.
 LEAST_ERROR = 0.02
 TIMES_MEDIAN = 3.0
-# Triples that each pair is asked about at most.
+# Most triples for each pair.
 TRIPLES = 24
 SAMPLES = 1500
 
@@ -43,18 +43,18 @@ class Consistency:
         How many were compared.
     doubtful : tuple of (target, source)
         Worst first.
-    ways : dict of (target, source) to tuple of str
-        For doubtful pairs with a better way round: the assets along it, from target to source.
+    detours : dict of (target, source) to tuple of str
+        For doubtful pairs with a better detour: the assets along it, from target to source.
     """
 
     errors: dict[Pair, float]
     triples: int
     doubtful: tuple[Pair, ...]
-    ways: dict[Pair, tuple[str, ...]]
+    detours: dict[Pair, tuple[str, ...]]
 
 
 def measure_consistency(maps: Mapping[Pair, PointMap]) -> Consistency:
-    """Compare every map with ways round it, and say which maps are to blame.
+    """Compare every map with its detours and estimate the error of each.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def measure_consistency(maps: Mapping[Pair, PointMap]) -> Consistency:
     }
     limit = max(LEAST_ERROR, TIMES_MEDIAN * float(np.median(list(errors.values()))))
     doubtful = tuple(sorted((pair for pair in errors if errors[pair] > limit), key=lambda pair: -errors[pair]))
-    return Consistency(errors, len(found), doubtful, _ways(errors, doubtful))
+    return Consistency(errors, len(found), doubtful, _detours(errors, doubtful))
 
 
 def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
@@ -95,7 +95,7 @@ def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
 
 
 def _triples(pairs: Sequence[Pair]) -> Iterator[tuple[Pair, Pair, Pair]]:
-    """Direct pair, and the two pairs of a way round it; some of them where there are many."""
+    """Direct pair, and the two pairs of a detour; some of them where there are many."""
     known = set(pairs)
     names = sorted({name for pair in pairs for name in pair})
     random = np.random.default_rng(47)
@@ -105,8 +105,8 @@ def _triples(pairs: Sequence[Pair]) -> Iterator[tuple[Pair, Pair, Pair]]:
             yield (a, c), (a, b), (b, c)
 
 
-def _ways(errors: Mapping[Pair, float], doubtful: Sequence[Pair]) -> dict[Pair, tuple[str, ...]]:
-    """Shortest ways round doubtful pairs through the others, where they are at least twice as good."""
+def _detours(errors: Mapping[Pair, float], doubtful: Sequence[Pair]) -> dict[Pair, tuple[str, ...]]:
+    """Shortest detours around doubtful pairs through the others, where they are at least twice as good."""
     names = sorted({name for pair in errors for name in pair})
     number = {name: i for i, name in enumerate(names)}
     good = [pair for pair in errors if pair not in doubtful]
@@ -115,7 +115,7 @@ def _ways(errors: Mapping[Pair, float], doubtful: Sequence[Pair]) -> dict[Pair, 
         shape=(len(names), len(names)),
     )
     total, before = dijkstra(lengths, return_predecessors=True)
-    ways = {}
+    detours = {}
     for pair in doubtful:
         start, end = number[pair[0]], number[pair[1]]
         if total[start, end] > 0.5 * errors[pair]:
@@ -123,19 +123,19 @@ def _ways(errors: Mapping[Pair, float], doubtful: Sequence[Pair]) -> dict[Pair, 
         way = [end]
         while way[-1] != start:
             way.append(int(before[start, way[-1]]))
-        ways[pair] = tuple(names[i] for i in reversed(way))
-    return ways
+        detours[pair] = tuple(names[i] for i in reversed(way))
+    return detours
 
 
 def write_consistency(path: Path, keys: dict[str, str], verdict: Consistency) -> None:
-    """Keep a verdict, and the keys of the matches that it is about."""
+    """Store a verdict with the keys of its matches."""
     note = {
         "written_by": mark(),
         "keys": keys,
         "errors": [[*pair, error] for pair, error in verdict.errors.items()],
         "triples": verdict.triples,
         "doubtful": verdict.doubtful,
-        "ways": [[*pair, way] for pair, way in verdict.ways.items()],
+        "detours": [[*pair, way] for pair, way in verdict.detours.items()],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(note, indent=1))
@@ -150,5 +150,5 @@ def read_consistency(path: Path, keys: dict[str, str]) -> Consistency | None:
         {(target, source): error for target, source, error in note["errors"]},
         note["triples"],
         tuple((target, source) for target, source in note["doubtful"]),
-        {(target, source): tuple(way) for target, source, way in note["ways"]},
+        {(target, source): tuple(way) for target, source, way in note["detours"]},
     )

@@ -1,4 +1,4 @@
-"""What tasks take: processor seconds, memory and disk space, from measured growth.
+"""Cost of tasks: processor seconds, memory and disk space, from measured growth.
 
 Fitted by hand to `benchmarks.library.growth` (results in benchmarks/results/growth.json, table in docs/lab/jobs.md); a
 test keeps them within `FACTOR` of every figure there. Other machines differ by their speed as a whole.

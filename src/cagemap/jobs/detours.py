@@ -1,4 +1,4 @@
-"""A doubtful map replaced by the way round through better ones."""
+"""Doubtful maps replaced by detours: compositions of better ones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from cagemap.files.result.folder import ARRAYS
 from cagemap.jobs.consistency import Pair
-from cagemap.jobs.plan import AROUND, Plan, Task, task_key
+from cagemap.jobs.plan import DETOUR, Plan, Task, task_key
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -64,20 +64,20 @@ def composed_result(way: Sequence[MatchResult], names: Sequence[str]) -> MatchRe
     if all(result.has_spectral for result in way):
         product = reduce(np.matmul, [result.functional_map for result in way])
         spectral = SpectralMap(product, first.spectral.target_eigenvalues, last.spectral.source_eigenvalues)
-    note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with the ways round it"
+    note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with its detours"
     provenance = {"notes": [note], "way": list(names)}
     return MatchResult(
         first.target, last.source, Landmarks.none(), found, quality, known_spectral=spectral, provenance=provenance
     )
 
 
-def with_ways(plan: Plan, ways: Mapping[Pair, Sequence[str]], version: str) -> Plan:
-    """The plan with a task for every way round, and outputs of those pairs taken from it.
+def with_detours(plan: Plan, detours: Mapping[Pair, Sequence[str]], version: str) -> Plan:
+    """The plan with a task for every detour, and outputs of those pairs taken from it.
 
     Parameters
     ----------
     plan : Plan
-    ways : mapping of (target, source) to names
+    detours : mapping of (target, source) to names
         Assets along the way, from target to source.
     version : str
         Of the code.
@@ -85,9 +85,9 @@ def with_ways(plan: Plan, ways: Mapping[Pair, Sequence[str]], version: str) -> P
     matches = {task.pair: task for task in plan.tasks if task.kind == "match"}
     tasks: list[Task] = []
     composed: dict[tuple[str, str], Task] = {}
-    for (target, source), names in ways.items():
+    for (target, source), names in detours.items():
         steps = [matches[there, here] for here, there in itertools.pairwise(names)]
-        folder = f"{source}__{target}/{AROUND}"
+        folder = f"{source}__{target}/{DETOUR}"
         request = {
             "way": [step.request["output"] for step in steps],
             "names": list(names),
@@ -108,14 +108,14 @@ def with_ways(plan: Plan, ways: Mapping[Pair, Sequence[str]], version: str) -> P
             request = {**task.request, "result": around.request["output"]}
             key = task_key(version, task.kind, task.key, around.key)
             task = replace(task, key=key, needs=(around.name,), request=request)
-        tasks.append(_carried_around(task, matches, composed, version) if task.kind == "carry" else task)
+        tasks.append(_with_detours(task, matches, composed, version) if task.kind == "carry" else task)
     ordered = [task for task in tasks if task.kind in ("prepare", "match")]
     others = [task for task in tasks if task.kind not in ("prepare", "match")]
     return replace(plan, tasks=(*ordered, *composed.values(), *others))
 
 
-def _carried_around(task: Task, matches: Mapping[Any, Task], composed: Mapping[Pair, Task], version: str) -> Task:
-    """A task that carries landmarks, with the way round in place of every map that has one."""
+def _with_detours(task: Task, matches: Mapping[Any, Task], composed: Mapping[Pair, Task], version: str) -> Task:
+    """A task that carries landmarks, with the detour in place of every map that has one."""
     other = {matches[pair].request["output"]: around for pair, around in composed.items()}
     others_names = {matches[pair].name: around.name for pair, around in composed.items()}
     used = [other[folder] for folder, _ in task.request["steps"] if folder in other]
@@ -138,7 +138,7 @@ def matches_only(plan: Plan) -> Plan:
     return replace(plan, tasks=tuple(task for task in plan.tasks if task.kind in ("prepare", "match")))
 
 
-def has_ways_round(plan: Plan) -> bool:
-    """Whether any map of a plan could be compared with a way round it."""
+def has_detours(plan: Plan) -> bool:
+    """Whether any map of a plan could be compared with a detour."""
     pairs = set(plan.pairs)
     return any((a, b) in pairs and (b, c) in pairs for a, c in pairs for b in {b for _, b in pairs} - {a, c})

@@ -53,7 +53,7 @@ def farm_steps(plan: Plan) -> tuple[Step, ...]:
     Parameters
     ----------
     plan : Plan
-        Without ways round doubtful maps, which are known only when all maps are.
+        Without detours around doubtful maps, which are known only when all maps are.
     """
     steps: list[Step] = []
     first = 1

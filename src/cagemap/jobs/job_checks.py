@@ -1,4 +1,4 @@
-"""What is wrong in a job file: everything at once, each with the line where it stands and what to do."""
+"""Checks of job files: all problems at once, each with its line and a remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a job file may hold: its tables, and the options of each command as a typed schema."""
+"""Schema of job files: tables, and the options of each command."""
 
 from __future__ import annotations
 

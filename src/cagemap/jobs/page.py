@@ -1,4 +1,4 @@
-"""One page and one table about all pairs of a job: worst first, sortable, nothing needed beside them."""
+"""One page and one table of all pairs of a job, worst first."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def pair_rows(
         of_pair.setdefault(task.pair, []).append((task, outcomes.get(task.name)))
     for pair in plan.pairs:
         own = of_pair.get(pair, [])
-        # A way round replaces the direct map.
+        # A detour replaces the direct map.
         maps = [outcome for kind in ("compose", "match") for task, outcome in own if task.kind == kind]
         match = next((outcome for outcome in maps if outcome is not None), None)
         figures = match.figures if match is not None else {}

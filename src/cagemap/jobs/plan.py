@@ -19,8 +19,8 @@ from cagemap.jobs.job_schema import Asset, OutputRule, fill, listed
 # Folder inside the output folder for what a rerun needs: prepared surfaces, notes of finished tasks, locks.
 STATE = ".cagemap"
 RESULT = "RESULT"
-# The way round a pair whose own map is doubtful.
-AROUND = "RESULT-around"
+# Result of the detour for a pair with a doubtful map.
+DETOUR = "RESULT-around"
 PICTURE = "picture.jpg"
 # Options of a match that a prepared surface depends on, for both sides or with the side's name before them.
 _SURFACE = frozenset(

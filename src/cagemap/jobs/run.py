@@ -1,4 +1,4 @@
-"""Run the tasks of a plan side by side on Dask: what is done is not done again, what fails costs only what needs it."""
+"""Run the tasks of a plan on Dask: finished tasks are kept, and a failure only skips the tasks that need it."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.schema import own_note
-from cagemap.jobs.plan import AROUND, RESULT, STATE, Plan, Task, content_hash
+from cagemap.jobs.plan import DETOUR, RESULT, STATE, Plan, Task, content_hash
 from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
     from distributed import Client
 
-# How often a task is tried again on another worker after its worker died.
-DEATHS = 2
+# Retries of a task after its worker was lost.
+RETRIES = 2
 _REMEDY = "Run the same command again: what is done is kept."
 
 Runner = Callable[[Task], dict[str, Any]]
 Report = Callable[["Outcome", int, int], None]
-Crew = Callable[[], "Client"]
+OpenClient = Callable[[], "Client"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Outcome:
         Why it failed or was skipped.
     seconds : float
     figures : dict
-        What the task has to say about its result.
+        Figures of the result.
     files : tuple of str
         What it wrote, relative to the job's output folder.
     """
@@ -66,7 +66,7 @@ class Outcome:
 
 
 def run_plan(
-    plan: Plan, runner: Runner, crew: Crew, report: Report = lambda outcome, finished, total: None
+    plan: Plan, runner: Runner, connect: OpenClient, report: Report = lambda outcome, finished, total: None
 ) -> dict[str, Outcome]:
     """Do what is missing of a plan.
 
@@ -75,8 +75,8 @@ def run_plan(
     plan : Plan
     runner : callable
         Does one task and returns its figures; importable by name, since workers import it.
-    crew : callable
-        Gives the Dask client, see `open_crew`; not asked where nothing is missing.
+    connect : callable
+        Gives the Dask client, see `open_client`; called only if tasks are missing.
     report : callable
         Called with every outcome, and how many tasks of how many are finished.
 
@@ -88,7 +88,7 @@ def run_plan(
     outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
     missing = _to_do(plan, set(outcomes))
     if missing:
-        outcomes |= _run(crew(), plan, missing, runner, outcomes, report)
+        outcomes |= _run(connect(), plan, missing, runner, outcomes, report)
     return outcomes
 
 
@@ -126,7 +126,7 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
     """Do one task, unless another run has done it in the meantime; problems become an outcome, not an exception."""
     failed = [outcome for outcome in before if outcome.name in task.needs and not outcome.usable]
     if failed:
-        return Outcome(task.name, "skipped", _waited_for(failed[0]))
+        return Outcome(task.name, "skipped", _skip_message(failed[0]))
     from filelock import FileLock  # here: plans and dry runs do without
 
     start = time.perf_counter()
@@ -185,83 +185,83 @@ def _run(
 
     futures: dict[str, Any] = {}
     for task in missing:
-        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _awaited(task)], 1)
+        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _predecessors(task)], 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
     blamed = set()
     for future in as_completed(futures.values()):
         name = names[future.key]
-        # Failed; or finished, and its worker died with the news before it was asked: a second try then finds it done.
+        # Worker lost, perhaps after finishing: a second try finds the stored result.
         if future.status != "finished":
             blamed.add(name)
             continue
-        outcomes[name] = _done_now(future.result())
+        outcomes[name] = _as_done(future.result())
         report(outcomes[name], len(outcomes), len(missing))
-    # A dead worker is held against every task that waited on it: alone, one after another, the guilty are told apart.
+    # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in blamed:
-            future = submit(task, [outcomes.get(name, known.get(name)) for name in _awaited(task)], 2)
+            future = submit(task, [outcomes.get(name, known.get(name)) for name in _predecessors(task)], 2)
             wait(future)
             finished = future.status == "finished"
-            outcomes[task.name] = _done_now(future.result()) if finished else _lost(task, outcomes)
+            outcomes[task.name] = _as_done(future.result()) if finished else _lost(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
 
 
-def _awaited(task: Task) -> tuple[str, ...]:
+def _predecessors(task: Task) -> tuple[str, ...]:
     return (*task.needs, *task.after)
 
 
-def _done_now(outcome: Outcome) -> Outcome:
-    """Kept by a worker that had died with the news, or by another run meanwhile: done since this run began."""
+def _as_done(outcome: Outcome) -> Outcome:
+    """A task that a lost worker or another run has finished since this run began counts as done."""
     return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
-def _waited_for(outcome: Outcome) -> str:
+def _skip_message(outcome: Outcome) -> str:
     return f"needs '{outcome.name}', which {'was ' * (outcome.state == 'skipped')}{outcome.state}"
 
 
 def _lost(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
-    """The outcome of a task whose workers died, or that needs one."""
+    """The outcome of a task whose workers were lost, or that needs such a task."""
     for name in task.needs:
         if name in outcomes and not outcomes[name].usable:
-            return Outcome(task.name, "skipped", _waited_for(outcomes[name]))
-    cause = f"its worker died {DEATHS + 1} times: killed, or out of memory. Use fewer workers"
+            return Outcome(task.name, "skipped", _skip_message(outcomes[name]))
+    cause = f"its worker died {RETRIES + 1} times: killed, or out of memory. Use fewer workers"
     return Outcome(task.name, "failed", f"{cause}. {_REMEDY}")
 
 
 @contextmanager
-def open_crew(
+def open_client(
     scheduler: str | None = None, workers: int | None = None, tell: Callable[[str], None] = lambda words: None
-) -> Iterator[Crew]:
-    """Who does the work: hired when the first task asks for it, sent home at the end of the block.
+) -> Iterator[OpenClient]:
+    """Connect to Dask when the first task needs it; disconnect at the end of the block.
 
     Parameters
     ----------
     scheduler : str, optional
         Address of a running Dask scheduler whose workers reach the same files; default: worker processes here.
     workers : int, optional
-        Number of processes here, of one thread each, so that cores do not fight; default: one for each core. Each
-        may take its share of the machine's memory.
+        Number of local processes, of one thread each; default: one for each core. Each may use its share of the
+        machine's memory.
     tell : callable
         Called with the address of Dask's dashboard, where bokeh is installed.
 
     Raises
     ------
     ParameterError
-        When it is asked for: if Dask is not installed or the scheduler cannot be reached.
+        On connecting: if Dask is not installed or the scheduler cannot be reached.
     """
     with ExitStack() as stack:
-        hired: list[Client] = []
+        clients: list[Client] = []
 
-        def crew() -> Client:
-            if not hired:
-                hired.append(_remote(stack, scheduler) if scheduler else _local(stack, workers or core_count()))
-                if importlib.util.find_spec("bokeh") is not None and hired[0].dashboard_link:
-                    tell(f"Dask's dashboard: {hired[0].dashboard_link}")
-            return hired[0]
+        def connect() -> Client:
+            if not clients:
+                clients.append(_remote(stack, scheduler) if scheduler else _local(stack, workers or core_count()))
+                if importlib.util.find_spec("bokeh") is not None and clients[0].dashboard_link:
+                    tell(f"Dask's dashboard: {clients[0].dashboard_link}")
+            return clients[0]
 
-        yield crew
+        yield connect
 
 
 def _remote(stack: ExitStack, scheduler: str) -> Client:
@@ -284,9 +284,9 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed.system import MEMORY_LIMIT
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
-    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.nanny.pre-spawn-environ": environment}
+    settings = {"distributed.scheduler.allowed-failures": RETRIES, "distributed.nanny.pre-spawn-environ": environment}
     stack.enter_context(dask.config.set(settings))
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # deaths of workers are told as outcomes
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
     # Any free port: another cluster on this machine is nothing to warn of. Without bokeh there is no dashboard on it.
     cluster = LocalCluster(
         n_workers=workers,
@@ -311,7 +311,7 @@ def _sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
     """Files that a task made, and their sizes; what it noted in a RESULT or in the job's own state is none of them."""
     stated = [path for path in task.outputs if (root / path).is_file()]
     found = [Path(os.path.relpath(path, root)) for path in written]
-    beside = [path.as_posix() for path in found if not {RESULT, AROUND, STATE} & set(path.parts)]
+    beside = [path.as_posix() for path in found if not {RESULT, DETOUR, STATE} & set(path.parts)]
     sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*stated, *beside])}
     if task.outputs and not sizes:
         raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")

@@ -1,4 +1,4 @@
-"""Which pairs join a collection with the fewest matches: a spanning tree along shapes that are alike."""
+"""Spanning tree of a collection along similar shapes: the fewest matches that connect all models."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cagemap.errors import CagemapError, FormatError, InvalidMeshError
 from cagemap.files.meshes.formats import read_whole
 from cagemap.jobs.job_schema import Asset
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles, face_areas
+from cagemap.mesh.faces import cage_triangles, face_areas
 from cagemap.numerics.arrays import FloatArray
 
 SAMPLES = 4000

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
-from cagemap.spectral.samples import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced
 from cagemap.subdivision.linear_values import interpolate_linearly
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing

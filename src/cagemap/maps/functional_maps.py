@@ -10,8 +10,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, real_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
-from cagemap.spectral.samples import FIT_SAMPLES, Samples, evenly_spaced, fit_functional_map
 from cagemap.spectral.surface import Surface
+from cagemap.spectral.zoomout import FIT_SAMPLES, Samples, evenly_spaced, fit_functional_map
 
 
 @kinds_checked

@@ -12,9 +12,16 @@ from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
 from cagemap.numerics.threads import in_threads
-from cagemap.spectral.samples import FIT_SAMPLES, Samples, evenly_spaced, fit_functional_map
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_samples, zoomout
+from cagemap.spectral.zoomout import (
+    FIT_SAMPLES,
+    Samples,
+    ZoomOutSchedule,
+    evenly_spaced,
+    fit_functional_map,
+    nearest_samples,
+    zoomout,
+)
 
 MapLike = PointMap | ArrayLike
 

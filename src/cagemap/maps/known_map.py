@@ -14,7 +14,7 @@ from cagemap.maps.landmarks.check import CONFIRMED
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import meet
+from cagemap.maps.projection.project import snap_landmarks
 from cagemap.maps.quality import landmark_errors
 
 # Least share of what the target's mask keeps that goes to what the source's mask keeps.
@@ -43,7 +43,7 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
         moved = linear_update(Problem(prepared, pair), point_map)
         shifts = moved - point_map.images.at(prepared.vertices).positions
         shifts = pair.target.hierarchy.prolong(shifts, prepared.levels[0], pair.target.finest)
-        point_map = PointMap(target, meet(found.images(source, shifts), landmarks))
+        point_map = PointMap(target, snap_landmarks(found.images(source, shifts), landmarks))
     apart = f"{100 * found.gap:.2f} % of the model's size apart"
     name = f"as it stands, {apart}: vertices go to the closest points of the same side"
     reading = Reading(name, found.gap**2, point_map.images.at(prepared.vertices).positions)

@@ -15,8 +15,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
-from cagemap.spectral.prepare import Progress as Progress
-from cagemap.spectral.prepare import silent as silent
+from cagemap.spectral.surface import Progress as Progress
+from cagemap.spectral.surface import silent as silent
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints
-from cagemap.mesh.measures import cage_triangles
 from cagemap.spectral import Surface
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -209,13 +209,18 @@ def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
     return np.linalg.norm(images - landmarks.source.positions, axis=1)
 
 
+def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """(t,) ``max(sigma_1, 1 / sigma_2)`` of `stretches`: 1 for an isometry."""
+    return np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
+
+
 def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
     """(n1,) 1 where the map is unfolded and stretches by at most ``TRUSTED_STRETCH`` either way, falling to 0 at folds.
 
-    A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with ``delta = max(sigma_1, 1 / sigma_2)``, zero where
-    flipped; a vertex takes the area-weighted mean of its triangles.
+    A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with delta its `distortion`, zero where flipped; a
+    vertex takes the area-weighted mean of its triangles.
 
     Parameters
     ----------
@@ -224,8 +229,7 @@ def trust_field(
         From :func:`stretches`, surfaces at unit area.
     flipped : (t,) bool
     """
-    delta = np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
-    per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / delta) ** 2))
+    per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
     areas = target.areas
     weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
     return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)

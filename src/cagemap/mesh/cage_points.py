@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.closest_points import build_tree, closest_points
@@ -27,45 +27,22 @@ MAX_MEDIAN_DISTANCE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class NamedCurve:
-    """A polyline of one mesh as people keep it.
-
-    Attributes
-    ----------
-    name : str
-    vertices : (c,) int64
-        Control vertices along it, 0-based; -1 where a place in space is given instead.
-    positions : (c, 3) float64
-        Places on or near the mesh, in its file's units; NaN where a vertex is given.
-    closed : bool
-        Whether its last point is joined to its first.
-    """
+    """A polyline of one mesh as people keep it."""
 
     name: str
-    vertices: IndexArray
-    positions: FloatArray
-    closed: bool
+    vertices: IndexArray  #: (c,) control vertices along it, 0-based; -1 where a place in space is given instead
+    positions: FloatArray  #: (c, 3) places on or near the mesh, in its file's units; NaN where a vertex is given
+    closed: bool  #: whether its last point is joined to its first
 
 
 @dataclass(frozen=True, eq=False)
 class NamedPoints:
-    """Points of one mesh as people keep them.
-
-    Attributes
-    ----------
-    names : tuple of str
-    vertices : (q,) int64
-        Control vertices, 0-based; -1 where a place in space is given instead.
-    positions : (q, 3) float64
-        Places on or near the mesh, in its file's units; NaN where a vertex is given.
-    mesh_name : str
-        The mesh that they were made for; '' where unknown.
-    curves : tuple of NamedCurve
-    """
+    """Points of one mesh as people keep them."""
 
     names: tuple[str, ...]
-    vertices: IndexArray
-    positions: FloatArray
-    mesh_name: str = ""
+    vertices: IndexArray  #: (q,) control vertices, 0-based; -1 where a place in space is given instead
+    positions: FloatArray  #: (q, 3) places on or near the mesh, in its file's units; NaN where a vertex is given
+    mesh_name: str = ""  #: the mesh that they were made for; '' where unknown
     curves: tuple[NamedCurve, ...] = ()
 
 
@@ -173,11 +150,7 @@ def shared_names(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names that both sides have, in the target's order, and notes on those of one side only.
 
-    Parameters
-    ----------
-    target, source : sequences of str
-    what, noted : str
-        What they are names of, in the error and in the notes.
+    ``what`` they are names of in the error, and ``noted`` in the notes.
 
     Raises
     ------

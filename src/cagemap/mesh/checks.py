@@ -7,17 +7,24 @@ of a face, so that the file's unit does not matter. Vertices at the same place a
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces
+from cagemap.mesh.faces import (
+    degenerate_faces,
+    duplicate_faces,
+    face_areas,
+    face_extents,
+    keep_faces,
+    signed_volume,
+    with_openings_closed,
+)
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import face_areas, face_extents, signed_volume
-from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, problem_at
+from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, listed, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -30,7 +37,7 @@ from cagemap.mesh.topology import (
     used_vertices,
     uv_islands,
 )
-from cagemap.mesh.weld import weld_tolerance, welded_pieces
+from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
@@ -42,6 +49,8 @@ TINY_EDGE = 0.01
 # A boundary loop of few edges that encloses less than this share of its length squared is a slit; a square has 1/16.
 SLIT_AREA = 0.004
 MAX_SLIT_EDGES = 8
+# Components that are compared with each other: more cost too much.
+MAX_COMPARED = 16
 # Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
 # Of the extent; third power of rounding away from a line. Real cages are above 1e-2.
@@ -65,23 +74,46 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     broken = structure_problems(mesh)
     if broken:
         return replace(blank, problems=broken)
-    degenerate = degenerate_faces(mesh)
-    duplicates = duplicate_faces(mesh)
+    degenerate, duplicates = degenerate_faces(mesh), duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
-    parts = _connectivity(keep_faces(mesh, kept) if len(duplicates) else mesh)
-    problems = [_degenerate_problem(degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
+    single = keep_faces(mesh, kept) if len(duplicates) else mesh
+    edges = edge_table(single)
+    fans, turned = corner_fans(single, edges), turned_faces(single, edges)
+    loops = boundary_loops(single, edges, fans)
+    unused = np.flatnonzero(~used_vertices(mesh))
+    problems = [
+        problem_at(
+            "degenerate faces",
+            f"expected at least three different vertices around every face, got {len(degenerate)} face(s) with fewer "
+            "or with one repeated, faces",
+            degenerate,
+            "Dissolve the zero-length edges or delete these faces; connectivity is checked after that.",
+        ),
+        problem_at(
+            "duplicate faces",
+            f"expected every face once, got {len(duplicates)} face(s) with the same vertices as an earlier one, faces",
+            duplicates,
+            "Delete these copies.",
+        ),
+        problem_at(
+            "isolated vertices",
+            f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
+            unused,
+            "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
+        ),
+    ]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(parts.mesh, parts.edges, kept),
-            _vertex_manifold_problem(parts),
-            _orientation_problem(parts, kept),
+            _edge_manifold_problem(single, edges, kept),
+            _vertex_manifold_problem(single, fans),
+            _orientation_problem(turned, kept),
         ]
     problems += [_components_problem(mesh, face_components(mesh)), _extent_problem(mesh)]
     if problems[-1] is None and not isinstance(mesh.scheme, Plain):  # slivers of a scan are points of its surface
         problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
-    if parts.loops is not None and not any(problems):
-        problems.append(inside_out_problem(mesh, parts.loops))
-    report = blank if len(degenerate) else _counts(parts, blank)
+    if loops is not None and not any(problems):
+        problems.append(inside_out_problem(mesh, loops))
+    report = blank if len(degenerate) else _counts(single, edges, loops, turned is not None, blank)
     sizes, counts = np.unique(mesh.face_sizes, return_counts=True)
     sharp = mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces
     creases, corners, holes = (0 if elements is None else len(elements) for elements in sharp)
@@ -94,14 +126,9 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
-    """Raise unless the method can take the mesh.
+    """Raise unless the method can take the mesh, but for ``allowed`` kinds of problems.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-    allowed : collection of str
-        Kinds of problems that do not matter: `SEVERAL` where each component was matched for itself, `UNREFINED` where
-        the mesh is only subdivided.
+    These are `SEVERAL` where each component was matched for itself, `UNREFINED` where the mesh is only subdivided.
 
     Raises
     ------
@@ -111,32 +138,15 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        listed = "".join(f"\n  - {problem}" for problem in problems)
         one_piece = "" if SEVERAL in allowed else " of one piece"
         raise InvalidMeshError(
-            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed}"
+            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed(problems)}"
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Connectivity:
-    """A mesh with what several checks ask of its connectivity."""
-
-    mesh: ControlMesh
-    edges: EdgeTable
-    fans: IndexArray
-    turned: NDArray[np.bool_] | None
-    loops: tuple[IndexArray, ...] | None
-
-
-def _connectivity(mesh: ControlMesh) -> _Connectivity:
-    edges = edge_table(mesh)
-    fans = corner_fans(mesh, edges)
-    return _Connectivity(mesh, edges, fans, turned_faces(mesh, edges), boundary_loops(mesh, edges, fans))
-
-
-def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
-    mesh, edges, loops = parts.mesh, parts.edges, parts.loops
+def _counts(
+    mesh: ControlMesh, edges: EdgeTable, loops: tuple[IndexArray, ...] | None, two_sided: bool, blank: MeshReport
+) -> MeshReport:
     components = np.bincount(face_components(mesh))
     used = used_vertices(mesh)
     valences = np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices)[used]
@@ -144,7 +154,7 @@ def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
     islands = uv_islands(mesh)
     # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
-    is_surface = loops is not None and parts.turned is not None and not odd and handles >= 0
+    is_surface = loops is not None and two_sided and not odd and handles >= 0
     return replace(
         blank,
         n_edges=len(edges.vertices),
@@ -152,39 +162,15 @@ def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
         genus=handles if is_surface else None,
         boundary_edges=len(edges.boundary_corners()),
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
-        notes=_slit_notes(mesh, loops),
+        notes=tuple(
+            f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
+            "merge its vertices by distance or fill it."
+            for loop in loops or ()
+            if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)
+        ),
         component_sizes=tuple(components.tolist()),
         valence_range=(int(valences.min()), int(valences.max())),
         uv_islands=None if islands is None else int(islands.max()) + 1,
-    )
-
-
-def _degenerate_problem(faces: IndexArray) -> Problem | None:
-    return problem_at(
-        "degenerate faces",
-        f"expected at least three different vertices around every face, got {len(faces)} face(s) with fewer or with "
-        "one repeated, faces",
-        faces,
-        "Dissolve the zero-length edges or delete these faces; connectivity is checked after that.",
-    )
-
-
-def _duplicates_problem(faces: IndexArray) -> Problem | None:
-    return problem_at(
-        "duplicate faces",
-        f"expected every face once, got {len(faces)} face(s) with the same vertices as an earlier one, faces",
-        faces,
-        "Delete these copies.",
-    )
-
-
-def _isolated_problem(mesh: ControlMesh) -> Problem | None:
-    unused = np.flatnonzero(~used_vertices(mesh))
-    return problem_at(
-        "isolated vertices",
-        f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
-        unused,
-        "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
     )
 
 
@@ -252,10 +238,10 @@ def _pairs(edges: EdgeTable, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int]
     return tuple((a, b) for a, b in edges.vertices[chosen].tolist())
 
 
-def _vertex_manifold_problem(parts: _Connectivity) -> Problem | None:
+def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> Problem | None:
     """Vertices of several fans. Edges of too many faces are named elsewhere and count as joined here."""
-    _, first_corners = np.unique(parts.fans, return_index=True)
-    bad = np.flatnonzero(np.bincount(parts.mesh.face_indices[first_corners]) > 1)
+    _, first_corners = np.unique(fans, return_index=True)
+    bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners]) > 1)
     return problem_at(
         "non-manifold vertices",
         f"expected the faces around every vertex to form one fan, got {len(bad)} vertex/vertices where parts of the "
@@ -265,8 +251,8 @@ def _vertex_manifold_problem(parts: _Connectivity) -> Problem | None:
     )
 
 
-def _orientation_problem(parts: _Connectivity, numbers: IndexArray) -> Problem | None:
-    if parts.turned is None:
+def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> Problem | None:
+    if turned is None:
         return Problem(
             "one-sided surface",
             "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
@@ -274,7 +260,7 @@ def _orientation_problem(parts: _Connectivity, numbers: IndexArray) -> Problem |
             (),
             "Cut the surface where its two sides are joined.",
         )
-    flipped = numbers[parts.turned]
+    flipped = numbers[turned]
     return problem_at(
         "inconsistent orientation",
         f"expected neighbouring faces to run in the same sense, got {len(flipped)} of {len(numbers)} faces turned "
@@ -293,7 +279,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     tolerance = None if copied else weld_tolerance(mesh)
     seams = ""
     if tolerance is not None:
-        left = welded_pieces(mesh, tolerance)
+        left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
             f"`weld_mesh` {tolerance:g} leaves {left} piece{'s' * (left != 1)}. {'Or match' if left == 1 else 'Match'}"
@@ -307,29 +293,17 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     )
 
 
-def _has_copied_component(mesh: ControlMesh, labels: IndexArray, examined: int = 16) -> bool:
+def _has_copied_component(mesh: ControlMesh, labels: IndexArray) -> bool:
     """Whether two of the first few components have the same vertex positions."""
-    clouds = set()
-    for label in range(min(int(labels.max()) + 1, examined)):
+    clouds = []
+    for label in range(min(int(labels.max()) + 1, MAX_COMPARED)):
         points = mesh.positions[np.unique(mesh.face_indices[(labels == label)[mesh.corner_faces]])]
-        cloud = points[np.lexsort(points.T)].tobytes()
-        if cloud in clouds:
-            return True
-        clouds.add(cloud)
-    return False
-
-
-def _slit_notes(mesh: ControlMesh, loops: tuple[IndexArray, ...] | None) -> tuple[str, ...]:
-    """Sentences about boundary loops that look like accidents: thin slits and holes much smaller than faces."""
-    return tuple(
-        f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
-        "merge its vertices by distance or fill it."
-        for loop in loops or ()
-        if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)
-    )
+        clouds.append(points[np.lexsort(points.T)].tobytes())
+    return len(set(clouds)) < len(clouds)
 
 
 def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
+    """Whether a boundary loop looks like an accident: a thin slit, or a hole much smaller than faces."""
     with np.errstate(over="ignore", invalid="ignore"):
         points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
         following = np.roll(points, -1, axis=0)
@@ -413,23 +387,6 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
             "Flip all faces (recalculate normals to the outside).",
         )
     return None
-
-
-def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
-    """Close every boundary loop with triangles to its centroid."""
-    if not loops:
-        return mesh
-    centres = np.array([mesh.positions[loop].mean(axis=0) for loop in loops])
-    cones = [
-        np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), mesh.n_vertices + i)])
-        for i, loop in enumerate(loops)
-    ]
-    caps = np.concatenate(cones)
-    return ControlMesh(
-        np.concatenate([mesh.positions, centres]),
-        np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + 3 * np.arange(1, len(caps) + 1)]),
-        np.concatenate([mesh.face_indices, caps.ravel()]),
-    )
 
 
 def _unit_sized(mesh: ControlMesh) -> ControlMesh:

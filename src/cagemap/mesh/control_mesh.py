@@ -15,18 +15,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbe
 
 @dataclass(frozen=True, eq=False)
 class UvSet:
-    """Face-varying texture coordinates beside those that a mesh uses.
-
-    Attributes
-    ----------
-    name : str
-    uvs : (p, 2) float64
-    uv_indices : (c,) int64
-    """
+    """Face-varying texture coordinates beside those that a mesh uses."""
 
     name: str
-    uvs: FloatArray
-    uv_indices: IndexArray
+    uvs: FloatArray  #: (p, 2)
+    uv_indices: IndexArray  #: (c,)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import depth_first_order
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, repeats, shared_names
@@ -20,21 +22,11 @@ from cagemap.numerics.arrays import IndexArray, pair_keys
 
 @dataclass(frozen=True, eq=False)
 class CageCurves:
-    """Polylines on a control mesh.
+    """Polylines on a control mesh."""
 
-    Attributes
-    ----------
-    points : CagePoints
-        Of all curves, one curve after the other.
-    starts : (q + 1,) int64
-        Curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``.
-    closed : (q,) bool
-        Whether the last point of a curve is joined to its first.
-    """
-
-    points: CagePoints
-    starts: IndexArray
-    closed: np.ndarray
+    points: CagePoints  #: of all curves, one curve after the other
+    starts: IndexArray  #: (q + 1,) curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``
+    closed: np.ndarray  #: (q,) whether the last point of a curve is joined to its first
 
     @classmethod
     def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
@@ -86,16 +78,9 @@ def _starts(sizes: Sequence[int] | IndexArray) -> IndexArray:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Pairs of polylines that correspond as a whole.
+    """Pairs of polylines that correspond as a whole."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        One per pair, such as ``left_eyelid``.
-    target, source : CageCurves
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: one per pair, such as ``left_eyelid``
     target: CageCurves
     source: CageCurves
 
@@ -139,32 +124,24 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
     InvalidLandmarksError
         If the edges branch or fall into pieces; names the vertices.
     """
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
-    neighbours: dict[int, list[int]] = {}
-    for a, b in edges.tolist():
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    branching = sorted(vertex for vertex, others in neighbours.items() if len(others) > 2)
-    ends = sorted(vertex for vertex, others in neighbours.items() if len(others) == 1)
+    vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
+    heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
+    graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
+    degrees = np.diff(graph.indptr)
+    branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
     if branching or len(ends) > 2:
         raise InvalidLandmarksError(
             f"expected the edges of one chain or loop, got a branch at vertex {first_few(branching)}."
             if branching
             else f"expected the edges of one chain or loop, got pieces that end at vertices {first_few(ends)}."
         )
-    chain, before = [ends[0] if ends else int(edges[0, 0])], -1
-    while True:
-        onward = [vertex for vertex in neighbours[chain[-1]] if vertex != before]
-        if not onward or onward[0] == chain[0]:
-            break
-        before = chain[-1]
-        chain.append(onward[0])
-    if len(chain) != len(neighbours):
-        left = sorted(set(neighbours) - set(chain))
+    order = depth_first_order(graph, int(np.argmax(degrees == 1)), return_predecessors=False)
+    if len(order) != len(vertices):
+        left = np.delete(vertices, order).tolist()
         raise InvalidLandmarksError(
             f"expected the edges of one chain or loop, got pieces: vertices {first_few(left)} are joined to no other."
         )
-    return np.array(chain, dtype=np.int64), not ends
+    return vertices[order].astype(np.int64), not ends
 
 
 def paired_curves(

@@ -1,13 +1,16 @@
-"""Faces of a control mesh: keep some of them, rearrange their corners, and find those that are no proper faces."""
+"""Faces of a control mesh: triangles, areas, some of them alone, and those that are no proper faces."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
 def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
@@ -21,47 +24,34 @@ def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
 def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
     """Return the mesh with other faces, made of its own face corners.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-    faces : (k,) int64
-        Face that every new one comes from; ascending where there are hole faces.
-    offsets : (k + 1,) int64
-        Where each new face starts in ``corners``.
-    corners : (c,) int64
-        Corner of the mesh that every new one is.
+    New face i has the corners ``corners[offsets[i]:offsets[i + 1]]`` of the mesh and comes from its face ``faces[i]``;
+    these ascend where there are hole faces.
     """
     indices = mesh.face_indices[corners]
-    creases, sharpness = _creases_on_edges(mesh, indices, offsets)
-
-    def of_faces(values: IndexArray | None) -> IndexArray | None:
-        return None if values is None else values[faces]
-
+    creases, sharpness = mesh.crease_edges, mesh.crease_sharpness
+    if creases is not None and sharpness is not None:
+        following = ControlMesh(mesh.positions, offsets, indices).next_corners
+        edges = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
+        kept = np.isin(pair_keys(creases, mesh.n_vertices), edges)
+        creases, sharpness = creases[kept], sharpness[kept]
     return replace(
         mesh,
         face_offsets=offsets,
         face_indices=indices,
         uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
         uv_sets=tuple(UvSet(one.name, one.uvs, one.uv_indices[corners]) for one in mesh.uv_sets),
-        face_materials=of_faces(mesh.face_materials),
-        face_objects=of_faces(mesh.face_objects),
-        face_groups=of_faces(mesh.face_groups),
-        file_faces=of_faces(mesh.file_faces),
+        **labels_of(mesh, faces),
+        file_faces=None if mesh.file_faces is None else mesh.file_faces[faces],
         hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
         crease_edges=creases,
         crease_sharpness=sharpness,
     )
 
 
-def _creases_on_edges(
-    mesh: ControlMesh, indices: IndexArray, offsets: IndexArray
-) -> tuple[IndexArray | None, FloatArray | None]:
-    if mesh.crease_edges is None or mesh.crease_sharpness is None:
-        return None, None
-    following = ControlMesh(mesh.positions, offsets, indices).next_corners
-    edges = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
-    kept = np.isin(pair_keys(mesh.crease_edges, mesh.n_vertices), edges)
-    return mesh.crease_edges[kept], mesh.crease_sharpness[kept]
+def labels_of(mesh: ControlMesh, faces: IndexArray) -> dict[str, Any]:
+    """Materials, objects and groups of some faces (k,), as arguments of `ControlMesh`."""
+    labels = {"face_materials": mesh.face_materials, "face_objects": mesh.face_objects, "face_groups": mesh.face_groups}
+    return {name: None if values is None else values[faces] for name, values in labels.items()}
 
 
 def degenerate_faces(mesh: ControlMesh) -> IndexArray:
@@ -82,3 +72,53 @@ def duplicate_faces(mesh: ControlMesh) -> IndexArray:
         same = np.all(corners[order][1:] == corners[order][:-1], axis=1)
         copies.append(faces[order][1:][same])
     return np.sort(np.concatenate(copies))
+
+
+def cage_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
+    """Triangles (t, 3) of all faces, see `fan_triangles`, and the face (t,) of each."""
+    return fan_triangles(mesh.face_offsets, mesh.face_indices)
+
+
+def face_areas(mesh: ControlMesh) -> FloatArray:
+    """(m,) area of every face as the sum over its fan; in squared file units. A folded face counts both sides."""
+    triangles, faces = cage_triangles(mesh)
+    a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
+    areas = 0.5 * row_lengths(np.cross(b - a, c - a))  # without a kernel: cages are small, and are checked first
+    return np.bincount(faces, areas, minlength=mesh.n_faces).astype(np.float64)
+
+
+def face_centres(mesh: ControlMesh) -> FloatArray:
+    """(m, 3) mean of the corners of every face; in file units."""
+    sums = np.add.reduceat(mesh.positions[mesh.face_indices], mesh.face_offsets[:-1])
+    return np.asarray(sums / mesh.face_sizes[:, None])
+
+
+def face_extents(mesh: ControlMesh) -> FloatArray:
+    """(m,) longest side of every face's axis-aligned box; in file units."""
+    corners = mesh.positions[mesh.face_indices]
+    starts = mesh.face_offsets[:-1]
+    return np.max(np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts), axis=1)
+
+
+def signed_volume(mesh: ControlMesh) -> float:
+    """Volume enclosed by a closed mesh, positive where its faces run counter-clockwise seen from outside."""
+    triangles, _ = cage_triangles(mesh)
+    a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
+    """Close every boundary loop with triangles to its centroid."""
+    if not loops:
+        return mesh
+    centres = np.array([mesh.positions[loop].mean(axis=0) for loop in loops])
+    cones = [
+        np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), mesh.n_vertices + i)])
+        for i, loop in enumerate(loops)
+    ]
+    caps = np.concatenate(cones)
+    return ControlMesh(
+        np.concatenate([mesh.positions, centres]),
+        np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + 3 * np.arange(1, len(caps) + 1)]),
+        np.concatenate([mesh.face_indices, caps.ravel()]),
+    )

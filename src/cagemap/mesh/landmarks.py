@@ -18,7 +18,7 @@ from cagemap.mesh.cage_points import on_cage as on_cage
 from cagemap.mesh.cage_points import repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.curves import Curves, curve_faults, paired_curves
-from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.mesh_report import first_few, listed
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 
 Renumbering = Callable[[IndexArray], IndexArray]
@@ -225,11 +225,12 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
         faults += _side_faults(side, points, names, mesh)
     faults += curve_faults(landmarks.curves, target, source)
     if faults:
-        listed = "".join(f"\n  - {fault}" for fault in faults)
         made_for = landmarks.target_name, landmarks.source_name
         others = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
         others = "" if made_for == (target.name, source.name) else others
-        raise InvalidLandmarksError(f"landmarks for target {target.name} and source {source.name}{others}:{listed}")
+        raise InvalidLandmarksError(
+            f"landmarks for target {target.name} and source {source.name}{others}:{listed(faults)}"
+        )
 
 
 def _side_faults(side: str, points: CagePoints, names: np.ndarray, mesh: ControlMesh) -> list[str]:

@@ -19,24 +19,13 @@ def first_few(values: Iterable[object]) -> str:
 
 @dataclass(frozen=True)
 class Problem:
-    """One kind of fault in a control mesh.
+    """One kind of fault in a control mesh."""
 
-    Attributes
-    ----------
-    kind : str
-        Short name, such as ``non-manifold edges``.
-    found : str
-        What was expected and what is there instead, in a sentence without the list of elements.
-    elements : tuple of int, or of pairs of int
-        All offending elements, 0-based, in the file's numbering; pairs are the end points of edges.
-    remedy : str
-        What to do about it.
-    """
-
-    kind: str
-    found: str
+    kind: str  #: short name, such as ``non-manifold edges``
+    found: str  #: what was expected and what is there instead, in a sentence without the list of elements
+    #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
     elements: tuple[int, ...] | tuple[tuple[int, int], ...]
-    remedy: str
+    remedy: str  #: what to do about it
 
     def __str__(self) -> str:
         where = f": {first_few(self.elements)}" if self.elements else ""
@@ -48,54 +37,34 @@ def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> Prob
     return Problem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
 
 
+def listed(problems: Iterable[object]) -> str:
+    """Problems, each on a line of its own."""
+    return "".join(f"\n  - {problem}" for problem in problems)
+
+
 @dataclass(frozen=True)
 class MeshReport:
     """Counts and problems of a control mesh; ``print`` shows them as a table.
 
     What could not be found out because of a problem is None.
-
-    Attributes
-    ----------
-    name : str
-    n_vertices, n_edges, n_faces : int
-    face_sizes : tuple of (int, int)
-        (corners, number of faces with that many), ascending.
-    euler_characteristic : int or None
-        Vertices - edges + faces.
-    genus : int or None
-        Number of handles, boundary loops counted as closed; summed over components.
-    boundary_edges : int or None
-        Edges of one face.
-    boundary_loops : tuple of tuples of int, or None
-        Vertices along every loop, 0-based.
-    component_sizes : tuple of int
-        Number of faces of every connected component, in file order.
-    valence_range : (int, int) or None
-        Fewest and most edges at a vertex that has faces.
-    uv_islands : int or None
-        None without texture coordinates.
-    sharp : tuple of int
-        Numbers of creased edges, sharp vertices and hole faces.
-    problems : tuple of Problem
-    notes : tuple of str
-        What is allowed but looks like an accident.
     """
 
     name: str
     n_vertices: int
     n_edges: int | None
     n_faces: int
+    #: (corners, number of faces with that many), ascending
     face_sizes: tuple[tuple[int, int], ...] = ()
-    euler_characteristic: int | None = None
-    genus: int | None = None
-    boundary_edges: int | None = None
-    boundary_loops: tuple[tuple[int, ...], ...] | None = None
-    component_sizes: tuple[int, ...] = ()
-    valence_range: tuple[int, int] | None = None
-    uv_islands: int | None = None
-    sharp: tuple[int, int, int] = (0, 0, 0)
+    euler_characteristic: int | None = None  #: vertices - edges + faces
+    genus: int | None = None  #: number of handles, boundary loops counted as closed; summed over components
+    boundary_edges: int | None = None  #: edges of one face
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices along every loop, 0-based
+    component_sizes: tuple[int, ...] = ()  #: number of faces of every connected component, in file order
+    valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
+    uv_islands: int | None = None  #: None without texture coordinates
+    sharp: tuple[int, int, int] = (0, 0, 0)  #: numbers of creased edges, sharp vertices and hole faces
     problems: tuple[Problem, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: what is allowed but looks like an accident
 
     @property
     def is_valid(self) -> bool:

@@ -14,7 +14,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
 MOST = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
-SAMPLES, STEPS = 1000, 10
+PLANE_SAMPLES, STEPS = 1000, 10
 # A move that leaves this share of the mirror images' median distance leads nowhere, unless most of them lie near
 # vertices already: within so many tolerances.
 NO_NEARER, ALREADY = 0.9, 10.0
@@ -26,23 +26,12 @@ SAME_PLANE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """A mirror plane that a control mesh has, exactly or nearly.
+    """A mirror plane that a control mesh has, exactly or nearly."""
 
-    Attributes
-    ----------
-    image : (n,) array
-        The vertex nearest to every vertex's mirror image.
-    normal : (3,) array
-        Unit vector; the plane is ``normal @ x == offset``.
-    offset : float
-    exact : bool
-        Whether the image is a permutation that sends faces to faces and creases to creases as sharp.
-    """
-
-    image: IndexArray
-    normal: FloatArray
+    image: IndexArray  #: (n,) the vertex nearest to every vertex's mirror image
+    normal: FloatArray  #: (3,) unit vector; the plane is ``normal @ x == offset``
     offset: float
-    exact: bool
+    exact: bool  #: whether the image is a permutation that sends faces to faces and creases to creases as sharp
 
     def reflect(self, points: FloatArray) -> FloatArray:
         """Mirror images of points, (q, 3)."""
@@ -55,17 +44,13 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     A plane starts through the centroid, across a coordinate axis or a principal one, and moves to where the vertices'
     mirror images lie on vertices. It counts if 95 % of them do, within `MOST_WITHIN`, and none is far off; faces need
     not mirror, for cages are often triangulated without regard to it.
-
-    Parameters
-    ----------
-    control : ControlMesh
     """
     positions = control.positions
     diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
     centre = positions.mean(axis=0)
     _, principal = np.linalg.eigh((positions - centre).T @ (positions - centre))
     tree = cKDTree(positions)
-    sample = positions[:: max(1, len(positions) // SAMPLES)]
+    sample = positions[:: max(1, len(positions) // PLANE_SAMPLES)]
     found: list[Mirror] = []
     for start in (*np.eye(3), *principal.T):
         settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
@@ -82,8 +67,7 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
         near = np.mean(distances <= MOST_WITHIN * diagonal) >= MOST and distances.max() <= ALL_WITHIN * diagonal
         # A flat mesh mirrored onto itself says nothing.
         if near and np.mean(image[image] == own) >= MOST and not np.array_equal(image, own):
-            exact = sends_faces_to_faces(control, image) and sends_creases_to_creases(control, image)
-            found.append(Mirror(image, normal, offset, exact))
+            found.append(Mirror(image, normal, offset, is_symmetry(control, image)))
     return tuple(sorted(found, key=lambda mirror: not mirror.exact))
 
 
@@ -117,39 +101,22 @@ def _query(tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IndexArray]:
     return np.asarray(distances), np.asarray(nearest, dtype=np.int64)
 
 
-def sends_faces_to_faces(control: ControlMesh, symmetry: IndexArray) -> bool:
-    """Whether a self-map is a permutation under which the faces are the same sets of vertices."""
-    if not np.array_equal(np.sort(symmetry), np.arange(control.n_vertices)):
+def is_symmetry(control: ControlMesh, image: IndexArray) -> bool:
+    """Whether a permutation of the vertices sends faces to faces, and creases and corners to ones as sharp."""
+    if not np.array_equal(np.sort(image), np.arange(control.n_vertices)):
         return False
-    renamed = symmetry[control.face_indices]
+    elements = []
     for size in np.unique(control.face_sizes):
         corners = control.face_offsets[:-1][control.face_sizes == size, None] + np.arange(size)
-        if not np.array_equal(_ordered_rows(renamed[corners]), _ordered_rows(control.face_indices[corners])):
-            return False
-    return True
-
-
-def sends_creases_to_creases(control: ControlMesh, image: IndexArray) -> bool:
-    """Whether edges and vertices are as sharp as their images."""
+        elements.append((control.face_indices[corners], np.ones(len(corners))))
     if control.crease_edges is not None and control.crease_sharpness is not None:
-        edges, sharpness = control.crease_edges, control.crease_sharpness
-        before, after = (_with_values(np.sort(pairs, axis=1), sharpness) for pairs in (edges, image[edges]))
-        if not np.array_equal(before, after):
-            return False
+        elements.append((control.crease_edges, control.crease_sharpness))
     if control.corner_vertices is not None and control.corner_sharpness is not None:
-        corners, sharpness = control.corner_vertices[:, None], control.corner_sharpness
-        before, after = (_with_values(vertices, sharpness) for vertices in (corners, image[corners]))
-        return np.array_equal(before, after)
-    return True
+        elements.append((control.corner_vertices[:, None], control.corner_sharpness))
 
+    def ordered(vertices: IndexArray, values: FloatArray) -> FloatArray:
+        """Elements above 0, their vertices ascending, with their values in lexicographic order."""
+        table = np.column_stack([np.sort(vertices, axis=1), values])[values > 0]
+        return np.asarray(table[np.lexsort(table.T[::-1])])
 
-def _with_values(elements: IndexArray, values: FloatArray) -> FloatArray:
-    """Elements and their values side by side, those of value 0 left out, in lexicographic order."""
-    table = np.column_stack([elements, values])[values > 0]
-    return np.asarray(table[np.lexsort(table.T[::-1])])
-
-
-def _ordered_rows(rows: IndexArray) -> IndexArray:
-    """Every row ascending, rows in lexicographic order."""
-    ascending = np.sort(rows, axis=1)
-    return np.asarray(ascending[np.lexsort(ascending.T[::-1])])
+    return all(np.array_equal(ordered(one, values), ordered(image[one], values)) for one, values in elements)

@@ -14,8 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -23,21 +22,13 @@ LARGEST = "largest"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some faces of a mesh.
+    """Some faces of a mesh."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    name : str
-        As in the file; a component has the name of its object, group or material, where all its faces have the same
-        and no other component has it, else its number.
-    faces : (k,) int64
-    """
-
-    kind: str
+    kind: str  #: one of `KINDS`
+    #: as in the file; a component has the name of its object, group or material, where all its faces have the same and
+    #: no other component has it, else its number
     name: str
-    faces: IndexArray
+    faces: IndexArray  #: (k,)
 
     @property
     def title(self) -> str:
@@ -189,9 +180,8 @@ def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
 
 def _own_scheme(part: ControlMesh) -> dict[str, Any]:
     """How a part is subdivided, where the objects of its file differ in it."""
-    if not part.object_schemes or part.face_objects is None:
-        return {}
-    own = {part.object_schemes[number] for number in np.unique(part.face_objects).tolist()}
+    objects = () if part.face_objects is None or not part.object_schemes else np.unique(part.face_objects).tolist()
+    own = {part.object_schemes[number] for number in objects}
     return {"scheme": own.pop(), "object_schemes": ()} if len(own) == 1 else {}
 
 
@@ -227,20 +217,8 @@ def pair_parts(
 ) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
     """Pair the pieces of two meshes: by landmarks on both, then by name, then the last of both.
 
-    Parameters
-    ----------
-    target, source : ControlMesh
-    landmarks : (p, 2) int64
-        Target and source vertex of every pair.
-    pieces : (sequence of Part, sequence of Part), optional
-        What is paired of both; their connected parts by default. Numbers are no names.
-
-    Returns
-    -------
-    pairs : tuple of PartPair
-        The larger target component first.
-    alone_target, alone_source : tuple of Part
-        Components that are left alone.
+    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` what is paired, connected parts by default. Numbers
+    are no names. Returns the pairs, the larger target piece first, and what is left alone of target and source.
     """
     of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
     mine = sorted(of_target, key=lambda part: -len(part.faces))

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces, with_corners_of
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, keep_faces, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import face_areas
 from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Plain
-from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import (
     EdgeTable,
     boundary_loops,
@@ -40,52 +39,23 @@ MAX_FIN_ROUNDS = 20
 
 @dataclass(frozen=True, repr=False)
 class Repairs(Brief):
-    """What was done to a mesh before it was matched as it is; zero where nothing was.
+    """What was done to a mesh before it was matched as it is; zero where nothing was."""
 
-    Attributes
-    ----------
-    joined_vertices : int
-        Vertices at the very place of another, on borders (files that repeat vertices face by face) or on edges of
-        length zero, which became one with it.
-    split_faces : int
-        Faces of other sizes than the rest, split into triangles with all others.
-    dropped_faces : int
-        Faces that visit a vertex twice, copies of other faces, and holes of the file.
-    fins : int
-        Faces taken out at edges of more than two faces.
-    cut_vertices : int
-        Vertices where parts only touched, in an edge or a point, each with a copy for every part.
-    turned_faces : int
-        Faces turned round to agree with the others; all of them where the mesh looked inwards.
-    pieces : int
-        Smaller pieces set aside: nothing is matched or transferred there.
-    pieces_share : float
-        Their share of the area.
-    pieces_vertices : int
-        Their vertices.
-    pieces_weld : float
-        Tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 where none does.
-    loose_vertices : int
-        Vertices of no face, set aside.
-    slivers : int
-        Faces without area, which stay.
-    openings : int
-        Boundary loops, which stay open.
-    """
-
+    #: vertices at the very place of another, on borders (files that repeat vertices face by face) or on edges of length
+    #: zero, which became one with it
     joined_vertices: int = 0
-    split_faces: int = 0
-    dropped_faces: int = 0
-    fins: int = 0
-    cut_vertices: int = 0
-    turned_faces: int = 0
-    pieces: int = 0
-    pieces_share: float = 0.0
-    pieces_vertices: int = 0
-    pieces_weld: float = 0.0
-    loose_vertices: int = 0
-    slivers: int = 0
-    openings: int = 0
+    split_faces: int = 0  #: faces of other sizes than the rest, split into triangles with all others
+    dropped_faces: int = 0  #: faces that visit a vertex twice, copies of other faces, and holes of the file
+    fins: int = 0  #: faces taken out at edges of more than two faces
+    cut_vertices: int = 0  #: vertices where parts only touched, in an edge or a point, each with a copy for every part
+    turned_faces: int = 0  #: faces turned round to agree with the others; all of them where the mesh looked inwards
+    pieces: int = 0  #: smaller pieces set aside: nothing is matched or transferred there
+    pieces_share: float = 0.0  #: their share of the area
+    pieces_vertices: int = 0  #: their vertices
+    pieces_weld: float = 0.0  #: tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 where none does
+    loose_vertices: int = 0  #: vertices of no face, set aside
+    slivers: int = 0  #: faces without area, which stay
+    openings: int = 0  #: boundary loops, which stay open
 
     def sentences(self) -> tuple[str, ...]:
         """What a user is to know."""
@@ -137,10 +107,6 @@ class PlainMesh:
         """What was done, in sentences that name the mesh."""
         return tuple(f"{self.mesh.name}: {sentence}" for sentence in self.repairs.sentences())
 
-    def renumber(self, vertices: IndexArray) -> IndexArray:
-        """Vertices of the mesh given in the numbers of this one, -1 where they are set aside."""
-        return self.vertex_of[vertices]
-
 
 @arrays_accepted
 def plain_mesh(mesh: MeshLike) -> PlainMesh:
@@ -154,10 +120,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     InvalidMeshError
         If its arrays are no mesh, it is one-sided, or has no area.
     """
-    broken = structure_problems(mesh)
-    if broken:
-        listed = "".join(f"\n  - {problem}" for problem in broken)
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{listed}")
+    require_structure(mesh)
     work = replace(
         mesh,
         scheme=Plain(),
@@ -173,18 +136,33 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
     if len(joined):
         work = replace(work, face_indices=representative[work.face_indices])
-    work, holes = _without_holes(work)
+    holes = np.zeros(0, dtype=np.int64) if mesh.hole_faces is None else mesh.hole_faces
+    work = keep_faces(work, np.delete(np.arange(mesh.n_faces), holes)) if len(holes) else work
+    work = replace(work, hole_faces=None)
     work, split = _of_one_face_size(work)
-    work, dropped = _without_bad_faces(work)
+    bad = np.union1d(degenerate_faces(work), duplicate_faces(work))
+    if len(bad) == work.n_faces:
+        raise InvalidMeshError(f"{mesh.name}: expected faces, got {work.n_faces} that visit a vertex twice")
+    work = keep_faces(work, np.delete(np.arange(work.n_faces), bad)) if len(bad) else work
     work, fins, cut = _manifold(work)
-    work, turned = _oriented(work)
+    faces = turned_faces(work, edge_table(work))
+    if faces is None:
+        raise InvalidMeshError(
+            f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
+            "directions agrees along all edges (as on a Moebius strip). Cut it where its two sides are joined."
+        )
+    work, turned = turn_faces(work, faces), int(faces.sum())
     work, aside = _largest_piece(work)
-    work, inwards = _outwards(work)
+    if not face_areas(work).sum() > 0.0:
+        raise InvalidMeshError(f"{mesh.name}: expected a surface with an area, got {work.n_faces} faces without")
+    problem = inside_out_problem(work, _loops(work))
+    inwards = problem is not None and problem.kind == "inside out"
+    work = turn_faces(work, np.ones(work.n_faces, dtype=bool)) if inwards else work
     repairs = replace(
         aside,
         joined_vertices=len(joined),
         split_faces=split,
-        dropped_faces=dropped + holes,
+        dropped_faces=len(bad) + len(holes),
         fins=fins,
         cut_vertices=cut,
         turned_faces=work.n_faces - turned if inwards else turned,
@@ -195,31 +173,23 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     ready = extract(work, np.arange(work.n_faces)) if changed else work
     sliver = zero_area_problem(ready, np.arange(ready.n_faces))
     repairs = replace(repairs, slivers=0 if sliver is None else len(sliver.elements), openings=len(_loops(ready)))
-    vertices, faces = ready.file_vertices, ready.file_faces
+    vertices, own_faces = ready.file_vertices, ready.file_faces
     assert vertices is not None
-    assert faces is not None
+    assert own_faces is not None
     vertex_of = np.full(mesh.n_vertices, -1, dtype=np.int64)
     vertex_of[vertices[::-1]] = np.arange(len(vertices))[::-1]  # of a vertex that was cut, its first copy
     vertex_of = vertex_of[representative]
+
+    def in_file(numbers: IndexArray | None, kept: IndexArray) -> IndexArray | None:
+        return numbers if not changed else kept if numbers is None else numbers[kept]
+
     ready = replace(
         ready,
-        file_vertices=_file_numbers(mesh.file_vertices, vertices) if changed else mesh.file_vertices,
-        file_faces=_file_numbers(mesh.file_faces, faces) if changed else mesh.file_faces,
+        file_vertices=in_file(mesh.file_vertices, vertices),
+        file_faces=in_file(mesh.file_faces, own_faces),
         file_copies=file_copies(mesh, joined, vertex_of),
     )
     return PlainMesh(ready, vertex_of, repairs)
-
-
-def _file_numbers(in_file: IndexArray | None, numbers: IndexArray) -> IndexArray:
-    return numbers if in_file is None else in_file[numbers]
-
-
-def _without_holes(mesh: ControlMesh) -> tuple[ControlMesh, int]:
-    """Drop the faces that the file says are holes; also their number."""
-    if mesh.hole_faces is None or not len(mesh.hole_faces):
-        return replace(mesh, hole_faces=None), 0
-    kept = np.delete(np.arange(mesh.n_faces), mesh.hole_faces)
-    return replace(keep_faces(mesh, kept), hole_faces=None), len(mesh.hole_faces)
 
 
 def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
@@ -234,14 +204,6 @@ def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
         return mesh, 0
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     return with_corners_of(mesh, faces, 3 * np.arange(len(faces) + 1), corners.ravel()), max(int(odd.sum()), 1)
-
-
-def _without_bad_faces(mesh: ControlMesh) -> tuple[ControlMesh, int]:
-    """Drop faces that visit a vertex twice and copies of faces; also their number."""
-    bad = np.union1d(degenerate_faces(mesh), duplicate_faces(mesh))
-    if len(bad) == mesh.n_faces:
-        raise InvalidMeshError(f"{mesh.name}: expected faces, got {mesh.n_faces} that visit a vertex twice")
-    return (keep_faces(mesh, np.delete(np.arange(mesh.n_faces), bad)), len(bad)) if len(bad) else (mesh, 0)
 
 
 def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
@@ -297,17 +259,6 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     ), len(np.unique(copied))
 
 
-def _oriented(mesh: ControlMesh) -> tuple[ControlMesh, int]:
-    """Turn faces so that neighbours agree, in every piece the smaller set of them; also their number."""
-    faces = turned_faces(mesh, edge_table(mesh))
-    if faces is None:
-        raise InvalidMeshError(
-            f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
-            "directions agrees along all edges (as on a Moebius strip). Cut it where its two sides are joined."
-        )
-    return turn_faces(mesh, faces), int(faces.sum())
-
-
 def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
     """Reverse some faces (m,) of a mesh with one face size; first corners stay, so that quads are split alike."""
     if not faces.any():
@@ -329,16 +280,6 @@ def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
     vertices = len(np.unique(mesh.face_indices[~kept[mesh.corner_faces]]))
     aside = Repairs(pieces=count - 1, pieces_share=share, pieces_vertices=vertices)
     return keep_faces(mesh, np.flatnonzero(kept)), aside
-
-
-def _outwards(mesh: ControlMesh) -> tuple[ControlMesh, bool]:
-    """Turn all faces where they look inwards, and whether they did."""
-    if not face_areas(mesh).sum() > 0.0:
-        raise InvalidMeshError(f"{mesh.name}: expected a surface with an area, got {mesh.n_faces} faces without")
-    problem = inside_out_problem(mesh, _loops(mesh))
-    if problem is None or problem.kind != "inside out":
-        return mesh, False
-    return turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), True
 
 
 def _loops(mesh: ControlMesh) -> tuple[IndexArray, ...]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import adjacent_corners, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
@@ -44,15 +43,16 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     >>> join_quads(square)[0].face_sizes
     array([4])
     """
-    broken = structure_problems(mesh)
-    if broken:
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {broken[0]}")
+    require_structure(mesh)
     following = mesh.next_corners
     quads = _candidates(mesh, following)
     first, second = mesh.corner_faces[quads[:, 0]], mesh.corner_faces[quads[:, 2]]
     places = mesh.positions[mesh.face_indices[quads]]
-    cost = _skew(places)
-    sound = (_fold(places) < _MOST_FOLDED) & (cost < _MOST_SKEWED)
+    ahead, back = np.roll(places, -1, axis=1) - places, np.roll(places, 1, axis=1) - places
+    cost = np.abs(_angle(ahead, back) - 90.0).max(axis=1, initial=0.0)
+    a, b, c, d = places.transpose(1, 0, 2)
+    fold = _angle(np.cross(b - a, c - a), np.cross(c - a, d - a))
+    sound = (fold < _MOST_FOLDED) & (cost < _MOST_SKEWED)
     in_order, even = np.abs(first - second) == 1, np.minimum(first, second) % 2 == 0
     cost -= np.where(in_order, _IN_ORDER, 0.0)
     if 2 * np.sum(in_order & even & sound) >= _MOST_EVEN * mesh.n_faces:
@@ -94,18 +94,6 @@ def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
         fits &= ~np.isin(own, pair_keys(mesh.crease_edges, mesh.n_vertices))
     one, other = one[fits], other[fits]
     return np.column_stack([one, following[following[other]], other, following[following[one]]])
-
-
-def _fold(places: FloatArray) -> FloatArray:
-    """(q,) degrees between the normals of both triangles of quads (q, 4, 3) that are split from corner 0 to 2."""
-    a, b, c, d = places.transpose(1, 0, 2)
-    return _angle(np.cross(b - a, c - a), np.cross(c - a, d - a))
-
-
-def _skew(places: FloatArray) -> FloatArray:
-    """(q,) degrees that the worst corner of quads (q, 4, 3) is from 90."""
-    ahead, back = np.roll(places, -1, axis=1) - places, np.roll(places, 1, axis=1) - places
-    return np.abs(_angle(ahead, back) - 90.0).max(axis=1, initial=0.0)
 
 
 def _angle(one: FloatArray, other: FloatArray) -> FloatArray:

@@ -94,7 +94,6 @@ def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[flo
     return float(centre), float(end)
 
 
-@dataclass(frozen=True)
 class CatmullClark(SubdivisionOptions):
     """Catmull-Clark subdivision of polygon meshes [CC78]_."""
 
@@ -150,15 +149,9 @@ class CatmullClark(SubdivisionOptions):
 
         The left eigenvector of the local subdivision matrix that is a sine around the inner ring: with
         ``t = pi/valence``, inner neighbour i has weight ``(16 lambda - 4) sin(i t)`` and opposite vertex i
-        ``sin(i t) + sin((i + 1) t)``, where ``16 lambda = 5 + cos t + sqrt((cos t + 1) (cos t + 9))``.
-
-        Returns
-        -------
-        centre : float
-            Weight of the vertex.
-        neighbours : (valence + 1,) float64
-            Counter-clockwise; the first and the last are on the boundary.
-        opposites : (valence,) float64
+        ``sin(i t) + sin((i + 1) t)``, where ``16 lambda = 5 + cos t + sqrt((cos t + 1) (cos t + 9))``. Returns the
+        weights of the vertex, of its neighbours (valence + 1,), counter-clockwise, the first and the last on the
+        boundary, and of the opposite vertices (valence,).
         """
         cosine = np.cos(np.pi / valence)
         value = (5 + cosine + np.sqrt((cosine + 1) * (cosine + 9))) / 16
@@ -172,7 +165,6 @@ class CatmullClark(SubdivisionOptions):
         return centre, neighbours, opposites
 
 
-@dataclass(frozen=True)
 class Loop(SubdivisionOptions):
     """Loop subdivision of triangle meshes [Loop87]_, with Loop's own cosine weight (OpenSubdiv's; not 3/(8n))."""
 
@@ -218,7 +210,6 @@ class Loop(SubdivisionOptions):
         return centre, neighbours, np.zeros(0)
 
 
-@dataclass(frozen=True)
 class Bilinear(SubdivisionOptions):
     """No smoothing: vertices stay, edges get midpoints, faces centroids; what USD calls ``bilinear``.
 
@@ -226,7 +217,6 @@ class Bilinear(SubdivisionOptions):
     """
 
 
-@dataclass(frozen=True)
 class Plain(Bilinear):
     """A mesh as it is, such as a scan: its faces are the surface, and it is never refined; USD's ``none``."""
 

@@ -11,21 +11,13 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Joints with a head and a tail each.
-
-    Attributes
-    ----------
-    names, parents : tuple of str
-        A parent of '' is none.
-    heads, tails : (j, 3) float64
-    axes : (j, 3, 3) float64 or None
-        Rows are the directions of each joint's own axes, where the file has them.
-    """
+    """Joints with a head and a tail each."""
 
     names: tuple[str, ...]
-    parents: tuple[str, ...]
-    heads: FloatArray
-    tails: FloatArray
+    parents: tuple[str, ...]  #: '' for none
+    heads: FloatArray  #: (j, 3)
+    tails: FloatArray  #: (j, 3)
+    #: (j, 3, 3) rows are the directions of each joint's own axes, where the file has them
     axes: FloatArray | None = None
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.mesh_report import Problem, problem_at
+from cagemap.mesh.mesh_report import Problem, listed, problem_at
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
@@ -18,6 +19,13 @@ def structure_problems(mesh: ControlMesh) -> tuple[Problem, ...]:
     if not any(found):
         found += [_indices(mesh), _uvs(mesh), _materials(mesh), _creases(mesh), _corners(mesh), _holes(mesh)]
     return tuple(problem for problem in found if problem is not None)
+
+
+def require_structure(mesh: ControlMesh) -> None:
+    """Raise InvalidMeshError where the arrays describe no mesh."""
+    broken = structure_problems(mesh)
+    if broken:
+        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{listed(broken)}")
 
 
 def _problem(found: str, remedy: str = _EXPORT) -> Problem:

@@ -10,8 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import IndexArray, components
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,19 +18,11 @@ class EdgeTable:
     """Edges of a mesh and how face corners refer to them.
 
     Corner c stands for the half-edge from its own vertex to that of the next corner of its face.
-
-    Attributes
-    ----------
-    vertices : (e, 2) int64
-        End points, the lower number first; sorted.
-    corner_edges : (c,) int64
-        Edge of every corner's half-edge.
-    face_counts : (e,) int64
-        Number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold.
     """
 
-    vertices: IndexArray
-    corner_edges: IndexArray
+    vertices: IndexArray  #: (e, 2) end points, the lower number first; sorted
+    corner_edges: IndexArray  #: (c,) edge of every corner's half-edge
+    #: (e,) number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold
     face_counts: IndexArray
 
     def boundary_corners(self) -> IndexArray:
@@ -50,14 +41,7 @@ def edge_table(mesh: ControlMesh) -> EdgeTable:
 def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray, IndexArray]:
     """Number the edges of half-edges (c,) between vertices, ascending by (smaller, larger) vertex.
 
-    Returns
-    -------
-    first : (e,) int64
-        The first half-edge of every edge.
-    edges : (c,) int64
-        Edge of every half-edge.
-    counts : (e,) int64
-        Half-edges of every edge.
+    Returns the first half-edge of every edge (e,), the edge of every half-edge (c,), and how many each edge has (e,).
     """
     keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
     _, *numbers = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)

@@ -12,10 +12,9 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.parts import extract, renumbered_copies
-from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import edge_table, face_components, used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, pair_keys
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.
@@ -84,8 +83,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     >>> weld_mesh(two).mesh.face_indices
     array([0, 1, 2, 0, 2, 1])
     """
-    if structure_problems(mesh):
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {structure_problems(mesh)[0]}")
+    require_structure(mesh)
     if tolerance is not None and not 0.0 <= tolerance <= 0.1:
         raise ParameterError(
             f"{mesh.name}: expected a weld tolerance from 0 to 0.1 of the bounding-box diagonal, got {tolerance}"
@@ -122,16 +120,9 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
-    """``file_copies`` after vertices were joined with others; None where there are none.
+    """``file_copies`` after some vertices (k,) of a mesh were joined with others; None where there are none.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-        The one before.
-    joined : (k,) int64
-        Its vertices that became one with another.
-    vertex_of : (n,) int64
-        New number of each of its vertices, -1 for those that are gone.
+    ``vertex_of`` (n,) is the new number of each of its vertices, -1 for those that are gone.
     """
     own = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
     pairs = np.column_stack([vertex_of[joined], own])
@@ -200,23 +191,15 @@ def coincident_vertices(
 ) -> IndexArray:
     """(n,) lowest of the vertices that every vertex coincides with: on borders, and within a tolerance.
 
-    Vertices that have faces all around stay apart: surfaces that touch, such as closed lips, are not joined.
-
-    Parameters
-    ----------
-    mesh : ControlMesh
-        Of sound arrays.
-    tolerance : float
-        Largest distance, in units of the bounding-box diagonal.
-    collapse : bool
-        Join the ends of edges of length zero too, wherever they are.
-    offsets : (n, 3 k) float64, optional
-        As `weld_mesh` takes them.
+    Vertices that have faces all around stay apart: surfaces that touch, such as closed lips, are not joined. With
+    ``collapse`` the ends of edges of length zero are, wherever they are. Tolerance and offsets as in `weld_mesh`.
     """
     edges = edge_table(mesh)
     border = np.unique(edges.vertices[edges.face_counts == 1])
     places = mesh.positions if offsets is None else np.column_stack([mesh.positions, offsets])
-    links = [border[_close_pairs(places[border], tolerance * _diagonal(mesh))]]
+    with np.errstate(over="ignore"):
+        diagonal = float(np.linalg.norm(np.ptp(mesh.positions[used_vertices(mesh)], axis=0)))
+    links = [border[_close_pairs(places[border], tolerance * diagonal)]]
     if collapse:
         ends = edges.vertices
         links.append(ends[np.all(mesh.positions[ends[:, 0]] == mesh.positions[ends[:, 1]], axis=1)])
@@ -233,13 +216,13 @@ def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> f
     A tolerance that joins vertices of one face that lie apart is not considered.
     """
     following = mesh.face_indices[mesh.next_corners]
-    best, fewest = None, _count_pieces(mesh, np.arange(mesh.n_vertices))
+    best, fewest = None, count_pieces(mesh, np.arange(mesh.n_vertices))
     for tolerance in TOLERANCES:
         labels = coincident_vertices(mesh, tolerance, offsets=offsets)
         joined = labels[mesh.face_indices] == labels[following]
         if np.any(mesh.positions[mesh.face_indices[joined]] != mesh.positions[following[joined]]):
             break
-        count = _count_pieces(mesh, labels)
+        count = count_pieces(mesh, labels)
         if count < fewest:
             best, fewest = tolerance, count
         if fewest == 1:
@@ -247,12 +230,8 @@ def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> f
     return best
 
 
-def welded_pieces(mesh: ControlMesh, tolerance: float) -> int:
-    """Number of connected pieces that welding leaves."""
-    return _count_pieces(mesh, coincident_vertices(mesh, tolerance))
-
-
-def _count_pieces(mesh: ControlMesh, labels: IndexArray) -> int:
+def count_pieces(mesh: ControlMesh, labels: IndexArray) -> int:
+    """Number of connected pieces after vertices with equal labels (n,) became one."""
     corners = labels[mesh.face_indices]
     found = components(corners, corners[mesh.next_corners], mesh.n_vertices)
     return len(np.unique(found[corners]))
@@ -268,9 +247,3 @@ def _close_pairs(points: FloatArray, distance: float) -> IndexArray:
         return equal
     first = order[np.concatenate([[True], ~same])]
     return np.concatenate([equal, first[cKDTree(places[first]).query_pairs(distance, output_type="ndarray")]])
-
-
-def _diagonal(mesh: ControlMesh) -> float:
-    points = mesh.positions[used_vertices(mesh)]
-    with np.errstate(over="ignore"):
-        return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))

@@ -1,4 +1,4 @@
-"""Array types, conversions of a user's arrays, and read-only views."""
+"""Array types, conversions of a user's arrays, read-only views, sums by group, connected components, rotations."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import ParameterError
 
@@ -70,3 +72,19 @@ def read_only(array: Array) -> Array:
     view: Array = array.view()
     view.flags.writeable = False
     return view
+
+
+def components(heads: IndexArray, tails: IndexArray, count: int) -> IndexArray:
+    """(count,) number of the connected component of every node, in the order of their lowest nodes."""
+    edges = sparse.coo_array((np.ones(len(heads), dtype=np.int8), (heads, tails)), shape=(count, count))
+    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
+
+
+def nearest_rotations(maps: FloatArray) -> FloatArray:
+    """(n, 3, 3) rotations nearest to linear maps (n, 3, 3): the orthogonal factors of their polar decompositions.
+
+    Where the factor is a reflection, the axis of least stretch is reversed.
+    """
+    left, _, right = np.linalg.svd(maps)
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return np.asarray(left @ right)

@@ -41,26 +41,15 @@ _MAX_RSLAB_THREADS = 4
 
 @dataclass(frozen=True, eq=False)
 class Factorization:
-    """A factored matrix A.
-
-    Attributes
-    ----------
-    shape : (int, int)
-    negative_eigenvalues : int or None
-        Number of negative eigenvalues of A (Sylvester's law of inertia); None where SuperLU cannot tell: pivots off
-        the diagonal, lost digits or single precision.
-    library : str
-        "rslab" or "superlu".
-    dtype : numpy dtype
-        Precision of the factors, float64 or float32.
-    """
+    """A factored matrix A."""
 
     shape: tuple[int, int]
+    #: number of negative eigenvalues of A (Sylvester's law of inertia); None where SuperLU cannot tell: pivots off the
+    #: diagonal, lost digits or single precision
     negative_eigenvalues: int | None
-    library: str
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _symbolic: Any = field(default=None, repr=False)
-    dtype: Precision = np.float64
+    dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
         """Solve A X = B for B (n,) or (n, q), in the precision of the factors.
@@ -80,78 +69,57 @@ class Factorization:
         return np.ascontiguousarray(solution).reshape(values.shape)
 
 
-def factor(
-    matrix: SparseMatrix,
-    *,
-    like: Factorization | None = None,
-    library: str = "auto",
-    dtype: Precision = np.float64,
-) -> Factorization:
-    """Factor a symmetric, possibly indefinite sparse matrix.
+def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Precision = np.float64) -> Factorization:
+    """Factor a symmetric, possibly indefinite sparse matrix (n, n).
 
     Parameters
     ----------
     matrix : (n, n) sparse array
-        Symmetric; rslab reads its lower triangle only. Any unit.
+        rslab reads its lower triangle only.
     like : Factorization, optional
         Of a matrix with the same pattern, whose ordering is reused.
-    library : {"auto", "rslab", "superlu"}
     dtype : numpy.float64 or numpy.float32
         Precision of the factors. Single takes half the memory and two thirds of the time; its inertia proves nothing.
 
     Raises
     ------
     ParameterError
-        If the matrix is not square, or the library named is not installed.
+        If the matrix is not square.
     SolverError
         If the matrix is singular to working precision.
     """
-    if _chosen_library(library, matrix) == "superlu":
+    if not _rslab_factors(matrix):
         return _factor_superlu(matrix, dtype)
     lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
     lower.sort_indices()
     with _singular_refused(matrix):
         symbolic = _analyzed(lower, "ldlt") if like is None else like._symbolic
         factors = symbolic.factor(lower.data.astype(dtype, copy=False))
-    return Factorization(matrix.shape, int(factors.inertia[1]), "rslab", factors.solve_many, symbolic, dtype)
+    return Factorization(matrix.shape, int(factors.inertia[1]), factors.solve_many, symbolic, dtype)
 
 
-def factor_general(matrix: SparseMatrix, *, library: str = "auto") -> Factorization:
-    """Factor a sparse matrix of symmetric pattern and any values, in double precision, without inertia.
+def factor_general(matrix: SparseMatrix) -> Factorization:
+    """Factor a sparse matrix (n, n) of symmetric pattern and any values, without inertia; errors as of `factor`.
 
-    Parameters
-    ----------
-    matrix : (n, n) sparse array
-        Its diagonal serves as pivots, so that it should be diagonally dominant. Any unit.
-    library : {"auto", "rslab", "superlu"}
-
-    Raises
-    ------
-    ParameterError, SolverError
-        As `factor`.
+    Its diagonal serves as pivots, so that it should be diagonally dominant.
     """
-    if _chosen_library(library, matrix) == "superlu":
+    if not _rslab_factors(matrix):
         return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
     entries = sparse.csc_array(matrix, dtype=np.float64)
     entries.sort_indices()
     with _singular_refused(matrix):
         factors = _analyzed(entries, "lu").factor(entries.data)
-    return Factorization(matrix.shape, None, "rslab", factors.solve_many)
+    return Factorization(matrix.shape, None, factors.solve_many)
 
 
-def _chosen_library(library: str, matrix: SparseMatrix) -> str:
-    """Check the matrix' shape and the library's name; "auto" becomes the one that is installed."""
+def _rslab_factors(matrix: SparseMatrix) -> bool:
+    """Whether rslab is installed; refuses a matrix that is not square."""
     if matrix.shape[0] != matrix.shape[1]:
         raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
-    if library == "auto":
-        if rslab is not None:
-            return "rslab"
+    if rslab is None:
         with _WARNING_LOCK:
             _say_that_rslab_is_missing()
-        return "superlu"
-    if library not in ("rslab", "superlu") or (library == "rslab" and rslab is None):
-        raise ParameterError(f'expected library "auto", "superlu" or an installed "rslab", got {library!r}')
-    return library
+    return rslab is not None
 
 
 _WARNING_LOCK = Lock()  # both surfaces of a pair are factored at the same time
@@ -185,7 +153,7 @@ def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
     diagonal_pivots = np.array_equal(factors.perm_r, factors.perm_c)
     stable = diagonal_pivots and _backward_error(matrix, factors.solve, dtype) < _MAX_BACKWARD_ERROR
     negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if stable else None
-    return Factorization(matrix.shape, negative, "superlu", factors.solve, dtype=dtype)
+    return Factorization(matrix.shape, negative, factors.solve, dtype=dtype)
 
 
 def _backward_error(matrix: SparseMatrix, solve: Callable[[NDArray[Any]], NDArray[Any]], dtype: Precision) -> float:

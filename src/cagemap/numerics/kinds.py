@@ -59,18 +59,15 @@ def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
         except TypeError:  # the call below names the missing or unknown argument
             given = {}
         for name in (name for name in given if name in expected):
-            if not any(_is(given[name], kind) for kind in expected[name]):
-                raise ParameterError(f"{function.__name__}: {name}: {_mismatch(expected[name], given[name])}")
+            value, kinds = given[name], expected[name]
+            if not any(_is(value, kind) for kind in kinds):
+                names = [_NAMES.get(kind, kind.__name__) for kind in kinds if not (kind is str and Path in kinds)]
+                source = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
+                got = repr(value) if isinstance(value, str | Real | NoneType) else f"a {type(value).__name__}"
+                raise ParameterError(f"{function.__name__}: {name}: expected {' or '.join(names)}, got {got}{source}")
         return function(*args, **kwargs)
 
     return checked
-
-
-def _mismatch(kinds: tuple[type, ...], value: object) -> str:
-    names = [_NAMES.get(kind, kind.__name__) for kind in kinds if not (kind is str and Path in kinds)]
-    source = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
-    shown = repr(value) if isinstance(value, str | Real | NoneType) else f"a {type(value).__name__}"
-    return f"expected {' or '.join(names)}, got {shown}{source}"
 
 
 def _is(value: object, kind: type) -> bool:

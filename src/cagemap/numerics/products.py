@@ -61,15 +61,7 @@ def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
 
 
 def in_row_shares(matrix: sparse.csr_array, columns: int, work: Callable[[int, int], None]) -> None:
-    """Run work(first, last) in threads over row ranges with equal numbers of nonzeros; work releases the GIL.
-
-    Parameters
-    ----------
-    matrix : (n, m) CSR array
-    columns : int
-        Of the block that the matrix is multiplied with.
-    work : callable
-    """
+    """Run work(first, last) in threads over row ranges of equal nonzeros, for a block of so many columns."""
     threads = 1 if matrix.nnz * columns < _MIN_PARALLEL_WORK else min(_MAX_THREADS, core_count())
     shares = np.linspace(0, matrix.nnz, threads + 1)
     bounds = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]

@@ -29,29 +29,10 @@ THREADS_VARIABLE = "CAGEMAP_THREADS"
 _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)
 
 
-class _BlasLimit:
-    """Limit of the process' BLAS libraries: set by the first user, restored by the last one to leave.
-
-    If each user restored what it found, two whose stays overlap could leave the limit for ever.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._users = 0
-        self._limits: threadpool_limits | None = None
-
-    def enter(self) -> None:
-        with self._lock, _controlling_blas():
-            if self._users == 0:
-                self._limits = threadpool_limits(limits=1, user_api="blas")
-            self._users += 1
-
-    def leave(self) -> None:
-        with self._lock, _controlling_blas():
-            self._users -= 1
-            if self._users == 0 and self._limits is not None:
-                self._limits.restore_original_limits()
-                self._limits = None
+# The limit of the process' BLAS libraries, once for every user: the first sets it, the last one to leave restores it.
+# If each restored what it found, two whose stays overlap could leave the limit for ever.
+_blas_limits: list[threadpool_limits] = []
+_blas_lock = threading.Lock()
 
 
 @contextmanager
@@ -66,20 +47,21 @@ def _controlling_blas() -> Iterator[None]:
     release(force=True)
 
 
-_blas_limit = _BlasLimit()
-
-
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS and LAPACK to the calling thread inside the block; several threads may be inside at once.
 
     The limit belongs to the process: enter the block before threads start. The last to leave restores what was set.
     """
-    _blas_limit.enter()
+    with _blas_lock, _controlling_blas():
+        _blas_limits.append(_blas_limits[0] if _blas_limits else threadpool_limits(limits=1, user_api="blas"))
     try:
         yield
     finally:
-        _blas_limit.leave()
+        with _blas_lock, _controlling_blas():
+            limit = _blas_limits.pop()
+            if not _blas_limits:
+                limit.restore_original_limits()
 
 
 @contextmanager

@@ -1,13 +1,14 @@
 """Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
-from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.operators.polygons import (
+from cagemap.operators.laplacian import (
     LAPLACIANS,
     AlexaWardetzky,
     DeGoesButtsDesbrun,
     Laplacian,
     MeanTriangulation,
     named_laplacian,
+    stiffness,
+    vertex_areas,
 )
 from cagemap.operators.sec import Operators, build_operators, lumped_areas
 

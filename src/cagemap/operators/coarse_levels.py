@@ -30,13 +30,13 @@ SIZES = (1500, 6000, 24_000)
 # Largest share of the next finer level's vertices.
 MAX_SHARE = 0.7
 # Fewest vertices of a level.
-MIN_VERTICES = 100
+MIN_LEVEL_VERTICES = 100
 # `agg` of fast_simplification: how fast its threshold grows; slower makes better triangles.
 AGGRESSIVENESS = 3
 # omega of the Jacobi step that smooths prolonged functions.
 DAMPING = 2 / 3
 # Vertices that a thread locates on the coarser mesh at once.
-BLOCK = 65_536
+LOCATE_BLOCK = 65_536
 # The library keeps its mesh in globals: two threads would simplify each other's.
 _SIMPLIFICATION_LOCK = threading.Lock()
 
@@ -71,7 +71,7 @@ def coarsened(plain: Refinement) -> Refinement:
     surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[_Simplified]()
     for size in reversed([size for size in SIZES if size <= MAX_SHARE * control.n_vertices]):
         step = simplified(*surfaces[-1], size)
-        if not MIN_VERTICES <= len(step.kept) <= MAX_SHARE * len(step.cluster):
+        if not MIN_LEVEL_VERTICES <= len(step.kept) <= MAX_SHARE * len(step.cluster):
             break
         steps.append(step)
         surfaces.append((surfaces[-1][0][step.kept], step.triangles))
@@ -133,7 +133,7 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified
         found, weights[part] = closest_among(corners, ranges[step.cluster[part]], around, positions[part])
         vertices[part] = step.triangles[found]
 
-    in_threads(locate, parts(len(positions), BLOCK))
+    in_threads(locate, parts(len(positions), LOCATE_BLOCK))
     # Vertices of both meshes: exact.
     vertices[step.kept], weights[step.kept] = np.arange(len(step.kept))[:, None], [1.0, 0.0, 0.0]
     rows = 3 * np.arange(len(positions) + 1)

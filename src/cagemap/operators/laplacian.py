@@ -1,4 +1,7 @@
-"""Integrated Laplacian and vertex areas of one polygon surface (paper, section 2.1.1).
+"""Integrated Laplacians and vertex areas of one polygon surface (paper, section 2.1.1).
+
+Each Laplacian of polygons is given by the terms of one face. On triangles all three are the cotangent Laplacian. They
+are exact on linear functions of flat polygons and differ by some per cent on coarse, bent quads.
 
 Sign convention: the stiffness matrix W is positive semi-definite, W 1 = 0, and the eigenproblem reads
 W phi = lambda M phi.
@@ -6,10 +9,14 @@ W phi = lambda M phi.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 from numba import njit
 from scipy import sparse
 
+from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 
 # Least doubled area of a triangle, as a share of its longest squared edge: smaller ones get this area, so that
@@ -34,19 +41,17 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
-    """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`), row by row."""
-    corners = faces.shape[1]
-    incident = sparse.csr_array(  # row v: the corners, face * size + place, at vertex v; a counting sort
-        sparse.csc_array(
-            (np.ones(faces.size, np.int8), faces.ravel(), np.arange(faces.size + 1)), shape=(n, faces.size)
-        )
-    )
-    room = n + (corners - 1) * len(incident.indices)
-    rows = np.zeros(n + 1, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
-    around = incident.indptr, incident.indices
-    end = _gather_rows(read_only(np.ascontiguousarray(faces)), weights, _pair_columns(corners), around, rows)
-    indptr, indices, data = rows[0], rows[1][:end].copy(), rows[2][:end].copy()
-    return sparse.csr_array((data, indices, indptr), shape=(n, n))
+    """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`)."""
+    size = faces.shape[1]
+    pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS
+    rows, columns = (faces[:, side].ravel().astype(np.int32) for side in np.transpose(pairs))
+    of_corner = [[k for j in range(size) for k, pair in enumerate(pairs) if {i, j} == {*pair}] for i in range(size)]
+    diagonal = np.bincount(np.repeat(faces.ravel(), size - 1), weights[:, of_corner].ravel(), minlength=n)
+    every = np.arange(n, dtype=np.int32)
+    # Summed entry by entry: sums of matrices drop edges with cotangents of 0, and graphs take their edges from here.
+    values = np.concatenate([-weights.ravel(), -weights.ravel(), diagonal])
+    places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
+    return sparse.csr_array(sparse.coo_array((values, places), shape=(n, n)))
 
 
 # Corner pairs that are edges of a face's triangulations: sides, then both diagonals of a quad.
@@ -101,50 +106,121 @@ def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore
                 weights[m, table[t, 5]] += half * (vv - uv)
 
 
-def _pair_columns(size: int) -> IndexArray:
-    """(size, size) column of `face_terms`' weights for two corners of a face."""
-    columns = np.zeros((size, size), dtype=np.int64)
-    for column, (i, j) in enumerate(QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS):
-        columns[i, j] = columns[j, i] = column
-    return columns
+class Laplacian(Protocol):
+    """Terms of the faces of a mesh of quads, or of triangles, in W and M."""
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Weights of every face's pairs of corners, and vertex areas, as `cagemap.operators.laplacian.face_terms`."""
+        ...
 
 
-# Kernels fill arrays that they are given: to allocate inside would double the time they take to compile.
-@njit(cache=True, nogil=True)
-def _gather_rows(faces, weights, pair_columns, around, rows):  # type: ignore[no-untyped-def]
-    """CSR arrays of W: row v holds minus the summed weights of v and each neighbour, and their sum for v itself.
+@dataclass(frozen=True)
+class MeanTriangulation:
+    """The mean of both triangulations of every quad, with cotangents: no parameter, and the fastest. The default."""
 
-    Returns the number of entries.
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        return face_terms(positions, faces)
+
+
+@dataclass(frozen=True)
+class _Stabilised:
+    """A Laplacian with a weight of the functions that no gradient in the polygon's plane sees; above 0, no unit."""
+
+    stabilisation: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.stabilisation < np.inf:
+            raise ParameterError(
+                f"stabilisation: expected a finite number above 0, got {self.stabilisation}; 1 is usual, and without "
+                "it functions such as +1 and -1 in turn over a quad's corners cost nothing"
+            )
+
+
+class AlexaWardetzky(_Stabilised):
+    """The paper's: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
+
+    W_f = d^T (B B^T / ``|f|`` + lambda C C^T) d, with d the differences along the edges, B their midpoints, ``|f|`` the
+    size of the vector area, and C an orthonormal basis of the complement of the edges projected to the polygon's plane;
+    lambda is ``stabilisation``.
     """
-    starts, corners = around
-    indptr, indices, data = rows
-    n, size = len(starts) - 1, faces.shape[1]
-    end = 0
-    for v in range(n):
-        begin = end
-        indices[begin], data[begin] = v, 0.0
-        end += 1
-        for corner in corners[starts[v] : starts[v + 1]]:
-            m, i = corner // size, corner % size
-            for j in range(size):
-                other = faces[m, j]
-                if other == v:  # itself, or a collapsed face
-                    continue
-                weight = weights[m, pair_columns[i, j]]
-                data[begin] += weight
-                place = begin + 1
-                while place < end and indices[place] != other:
-                    place += 1
-                if place == end:
-                    indices[end], data[end] = other, 0.0
-                    end += 1
-                data[place] -= weight
-        for k in range(begin + 1, end):  # insertion sort: rows are short
-            column, value = indices[k], data[k]
-            place = k
-            while place > begin and indices[place - 1] > column:
-                indices[place], data[place] = indices[place - 1], data[place - 1]
-                place -= 1
-            indices[place], data[place] = column, value
-        indptr[v + 1] = end
-    return end
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        polygon = _Polygons.of(positions, faces)
+        inner = np.einsum("fid,fjd->fij", polygon.midpoints, polygon.midpoints) / polygon.areas[:, None, None]
+        flat = polygon.edges - np.einsum("fid,fd,fe->fie", polygon.edges, polygon.normals, polygon.normals)
+        # The projection to the span of the flat edges; their third singular value is 0.
+        axes, sizes, _ = np.linalg.svd(flat, full_matrices=False)
+        axes = axes[:, :, :2] * (sizes[:, None, :2] > SLIVER * sizes[:, None, :1])
+        others = np.eye(faces.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
+        return polygon.terms(inner + self.stabilisation * others, len(positions))
+
+
+class DeGoesButtsDesbrun(_Stabilised):
+    """De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
+
+    W_f = d^T (``|f|`` U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat
+    one and P = 1 - V U; lambda is ``stabilisation``.
+    """
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        polygon = _Polygons.of(positions, faces)
+        normals = polygon.normals[:, None, :]
+        sharp = np.cross(normals, polygon.midpoints) / polygon.areas[:, None, None]  # (m, k, 3): U^T
+        flat = polygon.edges - normals * np.einsum("fid,fd->fi", polygon.edges, polygon.normals)[:, :, None]
+        unseen = np.eye(faces.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
+        inner = np.einsum("fid,fjd->fij", sharp, sharp) * polygon.areas[:, None, None]
+        inner += self.stabilisation * np.einsum("fki,fkj->fij", unseen, unseen)
+        return polygon.terms(inner, len(positions))
+
+
+LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
+
+
+def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
+    """A Laplacian by its name, one of `LAPLACIANS`; ParameterError for other names and stabilisations not above 0."""
+    if name not in LAPLACIANS:
+        raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
+    if name == "de-goes-butts-desbrun":
+        return DeGoesButtsDesbrun(stabilisation)
+    paper = AlexaWardetzky(stabilisation)  # checks the value also where it is not used
+    return paper if name == "alexa-wardetzky" else MeanTriangulation()
+
+
+@dataclass(frozen=True, eq=False)
+class _Polygons:
+    """Polygons of k corners: edges and their midpoints about the centre (m, k, 3), bounded areas, normals, areas."""
+
+    faces: IndexArray
+    edges: FloatArray
+    midpoints: FloatArray
+    areas: FloatArray
+    normals: FloatArray
+    sizes: FloatArray
+
+    @classmethod
+    def of(cls, positions: FloatArray, faces: IndexArray) -> _Polygons:
+        corners = positions[faces]
+        corners = corners - corners.mean(axis=1, keepdims=True)
+        following = np.roll(corners, -1, axis=1)
+        vectors = 0.5 * np.cross(corners, following).sum(axis=1)
+        sizes = np.linalg.norm(vectors, axis=1)
+        edges = following - corners
+        # Energies stay finite, as for triangles (`SLIVER`). A polygon of one point has none.
+        areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
+        areas = np.where(areas == 0.0, 1.0, areas)
+        normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
+        return cls(faces, edges, 0.5 * (corners + following), areas, normals, sizes)
+
+    def terms(self, inner: FloatArray, n_vertices: int) -> tuple[FloatArray, FloatArray]:
+        """Weights -(d^T M d)_ij and areas from inner products M (m, k, k) of functions on edges."""
+        k = self.faces.shape[1]
+        # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, edge i leading from corner i to corner i + 1.
+        rows = np.roll(inner, 1, axis=1) - inner
+        energy = np.roll(rows, 1, axis=2) - rows
+        pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
+        weights = -energy[:, pairs[:, 0], pairs[:, 1]]
+        areas = np.bincount(self.faces.ravel(), np.repeat(self.sizes / k, k), minlength=n_vertices)
+        return np.ascontiguousarray(weights), np.asarray(areas, dtype=np.float64)

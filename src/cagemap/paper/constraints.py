@@ -25,20 +25,11 @@ SPACING = 4.0 * np.pi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpectralData:
-    """Descriptors and operators of one surface; the leading blocks are those of the coarser levels (eq. 15).
+    """Descriptors and operators of one surface; the leading blocks are those of the coarser levels (eq. 15)."""
 
-    Attributes
-    ----------
-    eigenvalues : (k,) array
-        Lambda~, in the order of the basis: bands of level 0, 1, ... Unit area.
-    descriptors : (k, q) array
-        F~, the same q descriptors on both surfaces, weighted.
-    operators : tuple of (k, k) arrays
-        O~ beside the Laplacian, such as self-symmetries (paper, 5.2); those of both surfaces in the same order.
-    """
-
-    eigenvalues: FloatArray
-    descriptors: FloatArray
+    eigenvalues: FloatArray  #: (k,) Lambda~, in the order of the basis: bands of level 0, 1, ... Unit area.
+    descriptors: FloatArray  #: (k, q) F~, the same q descriptors on both surfaces, weighted
+    #: (k, k) each: O~ beside the Laplacian, such as self-symmetries (paper, 5.2); both surfaces' in the same order
     operators: tuple[FloatArray, ...] = ()
 
     def __repr__(self) -> str:
@@ -58,21 +49,12 @@ class SpectralData:
 
 @dataclass(frozen=True)
 class MapWeights:
-    """Weights of eq. 13, one number each for the whole hierarchy, beside descriptors of unit norm.
+    """Weights of eq. 13, one number each for the whole hierarchy, beside descriptors of unit norm."""
 
-    Attributes
-    ----------
-    laplacian : float
-        alpha(Lambda~), for eigenvalues counted in their mean spacing (see `SPACING`).
-    operators : float
-        alpha(O) of every other operator.
-    decay : float
-        Weight of ||C||^2. Rows of C that no descriptor speaks about then vanish, and so have no say in a nearest
-        neighbour, where eq. 13 leaves noise. 0 is eq. 13 as printed.
-    """
-
-    laplacian: float = 0.001
-    operators: float = 1.0
+    laplacian: float = 0.001  #: alpha(Lambda~), for eigenvalues counted in their mean spacing (see `SPACING`)
+    operators: float = 1.0  #: alpha(O) of every other operator
+    #: weight of ||C||^2. Rows of C that no descriptor speaks about then vanish, and so have no say in a nearest
+    #: neighbour, where eq. 13 leaves noise. 0 is eq. 13 as printed.
     decay: float = 3.0
 
     def __post_init__(self) -> None:
@@ -144,19 +126,11 @@ class Constraints:
 
 @dataclass(frozen=True, repr=False)
 class DescriptorConfig(Brief):
-    """Which descriptors are asked for; the defaults are the measured ones.
+    """Which descriptors are asked for; the defaults are the measured ones."""
 
-    Attributes
-    ----------
-    heat, wave : int
-        Filters of each kind, for landmarks and signatures alike.
-    signature_weight : float
-        Norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out.
-    """
-
-    heat: int = 10
-    wave: int = 20
-    signature_weight: float = 3.0
+    heat: int = 10  #: filters of this kind, for landmarks and signatures alike
+    wave: int = 20  #: the same
+    signature_weight: float = 3.0  #: norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -23,21 +23,11 @@ _MOST_FILTERS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Filters:
-    """Parameters of the filters rho_t, chosen once for both surfaces and all levels.
+    """Parameters of the filters rho_t, chosen once for both surfaces and all levels."""
 
-    Attributes
-    ----------
-    times : (h,) array
-        Of the heat kernels.
-    energies : (w,) array
-        Of the wave kernels, log eigenvalues.
-    width : float
-        Of the wave kernels, in log eigenvalue.
-    """
-
-    times: FloatArray
-    energies: FloatArray
-    width: float
+    times: FloatArray  #: (h,) of the heat kernels
+    energies: FloatArray  #: (w,) of the wave kernels, log eigenvalues
+    width: float  #: of the wave kernels, in log eigenvalue
 
     def at(self, eigenvalues: FloatArray) -> FloatArray:
         """rho_t of every eigenvalue, (k, h + w); row by row, so that a leading part of the spectrum has the same."""
@@ -89,19 +79,10 @@ def wave_filters(eigenvalues: FloatArray, energies: FloatArray, width: float) ->
 
 
 def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
-    """Coefficients of the landmark descriptors rho_t(Lambda~) Phi~(v, :)^T (paper, Definition 3).
+    """Coefficients (k, p q) of the landmark descriptors rho_t(Lambda~) Phi~(v, :)^T (paper, Definition 3).
 
-    Parameters
-    ----------
-    rows : (p, k) array
-        Basis rows Phi~(v, :) of the p landmarks.
-    filters : (k, q) array
-        rho_t of every eigenvalue, one column a parameter t.
-
-    Returns
-    -------
-    (k, p q) array
-        Column i q + j belongs to landmark i and filter j.
+    ``rows`` (p, k) are Phi~(v, :), ``filters`` (k, q) rho_t of every eigenvalue; column i q + j is landmark i's with
+    filter j.
     """
     k = rows.shape[1]
     if filters.shape[0] != k:

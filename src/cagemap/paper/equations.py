@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.paper.constraints import SPACING, Constraints, MapWeights, SpectralData
+
+Mask = NDArray[np.bool_]
 
 # Residual of the iteration that couples rows, relative to the right side.
 CONVERGED = 1e-11
@@ -20,20 +23,10 @@ MOST_ITERATIONS = 5000
 def solve_functional_map(
     constraints: Constraints, weights: MapWeights, *, known: FloatArray | None = None
 ) -> FloatArray:
-    """Minimise ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
+    """C12 (k1, k2) of least ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 
-    Parameters
-    ----------
-    constraints : Constraints
-    weights : MapWeights
-    known : (a, b) array, optional
-        Leading block C_l that stays as it is (eq. 14); the three blocks beside it are found together. Operators without
-        entries between low and high functions let them fall apart into eq. 16 and its companion.
-
-    Returns
-    -------
-    (k1, k2) array
-        C12, takes source coefficients to target coefficients.
+    A ``known`` leading block C_l (a, b) stays as it is (eq. 14); the three blocks beside it are found together.
+    Operators without entries between low and high functions let them fall apart into eq. 16 and its companion.
 
     Raises
     ------
@@ -63,13 +56,13 @@ def solve_functional_map(
     if known is not None:
         start[:low1, :low2] = known
         right = right - normal_equations(start)
-    # Rows low1.. are wholly unknown; of those above, the columns from low2 on.
-    blocks = [(slice(low1), slice(low2, k2)), (slice(low1, k1), slice(k2))]
-    if not pairs:
-        for rows, columns in blocks:
-            start[rows, columns] = _solve_rows(gram[columns, columns], diagonal[rows, columns], right[rows, columns])
-        return start
-    return start + _solve_coupled(normal_equations, gram, diagonal, right, blocks)
+    unknown = np.ones((k1, k2), dtype=bool)
+    unknown[:low1, :low2] = False
+    if pairs:
+        start[unknown] = _solve_coupled(normal_equations, gram, diagonal, right, unknown)
+    else:
+        start[unknown] = _solve_rows(gram, diagonal, right, unknown)
+    return start
 
 
 def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights: MapWeights) -> FloatArray:
@@ -101,13 +94,14 @@ def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: Floa
     return np.asarray(weight * differences**2)
 
 
-def _solve_rows(gram: FloatArray, diagonal: FloatArray, right: FloatArray) -> FloatArray:
+def _solve_rows(gram: FloatArray, diagonal: FloatArray, right: FloatArray, unknown: Mask) -> FloatArray:
     """Diagonal operators only: each row of C is a positive definite system of its own."""
-    solution = np.empty_like(right)
-    for i in range(len(right) if right.shape[1] else 0):
-        system = gram + np.diag(diagonal[i])
-        solution[i] = linalg.solve(system, right[i], assume_a="pos", overwrite_a=True, check_finite=False)
-    return solution
+    solution = np.zeros_like(right)
+    for i, free in enumerate(unknown):
+        if free.any():
+            system = gram[np.ix_(free, free)] + np.diag(diagonal[i, free])
+            solution[i, free] = linalg.solve(system, right[i, free], assume_a="pos", check_finite=False)
+    return np.asarray(solution[unknown])
 
 
 def _solve_coupled(
@@ -115,52 +109,33 @@ def _solve_coupled(
     gram: FloatArray,
     diagonal: FloatArray,
     right: FloatArray,
-    blocks: list[tuple[slice, slice]],
+    unknown: Mask,
 ) -> FloatArray:
-    """Operators with entries beside the diagonal couple rows: conjugate gradients over the unknown blocks.
+    """Operators with entries beside the diagonal couple rows: conjugate gradients over the unknown entries.
 
     Preconditioned by (G + d_i)^{-1} for row i, d_i the mean of its penalties: one eigendecomposition serves all rows.
     """
-    shapes = [right[block].shape for block in blocks]
-    splits = np.cumsum([rows * columns for rows, columns in shapes])
-    spectra = [linalg.eigh(gram[columns, columns]) for _, columns in blocks]
-    shifts = [diagonal[block].mean(axis=1, keepdims=True) if diagonal[block].size else 0.0 for block in blocks]
-
-    def apart(x: FloatArray) -> list[FloatArray]:
-        return [part.reshape(shape) for part, shape in zip(np.split(x, splits[:-1]), shapes, strict=True)]
-
-    def together(parts: list[FloatArray]) -> FloatArray:
-        return np.concatenate([part.ravel() for part in parts])
+    values, vectors = linalg.eigh(gram)
+    shifted = np.maximum(values, 0.0) + diagonal.mean(axis=1, keepdims=True)
 
     def whole(x: FloatArray) -> FloatArray:
         c = np.zeros_like(right)
-        for block, part in zip(blocks, apart(x), strict=True):
-            c[block] = part
+        c[unknown] = x
         return c
 
-    def apply(x: FloatArray) -> FloatArray:
-        image = normal_equations(whole(x))
-        return together([image[block] for block in blocks])
-
-    def precondition(x: FloatArray) -> FloatArray:
-        return together(
-            [
-                ((part @ vectors) / (np.maximum(values, 0.0) + shift)) @ vectors.T
-                for part, (values, vectors), shift in zip(apart(x), spectra, shifts, strict=True)
-            ]
-        )
-
-    size = int(splits[-1])
+    size = int(unknown.sum())
     solution, failed = cg(
-        LinearOperator((size, size), matvec=apply, dtype=np.float64),
-        together([right[block] for block in blocks]),
+        LinearOperator((size, size), matvec=lambda x: normal_equations(whole(x))[unknown], dtype=np.float64),
+        right[unknown],
         rtol=CONVERGED,
         maxiter=MOST_ITERATIONS,
-        M=LinearOperator((size, size), matvec=precondition, dtype=np.float64),
+        M=LinearOperator(
+            (size, size), matvec=lambda x: ((whole(x) @ vectors / shifted) @ vectors.T)[unknown], dtype=np.float64
+        ),
     )
     if failed:
         raise ParameterError(
             "the functional map of these operators was not found: are they scaled to norms of about 1, and their "
             "weight comparable to that of the descriptors?"
         )
-    return whole(solution)
+    return np.asarray(solution)

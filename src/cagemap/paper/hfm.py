@@ -14,10 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
+from cagemap.maps.given import MapLike
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.level_pairs import ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
@@ -28,11 +28,16 @@ from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.levels import start_map
-from cagemap.spectral.fine_rows import functions_at, spectral_rows
-from cagemap.spectral.nearest import Embedding, nearest_both_ways
-from cagemap.spectral.samples import Samples, evenly_spaced, fit_functional_map
+from cagemap.paper.search import functions_at, spectral_rows
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import ZoomOutSchedule
+from cagemap.spectral.zoomout import (
+    Embedding,
+    Samples,
+    ZoomOutSchedule,
+    evenly_spaced,
+    fit_functional_map,
+    nearest_rows,
+)
 from cagemap.surface.triangles import vertex_normals
 
 FEWEST_FUNCTIONS = 3
@@ -44,33 +49,16 @@ FACING_WEIGHTS = (0.03, 0.1)
 
 @dataclass(frozen=True, repr=False)
 class HfmConfig(Brief):
-    """Parameters of `hfm`; the defaults are the measured ones.
-
-    Attributes
-    ----------
-    descriptors : DescriptorConfig
-    weights : MapWeights
-        Of eq. 13.
-    zoomout : ZoomOutSchedule
-        Eq. 13 is solved for the first number of functions.
-    position_weight, normal_weight : float
-        Of displaced positions and their normals beside the basis functions, per sqrt(k).
-    displacement_share : float
-        Functions of the displacement, as a share of those of C.
-    search_vertices : int
-        ZoomOut runs on each side's coarsest level with at least this many vertices.
-    source_search_vertices : int
-        The same of the source alone; 0: as the target's.
-    """
+    """Parameters of `hfm`; the defaults are the measured ones."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()
-    zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    position_weight: float = 10.0
-    normal_weight: float = 1.0
-    displacement_share: float = 0.5
-    search_vertices: int = 2000
-    source_search_vertices: int = 0
+    weights: MapWeights = MapWeights()  #: of eq. 13
+    zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: eq. 13 is solved for the first number of functions
+    position_weight: float = 10.0  #: of displaced positions beside the basis functions, per sqrt(k)
+    normal_weight: float = 1.0  #: of the normals there, per sqrt(k)
+    displacement_share: float = 0.5  #: functions of the displacement, as a share of those of C
+    search_vertices: int = 2000  #: ZoomOut runs on each side's coarsest level with at least this many vertices
+    source_search_vertices: int = 0  #: the same of the source alone; 0: as the target's
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -83,14 +71,7 @@ class HfmConfig(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Where target points go: x R + Phi~1 tau.
-
-    Attributes
-    ----------
-    rotation : (3, 3) array
-    coefficients : (k, 3) array
-        tau, of the leading basis functions.
-    """
+    """Where target points go: x R + Phi~1 tau, with a rotation (3, 3) and coefficients tau (k, 3)."""
 
     rotation: FloatArray
     coefficients: FloatArray
@@ -99,7 +80,7 @@ class Displacement:
         """(n_level, 3) displaced vertices of a level of the target."""
         positions = surface.triangles(level).positions
         rows = spectral_rows(surface, level, len(self.coefficients), self.coefficients)
-        return positions @ self.rotation + rows.at(np.arange(len(positions)))
+        return positions @ self.rotation + rows(np.arange(len(positions)))
 
 
 def hfm_map(
@@ -108,20 +89,11 @@ def hfm_map(
     progress: Progress = silent,
     *,
     constraints: Constraints | None = None,
-    start: ArrayLike | None = None,
+    start: MapLike | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of the search levels and of all finer ones, and the point map T12 of the finest ones.
 
-    Parameters
-    ----------
-    pair : Pair
-    config : HfmConfig
-    progress : callable
-    constraints : Constraints, optional
-        One's own, instead of `gather_constraints`.
-    start : (k1, k2) or (n,) array, optional
-        A functional map of the first functions from elsewhere, instead of the solution of eq. 13, or a source vertex
-        for every target vertex of a level.
+    The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions.
 
     Raises
     ------
@@ -152,16 +124,7 @@ def hfm_map(
 def zoomed_out(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, config: HfmConfig
 ) -> tuple[FloatArray, Displacement]:
-    """C12 of all bands and the displacement of the target: ZoomOut on samples of two levels, in both directions.
-
-    Parameters
-    ----------
-    pair : Pair
-    levels : (int, int)
-    functional_map : (k1, k2) array
-        C12 of the first functions.
-    config : HfmConfig
-    """
+    """C12 of all bands and the displacement of the target: ZoomOut from C12 of the first ones, in both directions."""
     target = LevelSamples.of(pair.target, levels[0])
     source = LevelSamples.of(pair.source, levels[1])
     counts = target.rows.shape[1], source.rows.shape[1]
@@ -170,10 +133,9 @@ def zoomed_out(
         k1, k2 = functional_map.shape
         placed = None if displacement is None else displacement.at(pair.target, levels[0])
         still = None if displacement is None else pair.source.triangles(levels[1]).positions
-        matches = nearest_both_ways(
-            target.embedding(target.rows[:, :k1], placed, config),
-            source.embedding(source.rows[:, :k2] @ functional_map.T, still, config),
-        )
+        on_target = target.embedding(target.rows[:, :k1], placed, config)
+        on_source = source.embedding(source.rows[:, :k2] @ functional_map.T, still, config)
+        matches = nearest_rows(on_target, on_source), nearest_rows(on_source, on_target)
         k1, k2 = min(size, counts[0]), min(size, counts[1])
         of_target, of_source, areas = both_directions(target, source, matches)
         samples = Samples(target.rows[of_target, :k1], areas, np.zeros((len(areas), 0)))
@@ -222,10 +184,7 @@ class LevelSamples:
 def both_directions(
     target: LevelSamples, source: LevelSamples, matches: tuple[IndexArray, IndexArray]
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Pairs (target sample, source sample) of the matches of both directions, and their areas.
-
-    Each surface's samples count as much as the other's.
-    """
+    """Pairs (target sample, source sample) of the matches of both directions, and their areas: both surfaces alike."""
     forward, backward = matches
     of_target = np.concatenate([np.arange(len(forward)), backward])
     of_source = np.concatenate([forward, np.arange(len(backward))])

@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cagemap.errors import ParameterError
+from cagemap.maps.given import MapLike
 from cagemap.maps.level_map import LevelMap
+from cagemap.maps.level_pairs import ladder
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.levels import basis_sizes, down_the_levels, refit, search_full, search_level, start_map
+from cagemap.paper.levels import basis_sizes, recover_points, refit, search_full, search_level, start_map
 
 FEWEST_FUNCTIONS = 3
 
 
 @dataclass(frozen=True, repr=False)
 class PaperConfig(Brief):
-    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6.
-
-    Attributes
-    ----------
-    descriptors : DescriptorConfig
-    weights : MapWeights
-        alpha(O), the same on all levels.
-    rounds : int
-        Alternations of P and orthonormal C on every level (2.1.4); 0 takes C as eqs. 13-16 give it.
-    """
+    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()
-    rounds: int = 1
+    weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
+    rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: C of eqs. 13-16
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -50,9 +42,9 @@ def paper_map(
     progress: Progress = silent,
     *,
     constraints: Constraints | None = None,
-    start: ArrayLike | None = None,
+    start: MapLike | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
-    """Maps of all levels, and the point map of the finest ones.
+    """Maps of all levels, vertex to point on each, and the point map of the finest ones.
 
     Parameters
     ----------
@@ -61,9 +53,9 @@ def paper_map(
     progress : callable
     constraints : Constraints, optional
         One's own, instead of `gather_constraints`.
-    start : (k1, k2) or (n,) array, optional
-        A functional map from elsewhere, instead of the solution of eq. 13, or a source vertex for every target vertex
-        of a level. Of another size than level 0, its leading block is used and extended by eqs. 14-16.
+    start : map, optional
+        A functional map from elsewhere, instead of the solution of eq. 13, a source vertex for every target vertex of a
+        level, or a point map. Of another size than level 0, its leading block is used and extended by eqs. 14-16.
 
     Raises
     ------
@@ -72,14 +64,17 @@ def paper_map(
     """
     progress("functional map, level 0")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
+    maps = [_first_level(pair, constraints, config, start)]
+    for levels in ladder(pair, maps[0].levels):
+        progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
+        maps.append(_next_level(pair, constraints, maps[-1], levels, config))
+    progress("point map")
+    maps = [replace(found, points=recover_points(pair, found)) for found in maps]
+    assert maps[-1].points is not None
+    return tuple(maps), maps[-1].points
 
-    def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
-        return next_level(pair, constraints, coarse, levels, config)
 
-    return down_the_levels(pair, first_level(pair, constraints, config, start), below, progress)
-
-
-def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: ArrayLike | None = None) -> LevelMap:
+def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: MapLike | None) -> LevelMap:
     """Level 0: eq. 13, and the full search (5.3.1, 5.4)."""
     sizes = basis_sizes(pair, (0, 0))
     if min(sizes) < FEWEST_FUNCTIONS:
@@ -94,20 +89,20 @@ def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start
         functional_map = start_map(pair, start, sizes)[: sizes[0], : sizes[1]]
         if functional_map.shape != sizes:
             functional_map = extend_functional_map(functional_map, wanted, config.weights)
-    return alternated(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
+    return _alternated(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
 
 
-def next_level(
+def _next_level(
     pair: Pair, constraints: Constraints, coarse: LevelMap, levels: LevelPair, config: PaperConfig
 ) -> LevelMap:
     """Level l + 1: eqs. 14-16, and the search among the children of the parents' matches (5.3.2, Fig. 9)."""
     functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
     if sizes != functional_map.shape:
         functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
-    return alternated(pair, levels, functional_map, config.rounds, lambda c: search_level(pair, c, levels, coarse))
+    return _alternated(pair, levels, functional_map, config.rounds, lambda c: search_level(pair, c, levels, coarse))
 
 
-def alternated(
+def _alternated(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, rounds: int, search: Callable[[FloatArray], IndexArray]
 ) -> LevelMap:
     """P and orthonormal C in turn, from C (2.1.4)."""

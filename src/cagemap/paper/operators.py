@@ -16,21 +16,13 @@ from cagemap.subdivision import Refinement
 SAME_ROW = 1e-9
 UNKNOWN = -1
 # Basis functions that an operator is applied to at once: at a million vertices 256 MB.
-COLUMNS = 32
+OPERATOR_COLUMNS = 32
 
 
 def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
-    """Refuse what is no self-map of the control vertices.
+    """ParameterError if images (n,), -1 where not known, are no self-map of the control vertices.
 
-    Parameters
-    ----------
-    symmetry : (n,) array
-        Vertex i's image; -1 where it is not known. A permutation that sends faces to faces is propagated exactly,
-        anything else by nearest neighbours.
-
-    Raises
-    ------
-    ParameterError
+    A permutation that sends faces to faces is propagated exactly, anything else by nearest neighbours.
     """
     n = control.n_vertices
     array = np.asarray(symmetry)
@@ -57,24 +49,11 @@ def symmetry_at(refinement: Refinement, symmetry: IndexArray, level: int) -> Ind
 def propagate_symmetry(
     subdivision: sparse.csr_array, symmetry: IndexArray, coarse_positions: FloatArray, fine_positions: FloatArray
 ) -> IndexArray:
-    """Self-map of the next level: nearest neighbours between X^{l+1} and S^l S_sym X^l (paper, 5.2).
+    """Self-map (n_{l+1},) of the next level: nearest neighbours between X^{l+1} and S^l S_sym X^l (paper, 5.2).
 
     Where a row of S^l with permuted columns is again a row of S^l, that row is the answer: the same search without
-    geometry, which cannot take one of two coinciding vertices for the other. Elsewhere the positions decide.
-
-    Parameters
-    ----------
-    subdivision : (n_{l+1}, n_l) CSR array
-        S^l.
-    symmetry : (n_l,) array
-        -1 where not known.
-    coarse_positions, fine_positions : (n_l, 3), (n_{l+1}, 3) arrays
-        X^l and X^{l+1}.
-
-    Returns
-    -------
-    (n_{l+1},) array
-        -1 for vertices that depend on one whose image is not known.
+    geometry, which cannot take one of two coinciding vertices for the other. Elsewhere the positions decide. The image
+    is -1 where it is not known, and for all vertices that depend on such a one.
     """
     rng = np.random.default_rng(20190707)
     probes = rng.standard_normal((subdivision.shape[1], 3))  # generic functions tell all rows of S^l apart
@@ -99,7 +78,7 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     """
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):
-        for start in range(0, band.shape[1], COLUMNS):
-            values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
+        for start in range(0, band.shape[1], OPERATOR_COLUMNS):
+            values = basis.refinement.prolong(band[:, start : start + OPERATOR_COLUMNS], i, level)
             columns.append(basis.project(np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]), level))
     return np.triu(np.tril(np.hstack(columns), 1), -1)

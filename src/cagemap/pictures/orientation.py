@@ -1,4 +1,4 @@
-"""How a model is turned for pictures: its up axis and its front, as its file says or as its shape shows.
+"""Orientation of a model in pictures: up axis and front, from its file or its shape.
 
 Files mostly have +Y up and face +Z, or +Z up and face -Y. A shape says otherwise where it has a mirror plane across
 another axis, or stands on its feet along one axis alone; where it is not clear, the usual axes are taken. Bounds were

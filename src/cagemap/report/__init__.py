@@ -25,19 +25,20 @@ from cagemap.report.models import Models
 from cagemap.report.page import Texture, build_page, encoded_texture
 from cagemap.report.rig_panels import (
     NOTHING,
+    CarriedData,
     CarriedShape,
     Panel,
     Passenger,
     Pose,
-    Rides,
     Weights,
+    draw_carried,
     draw_passengers,
     draw_poses,
-    draw_rides,
 )
 from cagemap.report.viewpoints import seen
 
 __all__ = [
+    "CarriedData",
     "CarriedShape",
     "Figure",
     "Gallery",
@@ -45,14 +46,13 @@ __all__ = [
     "Panel",
     "Passenger",
     "Pose",
-    "Rides",
     "Weights",
     "build_page",
     "check_page_path",
+    "draw_carried",
     "draw_gallery",
     "draw_passengers",
     "draw_poses",
-    "draw_rides",
     "draw_thumbnail",
     "report_models",
     "write_report",
@@ -84,7 +84,7 @@ def write_report(
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
-    rides: Rides = NOTHING,
+    carried: CarriedData = NOTHING,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
     upright: FloatArray | None = None,
@@ -100,7 +100,7 @@ def write_report(
     result : MatchResult
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same baked into the target's layout.
-    rides : Rides
+    carried : CarriedData
         The wrapped cage, weights and shapes to show.
     size : (int, int)
         Width and height of each picture, in pixels.
@@ -119,10 +119,10 @@ def write_report(
     check_page_path(path)
     views = seen(result, upright, reason)
     gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress, views=views)
-    panels = draw_rides(result, rides, size, views)
+    panels = draw_carried(result, carried, size, views)
     textures = _textures(result, texture, baked)
     for most in MODEL_SIZES:
-        models = report_models(result, views, texture=texture, baked=baked, rides=rides, most=most)
+        models = report_models(result, views, texture=texture, baked=baked, carried=carried, most=most)
         page = build_page(result, gallery, panels, models, textures)
         if len(page) <= MAX_BYTES:
             break

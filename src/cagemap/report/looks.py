@@ -1,4 +1,4 @@
-"""The models of a report: how they can be coloured, and the shapes that they can take."""
+"""Models of a report: their colourings and shapes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cagemap.pictures import distinct_colors, position_colors, sample_texture, s
 from cagemap.report.figures import Pixels, for_display, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
-from cagemap.report.rig_panels import NOTHING, Rides, refined_wrap
+from cagemap.report.rig_panels import NOTHING, CarriedData, refined_wrap
 from cagemap.report.shown import MAX_VERTICES, ShownSurface, reached, shown_surfaces
 from cagemap.report.viewpoints import Seen
 from cagemap.transfer import face_colors
@@ -40,7 +40,7 @@ def report_models(
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
-    rides: Rides = NOTHING,
+    carried: CarriedData = NOTHING,
     most: int = MAX_VERTICES,
 ) -> Models:
     """Everything that turns on a page.
@@ -51,7 +51,7 @@ def report_models(
     views : Seen
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same in the target's layout; the page shows them as pictures.
-    rides : Rides
+    carried : CarriedData
     most : int
         Vertices of each model.
     """
@@ -100,11 +100,11 @@ def report_models(
             f"{1 - parts.source_share:.0%} of the source."
         )
         looks.append(Look("Shared", legend, shown[0], shown[1]))
-    if rides.weights is not None:
-        palette = distinct_colors(rides.weights.source.shape[1])
+    if carried.weights is not None:
+        palette = distinct_colors(carried.weights.source.shape[1])
         shown = [
             _at_vertices(side, _joint_colors(values, palette))
-            for side, values in ((source, rides.weights.source), (target, rides.weights.target))
+            for side, values in ((source, carried.weights.source), (target, carried.weights.target))
         ]
         looks.append(
             Look("Weights", "One colour for each joint, mixed where several hold a vertex.", shown[0], shown[1])
@@ -115,7 +115,7 @@ def report_models(
         tuple(looks),
         {TARGET: result.trust[target.vertices], SOURCE: source_reached.astype(np.float64)},
         find_marks(result, target, source, source_reached),
-        _shapes(result, target, source, rides),
+        _shapes(result, target, source, carried),
         {} if first is None else first.keys,
         {} if first is None else first.values,
     )
@@ -187,15 +187,15 @@ def _at_vertices(shown: ShownSurface, values: FloatArray) -> FloatArray:
     return np.asarray(refinement.prolong(values, 0, refinement.n_levels)[shown.vertices])
 
 
-def _shapes(result: MatchResult, target: ShownSurface, source: ShownSurface, rides: Rides) -> tuple[Shape, ...]:
+def _shapes(result: MatchResult, target: ShownSurface, source: ShownSurface, carried: CarriedData) -> tuple[Shape, ...]:
     shapes = list[Shape]()
-    if rides.wrapped is not None:
-        wrapped = refined_wrap(result.target.refinement, rides.wrapped).finest.positions[target.vertices]
+    if carried.wrapped is not None:
+        wrapped = refined_wrap(result.target.refinement, carried.wrapped).finest.positions[target.vertices]
         shapes.append(Shape("Wrapped", None, source.placed(wrapped)))
-    for moved in rides.shapes:
+    for moved in carried.shapes:
         sides = ((source, moved.source), (target, moved.target))
         shapes.append(Shape(moved.name, *(_moved(side, offsets) for side, offsets in sides)))
-    for pose in rides.poses:
+    for pose in carried.poses:
         sides = ((source, pose.source), (target, pose.target))
         shapes.append(Shape(pose.name, *(_moved(side, to - side.surface.control.positions) for side, to in sides)))
     return tuple(shapes[:MAX_SHAPES])

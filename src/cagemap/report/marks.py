@@ -1,4 +1,4 @@
-"""Places of a result that a user should look at, as numbered marks on the models."""
+"""Places of a result that need a look, as numbered marks on the models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the models of a report are made of: quantised arrays and a description, for `viewer.js`."""
+"""Data of the models of a report: quantised arrays and a description, for `viewer.js`."""
 
 from __future__ import annotations
 

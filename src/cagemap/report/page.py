@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing beside it: pictures, models and scripts are inside."""
+"""The report as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ def build_page(
     quality = manifest.get("quality") or {}
     marks = () if models is None else models.marks
     warnings = landmark_messages(manifest) + [str(text) for text in (quality.get("warnings") or [])]
-    merits = explain(quality)
-    verdict = overall(merits, warnings)
+    ratings = explain(quality)
+    verdict = overall(ratings, warnings)
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
     made = [_fold(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels]
     sections = [
-        _header(result, title, sentence(merits, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
+        _header(result, title, sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
         "" if models is None else _viewer(result, models),
         _stills(result, gallery),
         _marks(marks),
@@ -84,7 +84,7 @@ def build_page(
         _answers(result, gallery),
         _textures(textures),
         *made,
-        _fold("Numbers", "how good the map is, measured without knowing the true one", _numbers(result, merits)),
+        _fold("Numbers", "how good the map is, measured without knowing the true one", _numbers(result, ratings)),
         _fold("Landmarks", "how far each is missed, as a share of the model's size", _landmarks(result))
         if len(result.landmarks)
         else "",
@@ -224,14 +224,14 @@ def _fold(title: str, lead: str, body: str) -> str:
     return f"<details>\n<summary>{title}<small>{lead}</small></summary>\n{body}\n</details>"
 
 
-def _numbers(result: MatchResult, merits: list[Any]) -> str:
+def _numbers(result: MatchResult, ratings: list[Any]) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
         f"{len(result.landmarks)} landmark{'' if len(result.landmarks) == 1 else 's'}",
     ]
     listed = "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips)
-    return f'<ul class="chips">{listed}</ul>{_merits(merits)}'
+    return f'<ul class="chips">{listed}</ul>{_ratings(ratings)}'
 
 
 def data_uri(image: Image) -> str:
@@ -318,11 +318,11 @@ def _answers(result: MatchResult, gallery: Gallery) -> str:
     return _section(f"{title}: which is right?", in_options(lead), body)
 
 
-def _merits(merits: list[Any]) -> str:
+def _ratings(ratings: list[Any]) -> str:
     cards = [
         f'<div class="card {m.verdict}"><p class="label">{escape(m.label)}</p><p class="value">{escape(m.value)}</p>'
         f"<p>{escape(m.meaning)}</p></div>"
-        for m in merits
+        for m in ratings
     ]
     return f'<div class="cards">{"".join(cards)}</div>' if cards else "<p>No figures were stored with this result.</p>"
 

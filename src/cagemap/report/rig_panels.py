@@ -1,4 +1,4 @@
-"""What was wrapped, and what rides on the map: the wrapped cage, skinning weights and blend shapes, side by side."""
+"""Pictures of the wrapped cage and of carried skinning weights, blend shapes, passengers and poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
@@ -76,7 +76,7 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class Rides:
+class CarriedData:
     """What a report shows beside the map.
 
     Attributes
@@ -96,7 +96,7 @@ class Rides:
     poses: tuple[Pose, ...] = field(default=())
 
 
-NOTHING = Rides()
+NOTHING = CarriedData()
 
 
 @dataclass(frozen=True)
@@ -108,31 +108,31 @@ class Panel:
     pictures: tuple[tuple[Image, str], ...]
 
 
-def draw_rides(
-    result: MatchResult, rides: Rides, size: tuple[int, int], views: Seen | None = None
+def draw_carried(
+    result: MatchResult, carried: CarriedData, size: tuple[int, int], views: Seen | None = None
 ) -> tuple[Panel, ...]:
-    """Draw what rides on a map.
+    """Draw the data that a map carried.
 
     Parameters
     ----------
     result : MatchResult
-    rides : Rides
+    carried : CarriedData
     size : (int, int)
         Of every picture.
     views : Seen, optional
         From where; by default as the target's shape shows.
     """
     panels, views = list[Panel](), views or seen(result)
-    if rides.wrapped is not None:
-        panels.append(_wrapped(result, rides.wrapped, views, size))
-    if rides.weights is not None:
-        panels.append(_weights(result, rides.weights, views, size))
-    if rides.shapes:
-        panels.append(_shapes(result, rides.shapes, views, size))
-    if rides.passengers:
-        panels.append(draw_passengers(result, rides.passengers, views, size))
-    if rides.poses:
-        panels.append(draw_poses(result, rides.poses, views, size))
+    if carried.wrapped is not None:
+        panels.append(_wrapped(result, carried.wrapped, views, size))
+    if carried.weights is not None:
+        panels.append(_weights(result, carried.weights, views, size))
+    if carried.shapes:
+        panels.append(_shapes(result, carried.shapes, views, size))
+    if carried.passengers:
+        panels.append(draw_passengers(result, carried.passengers, views, size))
+    if carried.poses:
+        panels.append(draw_poses(result, carried.poses, views, size))
     return tuple(panels)
 
 

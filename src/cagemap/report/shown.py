@@ -1,4 +1,4 @@
-"""Both surfaces of a result with as many vertices as a page can turn smoothly."""
+"""Both surfaces of a result, simplified to what a page can show smoothly."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ _PERCENT = "{:.2f} %"
 
 
 @dataclass(frozen=True)
-class Merit:
+class Rating:
     """One figure for people.
 
     Attributes
@@ -30,31 +30,31 @@ class Merit:
     finding: str
 
 
-def explain(quality: dict[str, Any]) -> list[Merit]:
+def explain(quality: dict[str, Any]) -> list[Rating]:
     """Figures of a manifest's ``quality``, each with a verdict; unknown or missing ones are left out."""
-    merits = []
+    ratings = []
     for read, label, show, meaning, good, fair, finding in _FIGURES:
         value = read(quality)
         if value is None:
             continue
         badness = abs(value)
         verdict = "good" if badness <= good else "fair" if badness <= fair else "poor"
-        merits.append(Merit(label, show(value), meaning, verdict, finding.format(show(value))))
-    return merits
+        ratings.append(Rating(label, show(value), meaning, verdict, finding.format(show(value))))
+    return ratings
 
 
-def overall(merits: list[Merit], warnings: list[str]) -> str:
+def overall(ratings: list[Rating], warnings: list[str]) -> str:
     """One word for all: the worst verdict, at best "fair" where there are warnings."""
-    verdicts = {merit.verdict for merit in merits} | ({"fair"} if warnings else set())
+    verdicts = {rating.verdict for rating in ratings} | ({"fair"} if warnings else set())
     return next((verdict for verdict in ("poor", "fair") if verdict in verdicts), "good")
 
 
-def sentence(merits: list[Merit], verdict: str, *, unsure: bool = False, marked: bool = True) -> str:
+def sentence(ratings: list[Rating], verdict: str, *, unsure: bool = False, marked: bool = True) -> str:
     """The verdict for people: one sentence that names the worst figure.
 
     Parameters
     ----------
-    merits : list of Merit
+    ratings : list of Rating
     verdict : str
         See `overall`.
     unsure : bool
@@ -62,7 +62,7 @@ def sentence(merits: list[Merit], verdict: str, *, unsure: bool = False, marked:
     marked : bool
         Whether the page has marked places.
     """
-    worst = next((merit.finding for merit in merits if merit.verdict == verdict), "")
+    worst = next((rating.finding for rating in ratings if rating.verdict == verdict), "")
     if verdict == "good":
         return "The map looks sound."
     if verdict == "poor":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse
@@ -14,7 +13,7 @@ from cagemap.numerics.products import multiply
 from cagemap.operators import Operators, lumped_areas
 from cagemap.spectral.basis import HierarchicalBasis, products_with_bands
 from cagemap.spectral.config import SOLVER, BasisConfig
-from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, count_below, residual_norms
+from cagemap.spectral.eigenpairs import band_pairs, count_below, residual_norms
 from cagemap.subdivision import Refinement
 
 _log = logging.getLogger(__name__)
@@ -41,14 +40,21 @@ def hierarchical_basis(
     """
     counts = config.bands(refinement, operators.finest)
     if config.schedule is None:
-        counts = (*counts[:-1], _count_on(operators.mass[len(counts) - 1].shape[0], config))
+        size = operators.mass[len(counts) - 1].shape[0]
+        if config.count > size and config.count != BasisConfig.count:
+            raise ParameterError(
+                f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count};"
+                " refine further or ask for fewer"
+            )
+        counts = (*counts[:-1], min(config.count, size))
     else:
         _check_schedule(operators, counts)
     while not counts[-1]:
         counts = counts[:-1]
-    basis = _empty_basis(refinement, operators)
+    none = np.zeros(0)
+    basis = HierarchicalBasis(refinement, operators, (), none, none, none.astype(np.int64), np.zeros((0, 0)))
     for level, count in enumerate(counts):
-        basis = _with_band(basis, level, _new_band(basis, level, count, config))
+        basis = _with_band(basis, level, *_new_band(basis, level, count, config))
     if basis.condition > SOLVER.ill_conditioned:
         _log.warning(
             "%s: the Gram matrix has condition %.0f: functions of different levels nearly repeat each other, since "
@@ -59,24 +65,11 @@ def hierarchical_basis(
     return basis
 
 
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """(n_l, k_l) new eigenvectors of a level and (k_l,) their places in its spectrum."""
-
-    vectors: FloatArray
-    indices: IndexArray
-
-
-def _empty_basis(refinement: Refinement, operators: Operators) -> HierarchicalBasis:
-    none = np.zeros(0)
-    return HierarchicalBasis(refinement, operators, (), none, none, none.astype(np.int64), np.zeros((0, 0)))
-
-
-def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisConfig) -> _Band:
-    """The band of a level: the eigenvectors that follow those of the basis so far (Definition 2)."""
+def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisConfig) -> tuple[FloatArray, IndexArray]:
+    """The eigenvectors (n_l, k_l) of a level that follow those of the basis so far (Definition 2), and their places."""
     stiffness, mass = basis.operators.stiffness[level], basis.operators.mass[level]
     if not count:
-        return _Band(np.zeros((mass.shape[0], 0)), np.zeros(0, dtype=np.int64))
+        return np.zeros((mass.shape[0], 0)), np.zeros(0, dtype=np.int64)
     if config.literal and basis.count:
         first = count_below(stiffness, mass, float(basis.eigenvalues.max()))
         if first + count > mass.shape[0]:
@@ -85,37 +78,31 @@ def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisCon
                 f"above the largest eigenvalue so far, got {count}; move counts to finer levels"
             )
         pairs = band_pairs(stiffness, mass, first, first + count, accuracy=config.accuracy)
-        return _Band(_orthonormal(pairs.vectors, mass), first + np.arange(count))
+        return _orthonormal(pairs.vectors, mass), first + np.arange(count)
     first = max(0, basis.count - SOLVER.overlap)
     pairs = band_pairs(stiffness, mass, first, basis.count + count, accuracy=config.accuracy)
-    return _missing(basis, level, pairs)
-
-
-def _missing(basis: HierarchicalBasis, level: int, pairs: EigenPairs) -> _Band:
-    """The eigenvectors of a window that the refined basis does not span yet."""
-    mass, present = basis.operators.mass[level], basis.count - pairs.first_index
     vectors = _orthonormal(pairs.vectors, mass)
-    if present == 0:
-        return _Band(vectors, pairs.first_index + np.arange(len(pairs.values)))
+    if not basis.count:
+        return vectors, np.arange(count)
     overlap = products_with_bands(basis.bands, basis.refinement, multiply(mass, vectors), level)
-    rotation, positions = new_directions(pairs.values, overlap, basis.gram, present)
-    return _Band(np.ascontiguousarray(vectors @ rotation), pairs.first_index + positions)
+    rotation, positions = new_directions(pairs.values, overlap, basis.gram, basis.count - first)
+    return np.ascontiguousarray(vectors @ rotation), first + positions
 
 
-def _with_band(basis: HierarchicalBasis, level: int, band: _Band) -> HierarchicalBasis:
+def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: IndexArray) -> HierarchicalBasis:
     """The basis with the band of one more level; its Gram matrix is [[G, E], [E^T, I]] (eqs. 8, 9)."""
     mass, stiffness = basis.operators.mass[level], basis.operators.stiffness[level]
-    dual, energy = multiply(mass, band.vectors), multiply(stiffness, band.vectors)
-    values = np.einsum("ij,ij->j", band.vectors, energy)
+    dual, energy = multiply(mass, band), multiply(stiffness, band)
+    values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, energy, dual, lumped_areas(mass))
     cross = products_with_bands(basis.bands, basis.refinement, dual, level)
     return HierarchicalBasis(
         basis.refinement,
         basis.operators,
-        (*basis.bands, band.vectors),
+        (*basis.bands, band),
         np.concatenate([basis.eigenvalues, values]),
         np.concatenate([basis.residuals, residuals]),
-        np.concatenate([basis.indices, band.indices]),
+        np.concatenate([basis.indices, indices]),
         np.block([[basis.gram, cross], [cross.T, np.eye(len(values))]]),
     )
 
@@ -133,28 +120,11 @@ def new_directions(
 
     A repeated eigenvalue may be cut by the end of a band: its eigenvectors are rotated so that each is in the refined
     span as far as possible or out of it. ``present`` directions are there already: those with the largest overlap.
-
-    Parameters
-    ----------
-    values : (m,) array
-        Ascending eigenvalues of a window.
-    overlap : (k, m) array
-        <refined basis, window> in the mass inner product; the window is orthonormal.
-    gram : (k, k) array
-        <refined basis, refined basis>.
-    present : int
-        How many of the window's directions the refined basis spans.
-
-    Returns
-    -------
-    rotation : (m, m - present) array
-        Window vectors times this are the new directions, in ascending order.
-    positions : (m - present,) array
-        Place of each in the window.
+    Given are the window's eigenvalues (m,), ascending, of M-orthonormal vectors, and inner products of the refined
+    basis with the window (k, m) and with itself (k, k). Returned are the new directions in the window (m, m - present),
+    and the place of each.
     """
     m = len(values)
-    if present == 0:
-        return np.eye(m), np.arange(m)
     # In an orthonormal basis of the refined span a squared column norm is the share of a vector inside that span.
     inside = linalg.solve_triangular(linalg.cholesky(gram, lower=True), overlap, lower=True)
     rotation = np.eye(m)
@@ -177,16 +147,6 @@ def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
     band = np.array(vectors, dtype=np.float64)
     factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)
-
-
-def _count_on(size: int, config: BasisConfig) -> int:
-    """The functions asked for; of a surface with fewer vertices than the default count, as many as it has."""
-    if config.count > size and config.count != BasisConfig.count:
-        raise ParameterError(
-            f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count}; "
-            "refine further or ask for fewer"
-        )
-    return min(config.count, size)
 
 
 def _check_schedule(operators: Operators, counts: tuple[int, ...]) -> None:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
-from scipy import linalg, sparse
+from scipy import linalg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers
@@ -96,18 +94,8 @@ class HierarchicalBasis:
         """Number of functions k~_l of the basis at a level: those of the bands up to it."""
         return sum(self.schedule[: level + 1])
 
-    def at(self, level: int, *, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Phi~^level as a dense matrix (eq. 8).
-
-        Parameters
-        ----------
-        level : int
-            Bands of finer levels are left out: they are no functions of this level.
-        dtype : float64 or float32
-
-        Returns
-        -------
-        (n_level, k~_level) array
+    def at(self, level: int) -> FloatArray:
+        """Phi~^level (n_level, k~_level) as a dense matrix (eq. 8), without bands of finer levels.
 
         Raises
         ------
@@ -115,95 +103,43 @@ class HierarchicalBasis:
             If there is no such level.
         """
         self._check_level(level)
-        return refined_bands(self.bands, self.refinement, level, dtype)
+        values = np.zeros((self.refinement.levels[0].n_vertices, 0))
+        for finer in range(level + 1):
+            if finer > 0:
+                values = multiply(self.refinement.matrices[finer - 1], values)
+            if finer <= self.last_level:
+                values = np.hstack([values, self.bands[finer]])
+        return values
 
     def rows(self, level: int, vertices: IndexArray) -> FloatArray:
-        """Some rows of Phi~^level, without making the others.
-
-        Parameters
-        ----------
-        level : int
-        vertices : (q,) int64 array
-            Vertices of that level.
-
-        Returns
-        -------
-        (q, k~_level) array
+        """Rows (q, k~_level) of Phi~^level at vertices (q,) of the level; cost is linear in q.
 
         Raises
         ------
         ParameterError
             If the level or a vertex does not exist.
-
-        Notes
-        -----
-        Each row combines the few coarse vertices that influence it: cost is linear in q, not in the size of the level.
         """
         self._check_level(level)
-        vertices = np.asarray(vertices, dtype=np.int64)
-        n = self.refinement.levels[level].n_vertices
-        if len(vertices) and (vertices.min() < 0 or vertices.max() >= n):
-            raise ParameterError(
-                f"expected vertices from 0 to {n - 1} of level {level}, got {vertices.min()} to {vertices.max()}"
-            )
-        columns: list[FloatArray] = []
-        chosen: sparse.csr_array | None = None  # None stands for the plain selection of vertices
-        for coarser in reversed(range(level + 1)):
-            if coarser <= self.last_level:
-                band = self.bands[coarser]
-                columns.append(band[vertices] if chosen is None else multiply(chosen, band))
-            if coarser > 0:
-                matrix = self.refinement.matrices[coarser - 1]
-                chosen = sparse.csr_array(matrix[vertices] if chosen is None else chosen @ matrix)
-        return np.hstack(columns[::-1])
+        bands = [(coarser, band) for coarser, band in enumerate(self.bands[: level + 1]) if band.shape[1]]
+        rows = [multiply(self.refinement.rows(vertices, level, coarser), band) for coarser, band in bands]
+        return np.hstack([np.zeros((len(vertices), 0)), *rows])
 
     def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
-        """All rows of Phi~^level, some at a time, for levels whose dense matrix would be too large.
-
-        Parameters
-        ----------
-        level : int
-
-        Yields
-        ------
-        range : slice
-            Of vertices.
-        values : (rows, k~_level) array
-        """
+        """Vertices and rows of Phi~^level, some at a time, for levels whose dense matrix would be too large."""
         self._check_level(level)
-        base = min(level, self.last_level)
-        dense = self.at(base)
         for part in parts(self.refinement.levels[level].n_vertices, ROWS):
-            if level == base:
-                values = dense[part]
-            else:
-                chosen = self.refinement.matrices[level - 1][part]
-                for coarser in reversed(range(base, level - 1)):
-                    chosen = chosen @ self.refinement.matrices[coarser]
-                values = multiply(sparse.csr_array(chosen), dense)
-            yield part, values
-
-    def gram_at(self, level: int) -> FloatArray:
-        """(k~_level, k~_level) Phi~^T M Phi~ at one level: a leading block of ``gram``, by Lemma 5."""
-        self._check_level(level)
-        size = self.size(level)
-        return self.gram[:size, :size]
+            yield part, self.rows(level, np.arange(part.start, part.stop))
 
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
-        """Coefficients of functions: (Phi~^T M Phi~)^{-1} Phi~^T M f (paper, section 4.4).
+        """Coefficients (k,) or (k, q) of functions: (Phi~^T M Phi~)^{-1} Phi~^T M f (paper, section 4.4).
 
         Parameters
         ----------
         values : (n_level,) or (n_level, q) array
-            Functions at any level; refined first where the basis has finer bands.
+            Functions of a level; refined first where the basis has finer bands.
         level : int
-            The level of ``values``.
         count : int, optional
             Use the leading functions of the basis only.
-
-        Returns
-        -------
-        (count,) or (count, q) array
 
         Raises
         ------
@@ -248,19 +184,9 @@ class HierarchicalBasis:
 def products_with_bands(
     bands: tuple[FloatArray, ...], refinement: Refinement, dual: FloatArray, level: int
 ) -> FloatArray:
-    """Phi~^T y for functionals y = M^level f of one level, restricted down the levels (paper, Lemma 5).
+    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q) of a level, restricted down the levels (Lemma 5).
 
-    Parameters
-    ----------
-    bands : tuple of (n_l, k_l) arrays
-        Bands of levels 0, 1, ...; those finer than ``level`` are not used.
-    refinement : Refinement
-    dual : (n_level, q) array
-    level : int
-
-    Returns
-    -------
-    (k, q) array
+    Bands are those of levels 0, 1, ...; the ones finer than ``level`` are not used.
     """
     products: list[FloatArray] = []
     for coarser in reversed(range(level + 1)):
@@ -269,16 +195,3 @@ def products_with_bands(
         if coarser > 0:
             dual = refinement.matrices[coarser - 1].T @ dual
     return np.concatenate(products[::-1]) if products else np.zeros((0, dual.shape[1]))
-
-
-def refined_bands(
-    bands: tuple[FloatArray, ...], refinement: Refinement, level: int, dtype: DTypeLike = np.float64
-) -> NDArray[Any]:
-    """(n_level, k~_level) Phi~^level, eq. 8: the bands up to a level, refined to it."""
-    values: NDArray[Any] = np.zeros((refinement.levels[0].n_vertices, 0), dtype=dtype)
-    for finer in range(level + 1):
-        if finer > 0:
-            values = multiply(refinement.matrices[finer - 1], values)
-        if finer < len(bands):
-            values = np.hstack([values, bands[finer].astype(dtype, copy=False)])
-    return values

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.operators.polygons import named_laplacian
+from cagemap.operators.laplacian import named_laplacian
 from cagemap.subdivision import Refinement
 
 
@@ -18,24 +18,23 @@ class BasisConfig:
     Attributes
     ----------
     count : int
-        Number of basis functions k; the default is cut to the vertices of a smaller surface. They are computed at the
-        coarsest level with at least ``MIN_VERTICES`` vertices and ``VERTICES_PER_FUNCTION`` times ``count``;
-        eigenvalues there are 0.1 to 4 % above the finest level's.
+        Number of functions k, the default at most the vertices. They are computed at the coarsest level with at least
+        ``MIN_VERTICES`` vertices and ``VERTICES_PER_FUNCTION`` times ``count``; eigenvalues there are 0.1 to 4 % above
+        the finest level's.
     schedule : tuple of int, optional
         Instead of ``count``: number of functions k_l that each level adds, level 0 first (paper, Definition 2).
-        ``(0, 0, 150)`` computes 150 at level 2.
     accuracy : float
         Convergence of the eigensolver, relative to the eigenvalues of the inverted problem.
     literal : bool
-        With a schedule: Definition 2 to the letter. The band of a level is the k_l eigenvectors above the largest
-        eigenvalue so far. Refined eigenvalues are lower, so the band then starts a few indices too high. Default: the
-        band continues by index, and directions that the refined bands span already are left out.
+        With a schedule: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2). Refined
+        eigenvalues are lower, so it starts a few indices too high. Default: it continues by index, and directions that
+        the refined bands span already are left out.
     vertices : int, optional
         Operators are those of the coarsest level with at least so many vertices, as if it were the finest. Default: the
         finest level's, as in the paper.
     laplacian : str
         Of the finest level's quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
-        "de-goes-butts-desbrun"; see `cagemap.operators.polygons`.
+        "de-goes-butts-desbrun"; see `cagemap.operators.laplacian`.
     stabilisation : float
         lambda of the last two.
     """
@@ -103,51 +102,21 @@ PAPER_SCHEDULE = (40, 110)
 
 @dataclass(frozen=True)
 class SolverConfig:
-    """Numbers of the eigensolver.
+    """Numbers of the eigensolver."""
 
-    Attributes
-    ----------
-    dense_rows : int
-        Up to this many rows a dense solve is faster than Lanczos.
-    largest_dense_rows : int
-        The same where more than a fifth of the spectrum is wanted.
-    rank : float
-        Relative eigenvalue of a coarse mass matrix below which subdivision maps the direction to zero.
-    single_accuracy : float
-        From this accuracy on the Krylov space is kept in single precision, which changes eigenvalues by under 1e-5.
-    shifts : int
-        Shifts tried where a factorisation reports no inertia.
-    extra_pairs : int
-        Pairs computed on both sides of a band, among which a gap is sought to count the eigenvalues below it.
-    loose : float
-        Residual that is enough for the extra pairs.
-    well_conditioned : float
-        Inverse squared condition of a block that one Cholesky QR leaves orthonormal enough.
-    dependent : float
-        Inverse squared condition of a block that has lost a direction.
-    overlap : int
-        Pairs computed below the start of a band, to see which the refined bands span.
-    cluster : float
-        Relative gap below which eigenvalues count as one repeated eigenvalue.
-    ill_conditioned : float
-        Condition of the Gram matrix above which functions of different levels nearly repeat each other: a warning.
-    seed : int
-        Of the first block.
-    """
-
-    dense_rows: int = 800
-    largest_dense_rows: int = 5_000
-    rank: float = 1e-13
-    single_accuracy: float = 1e-5
-    shifts: int = 3
-    extra_pairs: int = 8
-    loose: float = 1e-2
-    well_conditioned: float = 1e-6
-    dependent: float = 1e-14
-    overlap: int = 12
-    cluster: float = 1e-4
-    ill_conditioned: float = 100.0
-    seed: int = 20190708
+    dense_rows: int = 800  #: up to so many rows a dense solve is faster than Lanczos
+    largest_dense_rows: int = 5_000  #: the same where more than a fifth of the spectrum is wanted
+    rank: float = 1e-13  #: relative eigenvalue of a coarse mass matrix of a direction that subdivision maps to zero
+    single_accuracy: float = 1e-5  #: from it on the Krylov space is in single precision: eigenvalues change by less
+    shifts: int = 3  #: shifts tried where a factorisation reports no inertia
+    extra_pairs: int = 8  #: pairs computed on both sides of a band, to count eigenvalues below a gap among them
+    loose: float = 1e-2  #: residual that is enough for the extra pairs
+    well_conditioned: float = 1e-6  #: inverse squared condition of a block that one Cholesky QR leaves orthonormal
+    dependent: float = 1e-14  #: inverse squared condition of a block that has lost a direction
+    overlap: int = 12  #: pairs computed below the start of a band, to see which the refined bands span
+    cluster: float = 1e-4  #: relative gap below which eigenvalues count as one repeated eigenvalue
+    ill_conditioned: float = 100.0  #: condition of the Gram matrix above which functions of levels nearly repeat
+    seed: int = 20190708  #: of the first block
 
 
 SOLVER = SolverConfig()

@@ -24,55 +24,28 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EigenPairs:
-    """Consecutive eigenpairs of one level, W X = M X Lambda.
+    """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
-    Attributes
-    ----------
-    values : (m,) array
-        Ascending. Unit 1 / length^2 (unit area: none).
-    vectors : (n, m) array
-        M-orthonormal; in single precision where the accuracy that they were computed with left no more.
-    first_index : int
-        True index of the first pair in the level's whole spectrum, counted from 0.
-    """
-
-    values: FloatArray
+    values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
+    #: (n, m) M-orthonormal; in single precision where the accuracy that they were computed with left no more
     vectors: NDArray[Any]
-    first_index: int
+    first_index: int  #: true index of the first pair in the level's whole spectrum, counted from 0
 
     def __post_init__(self) -> None:
-        """Nobody changes the arrays from here on."""
         object.__setattr__(self, "values", read_only(self.values))
         object.__setattr__(self, "vectors", read_only(self.vectors))
 
-    @property
-    def last_index(self) -> int:
-        """Index after the last pair."""
-        return self.first_index + len(self.values)
-
     def __repr__(self) -> str:
-        return f"EigenPairs({self.first_index} to {self.last_index - 1} of {len(self.vectors)})"
+        return f"EigenPairs({self.first_index} to {self.first_index + len(self.values) - 1} of {len(self.vectors)})"
 
 
 def residual_norms(
     values: FloatArray, stiffness_vectors: FloatArray, mass_vectors: FloatArray, areas: FloatArray
 ) -> FloatArray:
-    """Relative residual of every pair, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area).
+    """(m,) relative residuals, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area), of M-orthonormal X (n, m).
 
-    D = diag(M 1) lumps the mass matrix (at the finest level it is M), so that the norm is that of a function.
-    4 pi / area is the mean distance between eigenvalues (Weyl's law); it stands in for the eigenvalue 0.
-
-    Parameters
-    ----------
-    values : (m,) array
-    stiffness_vectors, mass_vectors : (n, m) arrays
-        W X and M X, with X M-orthonormal.
-    areas : (n,) array
-        M 1.
-
-    Returns
-    -------
-    (m,) array, unitless
+    W X and M X are given, and areas D = M 1 (n,): D lumps the mass matrix (at the finest level it is M), so that the
+    norm is that of a function. 4 pi / area, the mean distance between eigenvalues (Weyl's law), stands in for 0.
     """
     squares = (1.0 / areas) @ (stiffness_vectors - mass_vectors * values) ** 2
     return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
@@ -86,19 +59,11 @@ def band_pairs(
     *,
     accuracy: float = 1e-9,
 ) -> EigenPairs:
-    """Eigenpairs first..last-1 of the spectrum, complete whatever their multiplicity.
+    """Eigenpairs first..last-1 of the spectrum of W (n, n) and M, complete whatever their multiplicity.
 
     Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W - sigma M
     says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was missed.
-
-    Parameters
-    ----------
-    stiffness, mass : (n, n) CSR arrays
-        W positive semi-definite, M positive definite.
-    first, last : int
-        Range of indices, 0 <= first < last <= n.
-    accuracy : float
-        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+    ``accuracy`` of the iteration is relative to each eigenvalue of the inverted operator.
 
     Raises
     ------
@@ -237,13 +202,7 @@ def missed_pairs(
 
 
 def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: float) -> int:
-    """Number of eigenvalues below a value, by Sylvester's law of inertia.
-
-    Raises
-    ------
-    SolverError
-        If the factorisation tells no inertia there.
-    """
+    """Number of eigenvalues below a value, by Sylvester's law of inertia; SolverError where it cannot be told."""
     for nudge in (0.0, 1e-9, -1e-9, 1e-7):  # the value may be an eigenvalue itself
         try:
             counted = factor(shifted_matrix(stiffness, mass, value * (1.0 + nudge))).negative_eigenvalues

@@ -27,21 +27,7 @@ def orthonormal_block(
     """M-orthonormalise a block that is already M-orthogonal to ``against``, by Cholesky QR, twice where needed.
 
     Directions that are lost (the Krylov space became invariant) are replaced by random ones, with a zero row in R.
-
-    Parameters
-    ----------
-    block : (n, b) array
-    mass : (n, n) CSR array
-    rng : numpy Generator
-    against, mass_against : (n, m) arrays
-        Q and M Q.
-
-    Returns
-    -------
-    block : (n, b) array, M-orthonormal
-    mass_block : (n, b) array, M times it
-    factor : (b, b) array
-        R with old block = new block @ R.
+    Returns the new block (n, b), M times it, and R (b, b) with old block = new block @ R.
     """
     width = block.shape[1]
     total = np.eye(width)
@@ -80,12 +66,12 @@ def shift_invert_lanczos(
     loose: tuple[int, int] = (0, 0),
     dtype: Precision = np.float64,
 ) -> tuple[FloatArray, Block]:
-    """Eigenpairs of W x = lambda M x on both sides of a shift.
+    """Eigenvalues (below + above,), ascending, on both sides of a shift, and their M-orthonormal eigenvectors.
 
     Parameters
     ----------
     shifted : Factorization
-        W - shift M.
+        Of W - shift M.
     mass : (n, n) CSR array
     shift : float
     below, above : int
@@ -98,11 +84,6 @@ def shift_invert_lanczos(
         How many of the outermost pairs below and above need no more than a residual of `SolverConfig.loose`.
     dtype : numpy.float64 or numpy.float32
         How the Krylov space is stored and what is orthogonalised in; solves are always in double.
-
-    Returns
-    -------
-    eigenvalues : (below + above,) array, ascending
-    vectors : (n, below + above) array of that type, M-orthonormal
 
     Raises
     ------

@@ -24,19 +24,10 @@ BIHARMONIC_WEIGHT = 1.0
 def landmark_coordinates(
     stiffness: sparse.csr_array, mass: sparse.csr_array, landmarks: IndexArray, curves: Sequence[IndexArray] = ()
 ) -> FloatArray:
-    """Weighted harmonic and biharmonic coordinates of every vertex, ready to stand beside spectral ones.
+    """Weighted harmonic and biharmonic coordinates (n, 2 (p + c)) of every vertex, to stand beside spectral ones.
 
-    Parameters
-    ----------
-    stiffness, mass : (n, n) sparse arrays of one level
-    landmarks : (p,) int64, vertices of that level, at least 2
-    curves : c arrays of int64
-        Vertices along each curve; all different, and none a landmark.
-
-    Returns
-    -------
-    (n, 2 (p + c)) float64
-        3 h_i of every landmark and curve, then b_i: both are 1 on it and 0 on the others.
+    They are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i: both are 1 on it
+    and 0 on the others.
 
     Raises
     ------
@@ -58,14 +49,10 @@ def landmark_coordinates(
 def interpolants(
     stiffness: sparse.csr_array, mass: sparse.csr_array, vertices: IndexArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Harmonic and biharmonic interpolants of values (q, c) at some vertices (q,).
+    """Harmonic and biharmonic interpolants (n, c) of values (q, c) at some vertices (q,).
 
     ``W h = 0`` and ``W D^{-1} W b = 0`` at all other vertices, D being the row sums of M. With G = W^+ (W^+ D W^+ for
     the second kind), the solution is ``G[:, vertices] c + const`` where c sums to zero and the values fit.
-
-    Returns
-    -------
-    harmonic, biharmonic : (n, c) float64
     """
     n, q = stiffness.shape[0], len(vertices)
     areas = lumped_areas(mass)

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cagemap.errors import InvalidMeshError, ParameterError, SolverError
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
@@ -89,12 +89,14 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     found = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
     values, vectors = np.array(found.values), np.array(found.vectors, dtype=np.float64, order="C")
     shift = -4.0 * np.pi / float(areas.sum())
-    shifted = None
-    for _ in range(MAX_ITERATIONS):
+    shifted, worst = None, np.inf
+    for iteration in range(MAX_ITERATIONS + 1):
         if shifted is not None or found.vectors.dtype == np.float64:
             worst = _worst_residual(weights, areas, values, vectors)
-            if worst <= accuracy:
-                return EigenPairs(values, vectors, 0)
+        if worst <= accuracy:
+            return EigenPairs(values, vectors, 0)
+        if iteration == MAX_ITERATIONS:
+            break
         shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
         for part in parts(k, COLUMNS):
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
@@ -102,9 +104,6 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         for part in parts(k, COLUMNS):
             some = vectors[:, part]
             values[part] = np.einsum("ij,ij->j", some, multiply(weights, some))
-    worst = _worst_residual(weights, areas, values, vectors)
-    if worst <= accuracy:
-        return EigenPairs(values, vectors, 0)
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
     )
@@ -127,14 +126,12 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
 
 def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
     """The largest of `residual_norms`."""
-    return max(
-        float(
-            residual_norms(
-                values[part], multiply(weights, vectors[:, part]), areas[:, None] * vectors[:, part], areas
-            ).max()
-        )
-        for part in parts(len(values), COLUMNS)
-    )
+
+    def worst(part: slice) -> float:
+        some = vectors[:, part]
+        return float(residual_norms(values[part], multiply(weights, some), areas[:, None] * some, areas).max())
+
+    return max(worst(part) for part in parts(len(values), COLUMNS))
 
 
 @kinds_checked
@@ -181,17 +178,14 @@ def operators_for_diffusion_net(
     areas = vertex_areas(triangles.positions, triangles.triangles)
     with one_blas_thread():
         pairs = mass_lumped_pairs(weights, areas, count, DIFFUSION_NET_ACCURACY)
-    gradients = _edge_gradients(triangles, weights, regularisation)
+    gradients = _edge_gradients(triangles, regularisation)
     return areas, weights, np.maximum(pairs.values, 0.0), np.asarray(pairs.vectors), *gradients
 
 
-def _edge_gradients(
-    triangles: TriangleSurface, weights: sparse.csr_array, regularisation: float
-) -> tuple[sparse.csr_array, sparse.csr_array]:
+def _edge_gradients(triangles: TriangleSurface, regularisation: float) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Least-squares gradients in tangent axes: at vertex i, (sum_j e_j e_j^T + eps)^-1 sum_j e_j (f_j - f_i)."""
-    rows, columns = (np.asarray(at, dtype=np.int64) for at in weights.tocoo().coords)
-    edges = np.flatnonzero(rows != columns)
-    rows, columns = rows[edges], columns[edges]
+    ends = triangles.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+    rows, columns = np.unique(ends, axis=0).T
     along = triangles.positions[columns] - triangles.positions[rows]
     components = np.stack([np.einsum("ed,ed->e", along, axis[rows]) for axis in _tangent_axes(triangles)], axis=1)
     n = triangles.n

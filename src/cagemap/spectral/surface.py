@@ -1,25 +1,32 @@
-"""The central value `Surface`: everything that depends on one control mesh only."""
+"""The central value `Surface`: everything that depends on one control mesh only; and how it is prepared."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.threads import kept, one_blas_thread
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
-from cagemap.operators.coarse_levels import coarsened
-from cagemap.operators.polygons import named_laplacian
+from cagemap.operators.coarse_levels import coarsened, refined
+from cagemap.operators.laplacian import named_laplacian
 from cagemap.spectral.bands import hierarchical_basis
 from cagemap.spectral.basis import HierarchicalBasis
-from cagemap.spectral.config import MAP_BASIS, BasisConfig
-from cagemap.subdivision import Refinement, level_triangles, refine
+from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
+from cagemap.subdivision import Refinement, default_scheme, level_triangles, refine
+from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import surface_area
+from cagemap.surface.triangles import load_kernels, surface_area
 
 
 def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
@@ -37,9 +44,7 @@ def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
 class Surface:
     """One surface with what follows from it: its levels, their operators, basis and triangles.
 
-    They are made when they are first asked for, and kept: a surface serves every pair that it is part of.
-    `cagemap.prepare_surface` makes operators and basis at once; those of a result that was read are made if a new
-    match, or the functional map, needs them.
+    They are made when they are first asked for, and kept. `cagemap.prepare_surface` makes operators and basis at once.
 
     Attributes
     ----------
@@ -148,12 +153,7 @@ class Surface:
         return replace(self, refinement=refine(control, self.refinement.n_levels, self.refinement.scheme))
 
     def require_operators(self, level: int, method: str) -> None:
-        """Refuse a surface whose operators end below a level whose operators a method needs.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """ParameterError if the operators end below a level whose operators a method needs."""
         if self.operators.finest < level:
             raise ParameterError(
                 f"{self.control.name}: the method {method} needs operators up to level {level}, got a basis whose "
@@ -164,3 +164,154 @@ class Surface:
     def __repr__(self) -> str:
         basis = self.basis if self.is_prepared else "not prepared"
         return f"Surface({self.control.name}, levels 0 to {self.refinement.n_levels}, {basis})"
+
+
+Progress = Callable[[str], None]
+
+# A level counts as having the vertices asked for from this share on; the next one has four times as many.
+ENOUGH = 0.75
+MOST_LEVELS = 12
+# About as many vertices as a match has on each side, unless told otherwise.
+DEFAULT_VERTICES = 200_000
+# Names of the methods that find a map.
+METHODS = ("elastic", "hfm", "paper")
+
+
+def silent(stage: str) -> None:
+    """Report no progress."""
+
+
+@arrays_accepted
+def choose_level(control: MeshLike, vertices: int) -> int:
+    """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
+
+    A plain mesh (scheme none) has level 0 only.
+
+    Parameters
+    ----------
+    control : mesh, see `cagemap.mesh.inputs.control_mesh`
+    vertices : int
+
+    Raises
+    ------
+    ParameterError
+        If the number of vertices is out of range.
+    """
+    if not 1 <= vertices <= 20_000_000:
+        raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
+    if isinstance(default_scheme(control), Plain):
+        return 0
+    counts = islice(vertex_counts(control), 1, MOST_LEVELS)
+    return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
+
+
+@kinds_checked
+def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
+    """The basis of a method: functions of one level; for "paper" a schedule of no more levels than the surface has.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such method.
+    """
+    if method not in METHODS:
+        raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
+    if method == "paper":
+        return BasisConfig(schedule=PAPER_SCHEDULE[: level + 1])
+    return replace(MAP_BASIS, count=HFM_FUNCTIONS) if method == "hfm" else MAP_BASIS
+
+
+@arrays_accepted
+def prepare_surface(
+    control: MeshLike,
+    level: int,
+    config: BasisConfig = MAP_BASIS,
+    *,
+    progress: Progress = silent,
+) -> Surface:
+    """Refine a control mesh and compute its operators and its basis (paper, sections 2.2 and 4).
+
+    It is subdivided as the mesh says (``control.scheme``); else by Loop where all faces are triangles, by Catmull-Clark
+    where they are not.
+
+    Parameters
+    ----------
+    control : mesh, see `cagemap.mesh.inputs.control_mesh`
+    level : int
+        Number of the finest level, at least 1; 0 of a plain mesh (scheme none), which is not refined.
+    config : BasisConfig
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the control mesh is not an oriented connected manifold; the message lists the offending elements.
+    ParameterError
+        If the level or the number of basis functions is out of range.
+    """
+    require_valid(control)
+    return prepare_checked(control, level, config, progress=progress)
+
+
+def prepare_checked(
+    control: ControlMesh,
+    level: int,
+    config: BasisConfig = MAP_BASIS,
+    *,
+    progress: Progress = silent,
+) -> Surface:
+    """`prepare_surface` of a control mesh that was found valid already."""
+    scheme = default_scheme(control)
+    if isinstance(scheme, Plain) and level:
+        raise ParameterError(f"level: expected 0 of a plain mesh (scheme none), got {level}; bilinear refines it")
+    if not isinstance(scheme, Plain) and not 1 <= level <= MOST_LEVELS:
+        raise ParameterError(
+            f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh, and only a plain mesh "
+            "(scheme none) is matched as it is"
+        )
+    with one_blas_thread():
+        progress(f"refine {control.name}")
+        refinement = refined(control, level, scheme)
+        progress(f"operators of {control.name}")
+        operators = operators_for(refinement, config)
+        progress(f"basis of {control.name}")
+        return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, config), config)
+
+
+@arrays_accepted
+def prepare_surfaces(
+    target: MeshLike,
+    source: MeshLike,
+    levels: tuple[int, int],
+    config: BasisConfig | tuple[BasisConfig, BasisConfig] = MAP_BASIS,
+    *,
+    prepare: Callable[..., Surface] = prepare_surface,
+    progress: Progress = silent,
+) -> tuple[Surface, Surface]:
+    """Prepare both surfaces at the same time, each in a thread of its own.
+
+    Parameters
+    ----------
+    target, source : mesh, see `cagemap.mesh.inputs.control_mesh`
+    levels : (int, int)
+        Finest level of each.
+    config : BasisConfig or two
+    prepare : callable
+        What makes one surface from a control mesh, a level and a configuration.
+    progress : callable
+        Called once: the stages of two surfaces would mix.
+
+    Raises
+    ------
+    InvalidMeshError, ParameterError
+        See `prepare_surface`.
+    """
+    if not isinstance(levels, Sequence | np.ndarray) or len(levels) != 2:
+        raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
+    configs = config if isinstance(config, tuple) else (config, config)
+    progress(f"prepare {target.name} and {source.name}")
+    with one_blas_thread(), ThreadPool(1) as aside:  # before the threads start: the setting is the process's
+        aside.submit(load_kernels)  # while the surfaces are refined, which takes none
+        made = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
+    return made[0], made[1]

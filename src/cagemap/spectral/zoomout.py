@@ -1,27 +1,43 @@
-"""ZoomOut: alternate functional map and nearest neighbours with more and more functions [Melzi et al. 2019]."""
+"""Functional maps of point matches, and ZoomOut: both in turn with more and more functions [Melzi et al. 2019].
+
+A target sample x has the embedding Phi~1(x, :), a source sample y the embedding Phi~2(y, :) C12^T; x is matched with
+the y of nearest embedding (paper, sections 2.1.2 and 5.4).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.spectral.nearest import nearest_rows
-from cagemap.spectral.samples import Samples, embed_source, embed_target, fit_functional_map
+from cagemap.numerics.threads import in_threads, parts
+
+Embedding = NDArray[np.float32]
+
+# Samples that a functional map is fitted to: some twenty rows for each of 300 unknowns of a column of C.
+FIT_SAMPLES = 6000
+# Queries of one block of `nearest_rows`: its distances take 4 bytes times the number of points each.
+QUERY_BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Vertices of one surface with their basis rows and their coordinates in common with the other surface."""
+
+    rows: FloatArray  #: (b, k) basis rows Phi~(x, :)
+    areas: FloatArray  #: (b,) weights in the inner product
+    #: (b, c) extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to
+    #: sqrt(k), so that their share of a distance does not fade as spectral coordinates are added.
+    coordinates: FloatArray
 
 
 @dataclass(frozen=True)
 class ZoomOutSchedule:
-    """Numbers of basis functions that ZoomOut goes through.
-
-    Attributes
-    ----------
-    first, last : int
-    factor : float
-        By which the number grows in every step, at least by 1.
-    """
+    """Numbers of functions: from ``first`` to ``last``, ``factor`` times as many in every step, at least 1 more."""
 
     first: int = 20
     last: int = 150
@@ -44,19 +60,9 @@ class ZoomOutSchedule:
 
 
 def zoomout(target: Samples, source: Samples, match: IndexArray, schedule: ZoomOutSchedule) -> IndexArray:
-    """Refine a match: fit C12 to it, search the nearest embedded source samples, with more functions each time.
+    """(b1,) a refined match of target samples with source samples: fit C12, search, with more functions each time.
 
-    Parameters
-    ----------
-    target, source : Samples
-        Their coordinates stand beside the functions in every search.
-    match : (b1,) array
-        Source sample of every target sample.
-    schedule : ZoomOutSchedule
-
-    Returns
-    -------
-    (b1,) array
+    Coordinates of the samples stand beside the functions in every search.
     """
     counts = target.rows.shape[1], source.rows.shape[1]
     for size in schedule.sizes(max(counts)):
@@ -65,11 +71,56 @@ def zoomout(target: Samples, source: Samples, match: IndexArray, schedule: ZoomO
     return match
 
 
+def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 (k1, k2) in the least-squares sense over the target's samples (paper, section 2.1.2).
+
+    Row i of ``source_rows`` (b, k2) is Phi~2 at the match of target sample i, (P12 Phi~2)(x_i).
+    """
+    rows = target.rows[:, :k1]
+    weighted = rows * target.areas[:, None]
+    gram = weighted.T @ rows
+    gram[np.diag_indices(k1)] += 1e-9 * np.trace(gram) / k1
+    return np.asarray(linalg.solve(gram, weighted.T @ source_rows, assume_a="pos"))
+
+
 def nearest_samples(target: Samples, source: Samples, functional_map: FloatArray) -> IndexArray:
-    """Nearest source sample of every target sample in the embedding of C12 (paper, 5.4); (b1,)."""
-    return nearest_rows(embed_target(target, functional_map.shape[0]), embed_source(source, functional_map))
+    """(b1,) nearest source sample of every target sample in the embedding of C12 (paper, 5.4)."""
+    k1, k2 = functional_map.shape
+    spectral = target.rows[:, :k1], source.rows[:, :k2] @ functional_map.T
+    embedded = (
+        np.hstack([rows, np.sqrt(k1) * side.coordinates]).astype(np.float32)
+        for rows, side in zip(spectral, (target, source), strict=True)
+    )
+    return nearest_rows(*embedded)
 
 
 def nearest_coordinates(target: Samples, source: Samples) -> IndexArray:
-    """Nearest source sample of every target sample in their shared coordinates alone; (b1,)."""
+    """(b1,) nearest source sample of every target sample in their shared coordinates alone."""
     return nearest_rows(target.coordinates.astype(np.float32), source.coordinates.astype(np.float32))
+
+
+def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
+    """(b,) nearest of points (n, k) for every query (b, k), by blocked matrix products.
+
+    A k-d tree degenerates while a map is rough (6k vertices, 200 coordinates: 2 s against 0.3 s).
+    """
+    half_norms = 0.5 * np.einsum("ij,ij->i", points, points)
+    transposed = np.ascontiguousarray(points.T)
+    nearest = np.empty(len(queries), dtype=np.int64)
+
+    def one_block(part: slice) -> None:
+        scores = queries[part] @ transposed
+        scores -= half_norms
+        nearest[part] = np.argmax(scores, axis=1)
+
+    in_threads(one_block, parts(len(queries), QUERY_BLOCK))
+    return nearest
+
+
+def evenly_spaced(n: int, count: int) -> IndexArray:
+    """Vertices at equal steps of the numbering; all of them if there are no more than ``count``.
+
+    Vertices of a refined mesh are stored coherently within each of their kinds: equal steps are dense where the mesh
+    is, at hands and faces; their areas then weigh them. Steps of equal area lose the hands.
+    """
+    return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))

@@ -10,17 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.deform.prepared import PreparedPair
-from cagemap.errors import ParameterError
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.landmarks.suggest import suggested_vertices
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.models import OpenedModel, open_model, with_texture
+from cagemap.studio.models import OpenedModel, open_model, own_texture, with_texture
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import Images, faced, source_skin, target_skin
-from cagemap.studio.state import MapState, View
+from cagemap.studio.state import MapState
 
 Progress = Callable[[str], None]
 
@@ -35,6 +33,8 @@ class Opening:
     texture : Path or None
     vertices : int
         Of each previewed surface, about.
+    folder : Path
+        Where an image inside the source's file is put.
     schemes, ups, parts : (str or None, str or None)
         See `cagemap.studio.state.Files`.
     """
@@ -43,6 +43,7 @@ class Opening:
     source: Path
     texture: Path | None
     vertices: int
+    folder: Path
     schemes: tuple[str | None, str | None] = (None, None)
     ups: tuple[str | None, str | None] = (None, None)
     parts: tuple[str | None, str | None] = (None, None)
@@ -53,76 +54,77 @@ class OpenModels:
     """Read both models and show them."""
 
     opening: Opening
-    view: View
 
 
 @dataclass(frozen=True)
 class FindMap:
-    """Map target to source; from the map before where there is one and ``fresh`` is not asked for."""
+    """Map target to source; from the map before where there is one and ``fresh`` is not asked for.
+
+    With ``answer``, go on from that one of the landmark-free answers.
+    """
 
     opening: Opening
     landmarks: LandmarkList
-    view: View
     fresh: bool = False
+    answer: int | None = None
 
 
 @dataclass(frozen=True)
-class ChooseAnswer:
-    """Go on from another of the landmark-free answers."""
+class ShowBaked:
+    """Show an image that was baked, in the target's layout or that of another file, beside a map."""
 
     opening: Opening
-    landmarks: LandmarkList
-    index: int
-    view: View
+    image: Path
+    layout: Path | None
+    images: Images | None
 
 
-@dataclass(frozen=True)
-class Dress:
-    """Show the models in another way, under the map that is shown; a bench that was killed has none of its own."""
-
-    opening: Opening
-    view: View
-    images: Images | None = None
-
-
-Task = OpenModels | FindMap | ChooseAnswer | Dress
-
-
-@dataclass(frozen=True)
-class Models:
-    """Both."""
-
-    target: OpenedModel
-    source: OpenedModel
+Task = OpenModels | FindMap | ShowBaked
 
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """Answer to `OpenModels`: the models without a map, how they are subdivided and welded, what there is to say."""
+    """Answer to `OpenModels`: the models, without a map."""
 
-    scene: Scene
-    schemes: tuple[str | None, str | None] = (None, None)
-    welds: tuple[str | None, str | None] = (None, None)
-    notes: tuple[str, ...] = ()
+    target: OpenedModel
+    source: OpenedModel
+    skins: tuple[bytes, bytes]
+
+    @property
+    def scene(self) -> Scene:
+        """The models to show, to click and to place landmarks on."""
+        target, source = self.target, self.source
+        return Scene(
+            target.shape,
+            source.shape,
+            (target.mirror, source.mirror),
+            self.skins,
+            offers=(target.offer, source.offer),
+            dense=(target.dense, source.dense),
+            colored=source.look.colors is not None,
+        )
 
 
 @dataclass(frozen=True)
 class Found:
-    """Answer to `FindMap`: the map, the target under it, and what is known of it but how many there were before."""
+    """Answer to `FindMap`.
+
+    Attributes
+    ----------
+    images : Images
+        The map.
+    skins : (bytes, bytes or None)
+        Target and source under it; None where the source is drawn as before.
+    known : MapState
+        What is known of the map but how many there were before.
+    """
 
     images: Images
-    skin: bytes
+    skins: tuple[bytes, bytes | None]
     known: MapState
 
 
-@dataclass(frozen=True)
-class Dressed:
-    """Answer to `Dress`."""
-
-    skins: tuple[bytes, bytes]
-
-
-Answer = Opened | Found | Dressed
+Answer = Opened | Found | bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +134,7 @@ class Bench:
     Attributes
     ----------
     opening : Opening or None
-    models : Models or None
+    target, source : OpenedModel or None
     prepared : PreparedPair or None
         All that no landmark changes.
     free : MatchResult or None
@@ -144,7 +146,8 @@ class Bench:
     """
 
     opening: Opening | None = None
-    models: Models | None = None
+    target: OpenedModel | None = None
+    source: OpenedModel | None = None
     prepared: PreparedPair | None = None
     free: MatchResult | None = None
     chosen: int = 0
@@ -152,7 +155,7 @@ class Bench:
 
 
 def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer]:
-    """Do one task.
+    """Do one task; the answer to `ShowBaked` is the target's skin.
 
     Raises
     ------
@@ -160,57 +163,35 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
         Whatever is wrong with files or landmarks.
     """
     if isinstance(task, OpenModels) or bench.opening != task.opening:
-        bench = Bench(task.opening, open_models(task.opening, progress))
+        bench = Bench(task.opening, *open_models(task.opening, progress))
+    target, source = _models(bench)
     match task:
         case OpenModels():
-            models = _opened(bench)
-            target, source = models.target, models.source
-            scene = Scene(
-                target.shape,
-                source.shape,
-                (target.mirror, source.mirror),
-                _skins(bench, task.view, None),
-                offers=(target.offer, source.offer),
-                dense=(target.dense, source.dense),
+            skins = (
+                target_skin(target.shape, target.look, source.shape, source.look, None),
+                source_skin(source.shape, source.look),
             )
-            schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
-            return bench, Opened(scene, schemes, welds, target.notes + source.notes)
+            return bench, Opened(target, source, skins)
         case FindMap():
             return find_map(bench, task, progress)
-        case ChooseAnswer():
-            return choose_answer(bench, task, progress)
-        case Dress():
-            return bench, Dressed(_skins(bench, task.view, task.images))
+        case ShowBaked():
+            return bench, _baked_skin(target, source, task)
 
 
-def open_models(opening: Opening, progress: Progress) -> Models:
+def open_models(opening: Opening, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
     """Read, check and refine both models."""
     progress("reading the models")
     sides = zip((opening.target, opening.source), opening.schemes, opening.ups, opening.parts, strict=True)
     target, source = (open_model(path, scheme, up, opening.vertices, part) for path, scheme, up, part in sides)
-    if opening.texture is not None:
+    image = opening.texture or own_texture(opening.source, source.control, opening.folder)
+    if image is not None:
         progress("reading the texture")
-        source = replace(source, look=with_texture(source.look, opening.texture))
-    return Models(target, source)
+        source = replace(source, look=with_texture(source.look, image), texture=image)
+    return target, source
 
 
 def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Found]:
-    """Map the models with the landmarks there are."""
-    started = time.perf_counter()
-    bench, prepared = _prepared(bench, progress)
-    landmarks = _landmarks(_opened(bench), task.landmarks)
-    if not len(landmarks) + len(landmarks.curves):
-        free = bench.free or match_pair(prepared, progress=progress)
-        bench = replace(bench, free=free, result=other_answer(free, bench.chosen) if bench.chosen else free)
-    elif bench.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
-        bench = replace(bench, result=match_pair(prepared, landmarks, progress=progress))
-    else:
-        bench = replace(bench, result=update_match(bench.result, landmarks, progress=progress))
-    return bench, _found(bench, task.view, started)
-
-
-def choose_answer(bench: Bench, task: ChooseAnswer, progress: Progress) -> tuple[Bench, Found]:
-    """Go on from another landmark-free answer, with the landmarks there are.
+    """Map the models with the landmarks there are.
 
     Raises
     ------
@@ -219,33 +200,37 @@ def choose_answer(bench: Bench, task: ChooseAnswer, progress: Progress) -> tuple
     """
     started = time.perf_counter()
     bench, prepared = _prepared(bench, progress)
-    free = bench.free or match_pair(prepared, progress=progress)
-    result = other_answer(free, task.index, progress=progress)
-    landmarks = _landmarks(_opened(bench), task.landmarks)
-    if len(landmarks) + len(landmarks.curves):
-        result = update_match(result, landmarks, progress=progress)
-    after = replace(bench, free=free, chosen=task.index, result=result)
-    return after, _found(after, task.view, started)
+    target, source = _models(bench)
+    landmarks = landmarks_of(task.landmarks, target.control, source.control)
+    guided = bool(len(landmarks) + len(landmarks.curves))
+    if task.answer is not None or not guided:
+        free = bench.free or match_pair(prepared, progress=progress)
+        chosen = bench.chosen if task.answer is None else task.answer
+        result = other_answer(free, chosen, progress=progress) if chosen or task.answer is not None else free
+        bench = replace(bench, free=free, chosen=chosen, result=result)
+        if guided:
+            bench = replace(bench, result=update_match(result, landmarks, progress=progress))
+    elif bench.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
+        bench = replace(bench, result=match_pair(prepared, landmarks, progress=progress))
+    else:
+        bench = replace(bench, result=update_match(bench.result, landmarks, progress=progress))
+    return _found(bench, started)
 
 
 def _prepared(bench: Bench, progress: Progress) -> tuple[Bench, PreparedPair]:
     """The bench with its pair prepared, and the pair."""
     if bench.prepared is not None:
         return bench, bench.prepared
-    target, source = _opened(bench).target, _opened(bench).source
+    target, source = _models(bench)
     surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
     prepared = prepare_pair(*surfaces)
     return replace(bench, prepared=prepared), prepared
 
 
-def _landmarks(models: Models, landmarks: LandmarkList) -> Landmarks:
-    return landmarks_of(landmarks, models.target.control, models.source.control)
-
-
-def _opened(bench: Bench) -> Models:
-    if bench.models is None:
-        raise ParameterError("expected two models, none are open; open them first")
-    return bench.models
+def _models(bench: Bench) -> tuple[OpenedModel, OpenedModel]:
+    assert bench.target is not None
+    assert bench.source is not None
+    return bench.target, bench.source
 
 
 def told_apart(names: Sequence[str]) -> tuple[str, ...]:
@@ -254,12 +239,16 @@ def told_apart(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
 
 
-def _found(bench: Bench, view: View, started: float) -> Found:
-    """What the page is told about the map there is now."""
+def _found(bench: Bench, started: float) -> tuple[Bench, Found]:
+    """What the page is told about the map there is now; the source is turned to face as the target does."""
     result = bench.result
     assert result is not None
     images = Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    skin = _target_skin(_opened(bench), images, view)
+    target, source = _models(bench)
+    shape = faced(source.shape, target.shape, images)
+    turned = None if shape is source.shape else source_skin(shape, source.look)
+    bench = replace(bench, source=replace(source, shape=shape))
+    skin = target_skin(target.shape, target.look, shape, source.look, images)
     free = None if bench.free is None else bench.free.confidence
     known = MapState(
         answers=() if free is None else told_apart([reading.name for reading in free.readings]),
@@ -271,7 +260,7 @@ def _found(bench: Bench, view: View, started: float) -> Found:
         seconds=time.perf_counter() - started,
         suggestion=_suggestion(bench, result),
     )
-    return Found(images, skin, known)
+    return bench, Found(images, (skin, turned), known)
 
 
 def _suggestion(bench: Bench, result: MatchResult) -> int | None:
@@ -299,29 +288,16 @@ def _strain(result: MatchResult) -> dict[str, float]:
     return missed | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
-def _skins(bench: Bench, view: View, images: Images | None) -> tuple[bytes, bytes]:
-    models = _opened(bench)
-    source = faced(models.source.shape, models.target.shape, images)
-    return _target_skin(models, images, view), source_skin(source, models.source.look, _map_view(view))
-
-
-def _target_skin(models: Models, images: Images | None, view: View) -> bytes:
-    target, source = models.target, models.source
-    if view.mode == "baked" and view.baked is not None:
-        return _baked_skin(models, view)
-    return target_skin(target.shape, target.look, source.shape, source.look, images, _map_view(view))
-
-
-def _map_view(view: View) -> View:
-    """How the map is shown where no baked image is."""
-    return replace(view, mode="texture") if view.mode == "baked" else view
-
-
-def _baked_skin(models: Models, view: View) -> bytes:
+def _baked_skin(target: OpenedModel, source: OpenedModel, task: ShowBaked) -> bytes:
     """The target with an image that was baked, in its own layout or the one that was made for it."""
-    assert view.baked is not None
-    shape = models.target.shape
-    if shape.uvs is None and view.layout is not None:
-        laid_out = open_model(view.layout, models.target.scheme, None, len(shape.positions)).shape
-        shape = replace(laid_out, turn=shape.turn)
-    return source_skin(shape, with_texture(models.target.look, view.baked), _map_view(view))
+    shape, images = target.shape, task.images
+    if shape.uvs is None and task.layout is not None:
+        laid_out = open_model(task.layout, target.scheme, None, len(shape.positions)).shape
+        if np.array_equal(laid_out.triangles, shape.triangles):
+            shape = replace(shape, uvs=laid_out.uvs, uv_triangles=laid_out.uv_triangles)
+        else:
+            shape, images = replace(laid_out, turn=shape.turn), None
+    baked = with_texture(target.look, task.image)
+    if shape.uvs is not None:
+        shape = replace(shape, uvs=baked.on_image(shape.uvs))
+    return target_skin(shape, target.look, source.shape, source.look, images, baked.encoded)

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import io
 import mimetypes
+import tempfile
 import zipfile
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from cagemap.studio.state import Output
+import numpy as np
+
+from cagemap.files.gltf.document import glb_bytes, read_document
+from cagemap.files.gltf.material_images import png_bytes
+from cagemap.files.gltf.textures import with_images
+from cagemap.files.gltf.write import write_glb
+from cagemap.files.images.image import UDIM_MARK, read_image
+from cagemap.files.meshes.formats import read_whole
+from cagemap.studio.state import Output, Studio, layout_of
 
 ALL = "all.zip"
 # Formats that are packed already.
@@ -30,6 +40,26 @@ def content(outputs: Iterable[Output], name: str) -> tuple[bytes, str] | None:
     if found is None:
         return None
     return found.read_bytes(), mimetypes.guess_type(found.name)[0] or "application/octet-stream"
+
+
+def textured_name(state: Studio) -> str | None:
+    """What the target with the last bake's first image is called as one file; None without such an image."""
+    image = next((one for one in state.images if UDIM_MARK not in one.name), None)
+    return None if image is None or state.files is None else f"{image.stem}.glb"
+
+
+def textured(state: Studio) -> bytes:
+    """The target with the last bake's first image, as binary glTF."""
+    assert state.files is not None
+    image = next(one for one in state.images if UDIM_MARK not in one.name)
+    mesh = read_whole(layout_of(state, image) or state.files.target)
+    whole = np.zeros(mesh.n_faces, dtype=np.int64)
+    mesh = replace(mesh, face_materials=whole, material_names=(image.stem,), material_colors=np.ones((1, 3)))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "mesh.glb"
+        write_glb(file, mesh)
+        slots = {(image.stem, "baseColorTexture"): png_bytes(read_image(image))}
+        return glb_bytes(with_images(read_document(file), slots))
 
 
 def archive_name(folder: Path) -> str:

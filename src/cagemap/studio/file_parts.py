@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import (
     KINDS,
     Part,

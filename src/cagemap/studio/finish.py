@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cagemap.errors import ParameterError
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.opening import word_of
@@ -33,8 +33,6 @@ SHARED: dict[Key, Key] = {
 }
 # What the first command makes.
 MAP = "the map"
-# Titles of the commands that carry nothing.
-MAP_ALONE = ("match", "report")
 # The open texture among other maps of its material.
 COLOR = "color"
 _IMAGE = ("size", "bits", "filter", "unwrap", "bases", "force")
@@ -58,7 +56,7 @@ CARRIES = (
     Carry("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE)),
     Carry("attribute", "attribute", ("usd", "bases", "force")),
     Carry("UVs of the source", "source_uvs", ("force",)),
-    Carry("skin weights", "weights", ("influences", "joints", "usd", "bases", "force")),
+    Carry("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
     Carry("joints", "joints", ("force",)),
     Carry("blend shapes", "blend_shapes", ("usd", "force")),
     Carry("map for other programs", "write_map", ("force",)),
@@ -308,7 +306,7 @@ class _Writer:
                 usual = ".json" if carry.wants == "joints" else ".npz"
                 return f"_from_{value.stem}", usual if value.suffix.lower() in (
                     *USD_SUFFIXES,
-                    *GLTF_SUFFIXES,
+                    *SCENE_SUFFIXES,
                 ) else value.suffix
 
     def _image(self, image: Path) -> tuple[str, str]:

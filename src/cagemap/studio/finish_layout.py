@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.finish import SHARED
 from cagemap.studio.workspace import IMAGES, MESHES, TABLES
@@ -60,7 +60,7 @@ MORE_IMAGES, DETAIL, RIG, WRAP, MATCH, MASKS, FILES, ADVANCED = (
     "Files",
     "Advanced",
 )
-_RIGGED = (*USD_SUFFIXES, *GLTF_SUFFIXES)
+_RIGGED = (*USD_SUFFIXES, *SCENE_SUFFIXES)
 _VALUES = (*TABLES, ".json", *USD_SUFFIXES)
 _HELD = "the target's own, kept outside the masks: FILE under the texture, NAME=FILE under another (normal map, ao)"
 _MASK = "match and bake only this: a part's name, or a file; not:... for all but that"
@@ -97,6 +97,8 @@ FOLDS = (
             "transfer",
             ("weights", "Skin weights", (".csv", ".npz", *_RIGGED), "of the source's cage, a column a joint"),
             ("influences", "Influences", (), "joints a vertex at most; 0: all"),
+            ("only", "Joints carried", (), "names with commas; the target's own weights stay for all others"),
+            ("mirror", "Both sides alike", (), "by left and right in the joints' names"),
             ("joints", "Joints", (".json", *_RIGGED), "skeleton of the source"),
             ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIGGED, FOLDERS), "of the source's cage"),
             (

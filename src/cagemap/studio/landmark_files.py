@@ -12,7 +12,7 @@ import numpy as np
 
 from cagemap.errors import CagemapError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
-from cagemap.files.landmarks.point_formats import is_of_pairs, point_form, write_points
+from cagemap.files.landmarks.point_formats import POINT_FORMS, is_of_pairs, point_form, write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
@@ -24,6 +24,9 @@ from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
 from cagemap.studio.places import cage_points, places_of
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
+
+# What landmarks are saved as, and the endings that ask for it.
+FORMS = {"pairs (.json)": ".json"} | {f"{form.title} ({form.ending})": form.ending for form in POINT_FORMS}
 
 
 def load_landmarks(

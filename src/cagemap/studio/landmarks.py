@@ -155,19 +155,30 @@ def rename(landmarks: LandmarkList, number: int, name: str) -> LandmarkList:
     return landmarks._with(replace(item, name=_free_name(landmarks, name)))
 
 
-def mirror(landmarks: LandmarkList, number: int, across: Callable[[Side, Place], Place | None]) -> LandmarkList:
-    """Add a landmark's counterpart across the models' mirror planes.
+def mirror(
+    landmarks: LandmarkList,
+    number: int,
+    across: Callable[[Side, Place], Place | None],
+    taken: Callable[[Side, Place, Place], bool] = lambda *_: False,
+) -> LandmarkList:
+    """Add a landmark's counterpart across the models' mirror planes, unless another landmark has its place.
 
     Parameters
     ----------
     across : callable
         The mirror image of a place on one model, None where it is the place itself or the model has no mirror plane.
+    taken : callable
+        Whether two places of one model are about the same.
     """
     item = landmarks.get(number)
     if item is None or item.target is None or item.source is None:
         return landmarks
     target, source = across("target", item.target), across("source", item.source)
     if target is None or source is None:
+        return landmarks
+    images: tuple[tuple[Side, Place], ...] = (("target", target), ("source", source))
+    others = [(side, image, one.on(side)) for one in landmarks.items for side, image in images]
+    if any(place is not None and taken(side, image, place) for side, image, place in others):
         return landmarks
     new = 1 + max(entry.number for entry in landmarks.items)
     name = _free_name(landmarks, mirrored_name(item.name))

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
-from cagemap.studio.compute import ChooseAnswer, Dress, FindMap, Opening, OpenModels, Task
+from cagemap.studio.compute import FindMap, Opening, OpenModels, ShowBaked, Task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, RunningJob, View
+from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker
 
-_TITLES = {
-    OpenModels: "opening the models",
-    FindMap: "finding the map",
-    ChooseAnswer: "finding the map",
-    Dress: "drawing",
-}
+# What a computation is called on the page.
+OPENING, MATCHING, DRAWING = "Opening the models", "Matching", "Showing the baked image"
+_TITLES = {OpenModels: OPENING, FindMap: MATCHING, ShowBaked: DRAWING}
 # What may last when a version of cagemap runs for the first time; said until it was done once.
-_COMPILED = (OpenModels, FindMap)
-_COMPILES = " (the first run after installing compiles, which takes some seconds longer)"
+_COMPILES = " (some seconds longer on the first run after installing)"
 
 
 class Preview:
@@ -29,8 +26,10 @@ class Preview:
     ----------
     vertices : int
         Of each previewed surface, about.
+    folder : Path
+        Where an image inside the source's file is put.
     wanted : callable
-        The landmarks, the view and the map that is shown, as they are when a task begins.
+        The landmarks and the map that is shown, as they are when a task begins.
     on_job : callable
         Told of every task and its stages, and None when there is none.
     on_answer : callable
@@ -40,20 +39,23 @@ class Preview:
     def __init__(
         self,
         vertices: int,
-        wanted: Callable[[], tuple[LandmarkList, View, Images | None]],
+        folder: Path,
+        wanted: Callable[[], tuple[LandmarkList, Images | None]],
         on_job: Callable[[RunningJob | None], None],
         on_answer: Callable[[Task, object], None],
     ) -> None:
-        self._vertices, self._wanted, self._on_job, self._on_answer = vertices, wanted, on_job, on_answer
+        self._vertices, self._folder = vertices, folder
+        self._wanted, self._on_job, self._on_answer = wanted, on_job, on_answer
         self._wake = threading.Condition()
         self._models: Opening | None = None
         self._opening = False
         self._finding: bool | None = None  # None: nothing to find; True: from the start
         self._choosing: int | None = None
-        self._dressing = self._closed = False
+        self._showing: tuple[Path, Path | None] | None = None
+        self._closed = False
         self._title = ""
         self._task: Task | None = None
-        self._worker = Worker(lambda stage: on_job(RunningJob(self._title, stage, can_cancel=True)))
+        self._worker = Worker(lambda stage: on_job(RunningJob(self._title, stage)))
         self._worker.start()
         threading.Thread(target=self._work, name="studio preview", daemon=True).start()
 
@@ -61,12 +63,12 @@ class Preview:
         """Open two models; what was wished of others is forgotten, and their map is not found to its end."""
         with self._wake:
             asked = files.schemes, files.ups, files.parts
-            self._models = Opening(files.target, files.source, files.texture, self._vertices, *asked)
+            self._models = Opening(files.target, files.source, files.texture, self._vertices, self._folder, *asked)
             task = self._task
             if task is not None and not isinstance(task, OpenModels) and task.opening != self._models:
                 self._worker.drop(task)
             self._opening = True
-            self._finding, self._choosing, self._dressing = None, None, False
+            self._finding = self._choosing = self._showing = None
             self._wake.notify()
 
     @property
@@ -86,10 +88,10 @@ class Preview:
             self._choosing = index
             self._wake.notify()
 
-    def dress(self) -> None:
-        """Show the models in the view as it is."""
+    def show_baked(self, image: Path, layout: Path | None) -> None:
+        """Show a baked image, in the target's layout or that of another file."""
         with self._wake:
-            self._dressing = True
+            self._showing = image, layout
             self._wake.notify()
 
     def stop(self) -> None:
@@ -104,10 +106,10 @@ class Preview:
         self._worker.stop()
 
     def _work(self) -> None:
-        first = set(_COMPILED)
+        first = {OpenModels, FindMap}
         while (task := self._next()) is not None:
             self._title = _TITLES[type(task)] + (_COMPILES if type(task) in first else "")
-            self._on_job(RunningJob(self._title, can_cancel=True))
+            self._on_job(RunningJob(self._title))
             self._task = task
             answer = self._worker.run(task)
             self._task = None
@@ -118,31 +120,33 @@ class Preview:
             self._on_answer(task, answer)
 
     def _next(self) -> Task | None:
-        """Wait for a wish; opening comes first, drawing last."""
+        """Wait for a wish; opening comes first, images last."""
         with self._wake:
             while not self._anything_wanted():
                 self._wake.wait()
             if self._closed:
                 return None
             models, opening = self._models, self._opening
-            finding, choosing = self._finding, self._choosing
+            finding, choosing, showing = self._finding, self._choosing, self._showing
             if opening:
                 self._opening = False
             elif finding is not None:
-                self._finding = None  # its answer dresses the target only: a wish to dress both stays
+                self._finding = None
             elif choosing is not None:
                 self._choosing = None
             else:
-                self._dressing = False
+                self._showing = None
         # Outside the lock: whoever answers has one of its own, and may be about to wish something.
-        landmarks, view, images = self._wanted()
+        landmarks, images = self._wanted()
         assert models is not None  # every other wish comes after the first `open`
         if opening:
-            return OpenModels(models, view)
-        if finding is not None:
-            return FindMap(models, landmarks, view, fresh=finding)
-        return Dress(models, view, images) if choosing is None else ChooseAnswer(models, landmarks, choosing, view)
+            return OpenModels(models)
+        if finding is not None or choosing is not None:
+            return FindMap(models, landmarks, bool(finding), choosing if finding is None else None)
+        assert showing is not None
+        return ShowBaked(models, *showing, images)
 
     def _anything_wanted(self) -> bool:
-        wished = self._opening or self._finding is not None or self._choosing is not None or self._dressing
+        wished = self._opening or self._finding is not None or self._choosing is not None
+        wished = wished or self._showing is not None
         return self._closed or wished

@@ -47,7 +47,7 @@ class Runner:
     def start(self, todo: tuple[Command, ...]) -> None:
         """Begin; returns at once. Where the map cannot be made, there is nothing to do for the others."""
         self._cancelled = False
-        self._on_job(RunningJob("finish", "starting", 0.0, can_cancel=True))
+        self._on_job(RunningJob("finish", "starting", 0.0))
         threading.Thread(target=self._work, args=(todo,), name="studio finish", daemon=True).start()
 
     def cancel(self) -> None:
@@ -68,11 +68,11 @@ class Runner:
             failed.append(f"{type(error).__name__}: {error}")
         self._worker.end()
         if self._cancelled:
-            end = Message("note", f"finish: {CANCELLED}")
+            end = Message("note", f"Bake: {CANCELLED}")
         elif failed:
-            end = Message("error", f"finish: not everything could be made: {', '.join(failed)}")
+            end = Message("error", f"Bake: not everything could be made: {', '.join(failed)}")
         else:
-            end = Message("note", "finish: done")
+            end = Message("note", "Bake: done")
         self._on_job(None)  # from here on another run may begin
         self._on_end(end)
 
@@ -97,7 +97,7 @@ class Runner:
     def _tell(self, stage: str) -> None:
         _, number, count = self._running
         done = (number + 1 - self._left) / count
-        self._on_job(RunningJob(f"finish {number + 1}/{count}", stage, done, can_cancel=True))
+        self._on_job(RunningJob(f"finish {number + 1}/{count}", stage, done))
 
 
 def outputs_of(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:

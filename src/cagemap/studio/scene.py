@@ -10,7 +10,7 @@ import numpy as np
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.studio.file_parts import NOTHING, Offer
-from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, other
+from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, mirror, other
 from cagemap.studio.places import place_at, places_of
 from cagemap.studio.shape import Hit, Shape
 from cagemap.studio.skins import Images, faced
@@ -19,6 +19,8 @@ from cagemap.surface.closest_points import build_tree, closest_points
 
 # A mirror image this close to the place itself, of the model's radius, is the same place.
 _ON_PLANE = 0.01
+# A landmark so close, of the model's radius, has the place of a counterpart.
+_TAKEN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,8 @@ class Scene:
         Parts of their files.
     dense : two bool
         Whether a model is subdivided although it looks like a scan.
+    colored : bool
+        Whether the source's materials have colours.
     """
 
     target: Shape
@@ -47,6 +51,7 @@ class Scene:
     images: Images | None = None
     offers: tuple[Offer, Offer] = (NOTHING, NOTHING)
     dense: tuple[bool, bool] = (False, False)
+    colored: bool = False
 
     def shape(self, side: Side) -> Shape:
         """One of the models."""
@@ -54,8 +59,13 @@ class Scene:
 
     @property
     def faced(self) -> Shape:
-        """The source as the next skins show it: seen from the side that the target is seen from."""
+        """The source as it is drawn beside the target: turned to face as that does."""
         return faced(self.source, self.target, self.images)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether both models have a mirror plane."""
+        return all(mirror is not None for mirror in self.mirrors)
 
     @property
     def leaves_any(self) -> bool:
@@ -142,6 +152,19 @@ def mirrored(scene: Scene, side: Side, place: Place) -> Place | None:
     image = places_of(shape, CagePoints(mirror[np.array([place.corners])], np.array([place.weights])))[0]
     apart = np.linalg.norm(np.array(image.position) - np.array(place.position))
     return None if apart < _ON_PLANE * shape.radius else image
+
+
+def with_counterpart(scene: Scene, before: LandmarkList, after: LandmarkList) -> LandmarkList:
+    """Landmarks, with the mirror image of the one that was just completed, unless another one is there."""
+
+    def taken(side: Side, one: Place, other: Place) -> bool:
+        apart = np.linalg.norm(np.array(one.position) - np.array(other.position))
+        return bool(apart < _TAKEN * scene.shape(side).radius)
+
+    placed = before.open
+    if placed is None or after.open is not None or len(after) != len(before):
+        return after
+    return mirror(after, placed.number, lambda side, place: mirrored(scene, side, place), taken)
 
 
 def _nearest(positions: FloatArray, triangles: IndexArray, position: FloatArray) -> Hit:

@@ -13,8 +13,8 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import led_elsewhere
 from cagemap.studio.autosave import Owned, Parts, autosave_path, kept_parts, set_aside
-from cagemap.studio.compute import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task
-from cagemap.studio.finish import MAP_ALONE, Command, FinishOptions, planned
+from cagemap.studio.compute import FindMap, Found, Opened, OpenModels, ShowBaked, Task
+from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.landmark_files import FIRST, in_files, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
@@ -23,7 +23,7 @@ from cagemap.studio.opening import result_of, with_parts
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.runner import Runner
-from cagemap.studio.scene import Scene, mirrored, probed, proposed
+from cagemap.studio.scene import Scene, mirrored, probed, proposed, with_counterpart
 from cagemap.studio.shape import pick
 from cagemap.studio.shared_state import Held
 from cagemap.studio.skins import Images
@@ -56,7 +56,8 @@ class Session(Held):
         self._finishing: object = None
         self._last, self._owned = LastMap(), Owned()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._told, self._ended)
-        self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
+        told = lambda job: self._change(preview_job=job)  # noqa: E731
+        self._preview = Preview(vertices, workspace.folders[0], self._wanted, told, self._receive)
 
     # Files
 
@@ -65,14 +66,14 @@ class Session(Held):
 
         Parts that are not named are those of the autosave.
         """
-        with self._guarded():
+        with self.guarded():
             files = self.workspace.within(files)
             (target, source), kept = files.parts, kept_parts(autosave_path(files.landmarks))
             self._begin(replace(files, parts=(target or kept[0], source or kept[1])), files.parts)
 
     def choose_part(self, side: Side, title: str | None) -> None:
         """Open another part of one of the files, with its landmarks; what is not saved is kept for its own parts."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             files, scene = self._open()
             target, source = (offer.opened for offer in scene.offers)
             parts = (title, source) if side == "target" else (target, title)
@@ -81,19 +82,19 @@ class Session(Held):
 
     def take_as_it_is(self, side: Side) -> None:
         """Open one of the models anew, without subdividing it."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             files, _ = self._open()
             target, source = files.schemes
             self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
-    def save(self, path: Path | None = None) -> None:
-        """Write the landmarks that both models have."""
-        with self._guarded(), self._lock:
-            self._save(path)
+    def save(self, name: str | Path = "") -> None:
+        """Write the landmarks that both models have to a file of that name, or where they were opened."""
+        with self.guarded(), self._lock:
+            self._save(Path(name) if str(name).strip() else None)
 
     def load(self, path: Path, source_points: Path | None = None) -> None:
         """Replace the landmarks by those of a file of pairs, or of a file a mesh; on other parts if it has any."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             files, scene = self._open()
             file = self.workspace.require(path)
             second = None if source_points is None else self.workspace.require(source_points)
@@ -101,29 +102,26 @@ class Session(Held):
             self._edit(lambda present: edit.keep_elsewhere(landmarks, present))
             self._notes(notes)
 
-    def save_as(self, name: str) -> None:
-        """Write the landmarks to a file of that name, or where they were opened."""
-        self.save(Path(name) if name.strip() else None)
-
-    def add_file(self, name: str, content: bytes) -> bool:
-        """Put a file into the first folder, under a name that is free."""
-        with self._guarded(), self._adding:
-            self._say("note", f"added {self.workspace.add(name, content).name}")
-            return True
-        return False
+    def add_file(self, name: str, content: bytes) -> Path | None:
+        """Put a file into the first folder, under a name that is free; None where that is refused."""
+        with self.guarded(), self._adding:
+            added = self.workspace.add(name, content)
+            self._say("note", f"added {added.name}")
+            return added
+        return None
 
     # Landmarks
 
     def click(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
         """Place a landmark where a ray meets a model."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             place = self.place_under(side, origin, direction)
             if place is not None:
                 self._edit(lambda present: edit.place(present, side, place), select=True)
 
     def probe(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
         """Ask where the map takes the point of a model that a ray meets; a ray beside it ends the asking."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             scene = self._scene
             hit = None if scene is None else pick(scene.shape(side), origin, direction)
             self._change(probe=None if scene is None or hit is None else probed(scene, side, hit))
@@ -136,24 +134,27 @@ class Session(Held):
 
     def accept(self) -> None:
         """Complete the open landmark where the map proposes."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             proposal = self._state.proposal
             if proposal is None:
                 raise ParameterError("expected a landmark that waits for its other place, and a map; click a model")
-            self._edit(lambda present: edit.move(present, proposal.number, proposal.side, proposal.place))
+            where = proposal.number, proposal.side, proposal.place
+            self._edit(lambda present: edit.move(present, *where))
 
     def next_landmark(self) -> None:
         """Begin the landmark that would tell most; both its places are proposed, to be accepted or corrected."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             _, scene = self._open()
             vertex = self._state.map.suggestion
             if vertex is None:
                 raise ParameterError("next landmark: expected a map to judge; there is none yet")
             self._edit(lambda present: edit.begin(present, "target", vertex_place(scene.target, vertex)), select=True)
 
-    def move(self, number: int, side: Side, place: Place) -> None:
-        """Move one end of a landmark."""
-        self._edit(lambda present: edit.move(present, number, side, place))
+    def move(self, number: int, side: Side, origin: FloatArray, direction: FloatArray) -> None:
+        """Move one end of a landmark to where a ray meets the model; a ray beside it moves nothing."""
+        place = self.place_under(side, origin, direction)
+        if place is not None:
+            self._edit(lambda present: edit.move(present, number, side, place))
 
     def remove(self, number: int) -> None:
         """Leave a landmark out."""
@@ -161,12 +162,12 @@ class Session(Held):
 
     def rename(self, number: int, name: str) -> None:
         """Give a landmark another name."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             self._set_history(self._state.history.renamed(number, name))
 
     def mirror(self, number: int) -> None:
         """Add the counterpart of a landmark across both models' mirror planes."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             _, scene = self._open()
             before = self._state.history.present
             after = edit.mirror(before, number, lambda side, place: mirrored(scene, side, place))
@@ -179,12 +180,12 @@ class Session(Held):
 
     def undo(self) -> None:
         """One step back."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             self._set_history(self._state.history.undo())
 
     def redo(self) -> None:
         """One step forward again."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             self._set_history(self._state.history.redo())
 
     def select(self, number: int | None) -> None:
@@ -198,12 +199,12 @@ class Session(Held):
         with self._lock:
             before = self._state.view
             self._change(view=view)
-            if replace(before, cages=view.cages, linked=view.linked) != view and self._scene is not None:
-                self._preview.dress()
+            if view.baked is not None and view.baked != before.baked and self._scene is not None:
+                self._preview.show_baked(view.baked, view.layout)
 
     def show_as(self, **fields: object) -> None:
         """Change some fields of the view; what was baked last is shown where no baked image was chosen."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             self.show(changed_view(self._state, **fields))
 
     def look_at(self, image: Path | None) -> None:
@@ -223,48 +224,49 @@ class Session(Held):
                 self.show(map_view(self._state.view))
                 self._preview.choose(index)
 
-    def cancel_preview(self) -> None:
-        """Stop the preview's computation; the map stays as it was."""
+    def cancel(self) -> None:
+        """End the finish, whose whole files stay, or else the preview's computation, whose map stays as it was."""
         with self._lock:
-            self._cancelled = running = self._state.preview_job is not None
-        if running:
+            finish = self._state.finish_job is not None
+            self._cancelled = running = self._state.preview_job is not None and not finish
+        if finish:
+            self._runner.cancel()
+        elif running:
             self._preview.stop()
 
     # Finish
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
-        """The commands that a finish would run."""
+        """The commands that a finish would run.
+
+        Without an image, colours of the source's materials are baked; without these, the wrapped mesh is made.
+        """
         files, scene = self._open()
         landmarks = self._state.history.present.decides
         answer = 0 if landmarks else self._state.map.chosen
         asked = options.giving({("transfer", "unwrap"): scene.target.uvs is None, ("match", "answer"): answer})
+        if options.texture and files.texture is None and scene.colored:
+            asked = asked.giving({("transfer", "material_colors"): True})
+        elif options.texture and files.texture is None:
+            asked = replace(asked, wrap=True)
         return planned(self.options, self.workspace, files, asked, landmarks=landmarks)
 
     def finish(self, options: FinishOptions) -> None:
         """Map at full resolution, bake and report; saves the landmarks first."""
-        with self._guarded(), self._lock:
+        with self.guarded(), self._lock:
             if self._state.finish_job is not None:
-                raise ParameterError("expected no finish to be running; cancel it or wait for its end")
+                raise ParameterError("a bake is running; cancel it or wait for its end")
             todo = self.plan(options)
-            without = options.texture and self._open()[0].texture is None
-            if without and not any(command.title not in MAP_ALONE for command in todo):
-                raise ParameterError(
-                    "Texture: expected an image to bake, none is open. Choose one under Models and press Open, or "
-                    "untick Texture to make the map alone"
-                )
             if self._state.history.present.decides:
                 self._save()
             self.show(map_view(self._state.view))  # what is baked anew is drawn anew
             left = self._last.left_of(todo, self._state)
             self._change(outputs=() if left == todo else (Output(todo[0].output, todo[0].makes),))
             self._finishing = self._state.wish
-            if without:
-                self._say("note", "no texture is open, so none is baked; choose one under Models and press Open")
+            if options.texture and self._open()[0].texture is None:
+                made = "the colours of its materials are" if self._open()[1].colored else "the wrapped mesh is"
+                self._say("note", f"the source has no image: {made} made instead")
             self._runner.start(left)
-
-    def cancel_finish(self) -> None:
-        """End the finish; what was written whole stays."""
-        self._runner.cancel()
 
     def close(self) -> None:
         """End every computation; the autosave holds what was not saved."""
@@ -302,7 +304,7 @@ class Session(Held):
         self._say(message.kind, on_the_page(self.options, message.text))
 
     def _ended(self, message: Message) -> None:
-        with self._guarded():  # no lock: it takes longer than a click
+        with self.guarded():  # no lock: it takes longer than a click
             if self._finishing == self._state.wish:
                 self._notes(led_elsewhere(self._scene, self._state.outputs), "error")
         with self._lock:
@@ -312,13 +314,13 @@ class Session(Held):
             elif self._state.images:
                 self._say("note", "what was baked is of the map before the last changes; press Bake for the map of now")
 
-    def _wanted(self) -> tuple[LandmarkList, View, Images | None]:
+    def _wanted(self) -> tuple[LandmarkList, Images | None]:
         state, scene = self._state, self._scene
-        return state.history.present, state.view, None if scene is None else scene.images
+        return state.history.present, None if scene is None else scene.images
 
     def _receive(self, task: Task, answer: object) -> None:
         """Take in what the worker gave."""
-        with self._lock, self._guarded():
+        with self._lock, self.guarded():
             self._take(task, answer)
 
     def _take(self, task: Task, answer: object) -> None:
@@ -336,36 +338,39 @@ class Session(Held):
                 if isinstance(task, OpenModels) and files is not None and files.parts != self._asked_parts:
                     self._begin(replace(files, parts=self._asked_parts), self._asked_parts)  # the autosave's are gone
             case Opened():
-                self._scene = answer.scene
-                if self._state.files is not None:  # as they were opened, so that the finish opens them alike
-                    target, source = (offer.opened for offer in answer.scene.offers)
-                    files = with_parts(self._state.files, (target, source))
-                    self._change(files=replace(files, schemes=answer.schemes, welds=answer.welds))
-                self._notes(answer.notes)
-                self._first_landmarks()
-            case Found() if self._scene is not None and isinstance(task, FindMap | ChooseAnswer):
-                if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
-                    self._scene.warm()
-                self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
-                if self._scene.faced is not self._scene.source:
-                    self._preview.dress()
+                self._opened(answer)
+            case Found() if self._scene is not None and isinstance(task, FindMap):
+                before, (target, source) = self._scene, answer.skins
+                scene = replace(before, images=answer.images, skins=(target, source or before.skins[1]))
+                self._scene = scene = replace(scene, source=scene.faced)
+                if self._state.map.revision == 0 or scene.source is not before.source:
+                    scene.warm()  # the page has its models by now, and the processor is free
                 known = answer.known.under_names(task.landmarks, self._state.history.present)
                 known = replace(known, revision=self._state.map.revision + 1)
-                self._change(map=known, proposal=proposed(self._scene, self._state.history.present))
-            case Dressed() if self._scene is not None:
-                scene = replace(self._scene, source=self._scene.faced, skins=answer.skins)
-                if scene.source is not self._scene.source:
-                    scene.warm()
-                self._scene = scene
-                self._change()
+                self._change(map=known, proposal=proposed(scene, self._state.history.present))
+            case bytes() if self._scene is not None and isinstance(task, ShowBaked):
+                if task.image == self._state.view.baked:
+                    self._scene = replace(self._scene, skins=(answer, self._scene.skins[1]))
+                    self._change()
             case _:
                 log.warning("unexpected answer %r to %r", type(answer), type(task))
+
+    def _opened(self, answer: Opened) -> None:
+        """Take the models as they were opened, so that the finish opens them alike."""
+        target, source = answer.target, answer.source
+        self._scene = answer.scene
+        if self._state.files is not None:
+            files = with_parts(self._state.files, (target.offer.opened, source.offer.opened))
+            schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
+            self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
+        self._notes(target.notes + source.notes)
+        self._first_landmarks()
 
     def _first_landmarks(self) -> None:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
         files, scene = self._open()
         for read, saved in FIRST:
-            with self._guarded():
+            with self.guarded():
                 found = read(files, scene, self._owned)
                 if found is not None:
                     landmarks, notes = found
@@ -375,11 +380,14 @@ class Session(Held):
         self._find(fresh=True)
 
     def _edit(self, change: Callable[[LandmarkList], LandmarkList], *, select: bool = False) -> None:
-        with self._guarded(), self._lock:  # another page may be about to change them too
-            landmarks = change(self._state.history.present)
+        with self.guarded(), self._lock:  # another page may be about to change them too
+            before = self._state.history.present
+            landmarks = change(before)
+            if self._state.view.symmetric and self._scene is not None:
+                landmarks = with_counterpart(self._scene, before, landmarks)
             self._set_history(self._state.history.then(landmarks))
             if select and landmarks.items:
-                self._change(selected=(landmarks.open or landmarks.items[-1]).number)
+                self._change(selected=(before.open or landmarks.open or landmarks.items[-1]).number)
 
     def _set_history(self, history: History) -> None:
         before = self._state.history.present
@@ -391,7 +399,7 @@ class Session(Held):
             self._change(selected=None)
         files, scene = self._state.files, self._scene
         if files is not None and scene is not None:
-            with self._guarded():
+            with self.guarded():
                 self._notes(self._owned.keep(files.landmarks, in_files(history.present, scene), files.parts))
         if history.present.goes_by != before.goes_by:
             self._find(fresh=False)

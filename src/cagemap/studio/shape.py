@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles, signed_volume
-from cagemap.mesh.parts import list_parts
-from cagemap.mesh.topology import EdgeTable, edge_table
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.topology import edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
@@ -93,23 +92,9 @@ class Shape:
         return self.control.n_vertices
 
     @kept
-    def parts(self) -> tuple[str, ...]:
-        """Names of objects, groups and materials, each once."""
-        return tuple(dict.fromkeys(part.name for part in list_parts(self.control) if part.kind != "component"))
-
-    @kept
-    def _edge_table(self) -> EdgeTable:
-        return edge_table(self.control)
-
-    @kept
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
-        return np.asarray(self.control.positions[self._edge_table.vertices])
-
-    @kept
-    def encloses(self) -> bool:
-        """Whether the control mesh is closed and looks outwards, so that nobody sees its inner side."""
-        return bool((self._edge_table.face_counts == 2).all()) and signed_volume(self.control) > 0
+        return np.asarray(self.control.positions[edge_table(self.control).vertices])
 
     @kept
     def surface(self) -> TriangleSurface:

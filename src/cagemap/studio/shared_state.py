@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from cagemap.errors import CagemapError
+from cagemap.errors import CagemapError, in_options
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Studio, with_message
 
@@ -52,7 +52,7 @@ class Held:
 
     def _notes(self, notes: Iterable[str], kind: str = "note") -> None:
         for note in notes:
-            self._say(kind, note)
+            self._say(kind, in_options(note))
 
     def _change(self, **fields: object) -> None:
         with self._lock:
@@ -61,7 +61,7 @@ class Held:
                 listener(self._state, self._scene)
 
     @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def guarded(self) -> Iterator[None]:
         """Turn errors into messages of the page."""
         try:
             yield

@@ -1,40 +1,32 @@
-"""What covers a model in the view: the source's look on the source, and through the map on the target."""
+"""What covers a model in the view: its own look, and on the target the source's look through the map."""
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
 
+import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import turn_between
-from cagemap.pictures.colors import position_colors, to_linear
 from cagemap.studio.file_parts import Rest
-from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.glb import Drawn, glb
 from cagemap.studio.shape import Shape
-from cagemap.studio.state import Mode, View
-from cagemap.transfer.locate import triangle_frames
+from cagemap.transfer.attributes import encode_srgb as to_display
+from cagemap.transfer.locate import triangle_frames, walk_from
 
-WHITE = np.ones(3)
-CLAY = np.array([0.42, 0.41, 0.40])
-DOUBT = np.array([0.85, 0.02, 0.02])
-DOUBT_OPACITY = 0.45
-# Parts that are left alone.
-REST = np.array([0.5, 0.5, 0.5])
-REST_OPACITY = 0.3
-# Light on a matt model: from all sides, more from above, and from two lamps, before it to the left and behind it.
-AMBIENT, ABOVE = 0.34, 0.10
-LAMPS = ((np.array([-0.45, 0.75, 0.85]), 0.52), (np.array([0.6, 0.25, -0.9]), 0.30))
+# Of a model without materials, as displayed.
+CLAY = np.array([0.69, 0.68, 0.67])
 # Trust below which a place is marked.
 DOUBTFUL = 0.5
-# Doubtful triangles float this far above the model, of its radius.
-_LIFT = 0.004
-CHECKER_CELLS = 24
 # Largest difference between a corner's texture coordinates and those predicted from the next one, relative to the
 # predicted step: beyond it a seam lies between.
 _SEAM = 0.6
+# Samples along a side of a triangle that a seam or a border of materials crosses, and of all these triangles together.
+_FEWEST, _MOST, _SAMPLES = 3, 8, 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,36 +93,127 @@ def faced(source: Shape, target: Shape, images: Images | None) -> Shape:
     return replace(source, turn=source.turn @ [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
 
 
-def source_skin(shape: Shape, look: Look, view: View) -> bytes:
-    """The source in its own look, or painted with a pattern; a binary glTF file in view coordinates."""
-    mode, beside = view.mode, _beside(shape, look, view)
-    if mode == "texture" and look.encoded is not None and shape.uvs is not None and shape.uv_triangles is not None:
-        return glb([_split_at_seams(shape, look.on_image(shape.uvs), shape.uv_triangles), *beside], look.encoded)
-    painted = mode in ("colours", "checker")
-    return glb([_painted(shape, _vertex_pattern(shape, mode)) if painted else _own(shape, look), *beside])
+def source_skin(shape: Shape, look: Look) -> bytes:
+    """The source in its own look; a binary glTF file in view coordinates.
+
+    COLOR_1 has the colours of its materials, TEXCOORD_0 leads into the image "texture".
+    """
+    images = {} if look.encoded is None else {"texture": look.encoded}
+    corners, _, attributes = _own(shape, look)
+    layout = attributes.pop("TEXCOORD_1", None)
+    if layout is not None and images:
+        attributes["TEXCOORD_0"] = look.on_image(layout)
+    return glb([Drawn("model", attributes, corners), *_rest(shape, look)], images)
 
 
-def target_skin(shape: Shape, own: Look, source: Shape, look: Look, images: Images | None, view: View) -> bytes:
-    """The target as it is, or with the source's look through the map; a binary glTF file in view coordinates."""
-    mode, beside = view.mode, _beside(shape, own, view)
-    if images is None or mode == "plain":
-        return glb([_own(shape, own), *beside])
-    doubtful = [*beside, *([_doubtful(shape, images)] if view.doubts else [])]
-    if mode == "texture" and look.encoded is not None and source.uvs is not None and source.uv_triangles is not None:
+def target_skin(
+    shape: Shape, own: Look, source: Shape, look: Look, images: Images | None, baked: bytes | None = None
+) -> bytes:
+    """The target as it is, and with the source's look through the map; a binary glTF file in view coordinates.
+
+    Beside the target's own colours and layout (COLOR_1, TEXCOORD_1, the image "baked"), every vertex has what the map
+    gives it: ``_PLACE`` and ``_PLACE_NORMAL`` on the source, ``_TRUST``, the source's texture coordinates TEXCOORD_0 or
+    colour COLOR_0. Triangles that a seam of the source's layout or a border of its materials crosses are apart, as
+    "seams", with an image of that name which has a square of samples for each.
+    """
+    pictures = {} if baked is None else {"baked": baked}
+    corners, vertex, attributes = _own(shape, own)
+    if images is None:
+        return glb([Drawn("model", attributes, corners), *_rest(shape, own)], pictures)
+    attributes |= {
+        "_PLACE": source.to_view(images.on(source.triangles, source.positions))[vertex],
+        "_PLACE_NORMAL": source.turned(images.on(source.triangles, source.normals))[vertex],
+        "_TRUST": images.trust[vertex],
+    }
+    crossing = np.zeros(len(corners), dtype=bool)
+    if look.encoded is not None and source.uvs is not None and source.uv_triangles is not None:
         uvs = images.on(source.uv_triangles, source.uvs)
         crossing = crossing_triangles(shape, source, images, uvs)
-        inner, seam = (_part(shape.triangles[chosen]) for chosen in (~crossing, crossing))
-        textured = _drawn(shape, *inner, uvs=look.on_image(uvs[inner[0]]))
-        colored = _drawn(shape, *seam, texture_colors(look, uvs[seam[0]]))
-        return glb([textured, colored, *doubtful], look.encoded)
-    if mode == "texture":
-        if look.colors is None:
-            return glb([_own(shape, own), *doubtful])
-        corners = shape.triangles
-        faces = source.faces[images.triangle[corners]]  # (t, 3)
-        votes = np.where(faces[:, 1] == faces[:, 2], faces[:, 1], faces[:, 0])
-        return glb([_flat(shape, look.colors[votes]), *doubtful])
-    return glb([_painted(shape, images.on(source.triangles, _vertex_pattern(source, mode))), *doubtful])
+        attributes["TEXCOORD_0"] = look.on_image(uvs)[vertex]
+    elif look.colors is not None:
+        hit = look.colors[source.faces[images.triangle]]
+        crossing = (hit[shape.triangles] != hit[shape.triangles[:, :1]]).any(axis=(1, 2))
+        attributes["COLOR_0"] = to_display(hit)[vertex]
+    seams = []
+    if crossing.any():
+        uvs, pictures["seams"] = _samples(shape.triangles[crossing], source, look, images)
+        apart = corners[crossing].ravel()
+        split = {name: values[apart] for name, values in attributes.items()} | {"TEXCOORD_0": uvs}
+        seams = [Drawn("seams", split, np.arange(len(apart)).reshape(-1, 3))]
+    return glb([Drawn("model", attributes, corners[~crossing]), *seams, *_rest(shape, own)], pictures)
+
+
+def _own(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
+    """A model as it is, one vertex for each triple of point, place in the layout and colour.
+
+    Returns triangles, the shape's vertex of each vertex, and attributes.
+    """
+    columns = [shape.triangles]
+    if shape.uv_triangles is not None:
+        columns.append(shape.uv_triangles)
+    if look.colors is not None:
+        palette, color = np.unique(look.colors, axis=0, return_inverse=True)
+        columns.append(np.repeat(color.ravel()[shape.faces][:, None], 3, axis=1))
+    key = np.zeros(shape.triangles.size, dtype=np.int64)
+    for column in columns:
+        key = key * (column.max(initial=0) + 1) + column.ravel()
+    _, first, corners = np.unique(key, return_index=True, return_inverse=True)
+    vertex = shape.triangles.ravel()[first]
+    made: dict[str, FloatArray] = {
+        "POSITION": shape.to_view(shape.positions[vertex]),
+        "NORMAL": shape.turned(shape.normals[vertex]),
+        "COLOR_1": np.broadcast_to(CLAY, (len(vertex), 3)),
+    }
+    if shape.uvs is not None and shape.uv_triangles is not None:
+        made["TEXCOORD_1"] = shape.uvs[shape.uv_triangles.ravel()[first]]
+    if look.colors is not None:
+        made["COLOR_1"] = to_display(palette)[columns[-1].ravel()[first]]
+    return corners.reshape(-1, 3), vertex, made
+
+
+def _rest(shape: Shape, look: Look) -> list[Drawn]:
+    """Parts of the file that are left alone."""
+    rest = look.rest
+    if rest is None:
+        return []
+    attributes = {"POSITION": shape.to_view(rest.positions), "NORMAL": shape.turned(rest.normals)}
+    return [Drawn("rest", attributes, rest.triangles)]
+
+
+def _samples(corners: IndexArray, source: Shape, look: Look, images: Images) -> tuple[FloatArray, bytes]:
+    """Colours of the source at points of some target triangles, as an image; (3 t, 2) where their corners are in it."""
+    side = int(np.clip(np.sqrt(_SAMPLES / len(corners)), _FEWEST, _MOST))
+    column = np.tile(np.arange(side), side) / (side - 1)
+    row = np.repeat(np.arange(side), side) / (side - 1)
+    beyond = np.maximum(column + row - 1, 0) / 2
+    column, row = column - beyond, row - beyond
+    weights = np.column_stack([1 - column - row, column, row])  # (side^2, 3)
+    places = images.on(source.triangles, source.positions)[corners]
+    points = np.einsum("sc,tcd->tsd", weights, places)
+    nearest = np.argmax(weights, axis=1)
+    starts = images.triangle[corners][:, nearest]
+    frames = triangle_frames(source.positions, source.triangles)
+    triangle, inside = walk_from(frames, source.surface.neighbors, starts.ravel(), points.reshape(-1, 3))
+    colors = _colors_at(source, look, triangle, inside).reshape(len(corners), side, side, 3)
+    across = int(np.ceil(np.sqrt(len(corners))))
+    squares = np.zeros((across * across, side, side, 3), dtype=np.uint8)
+    squares[: len(corners)] = colors
+    picture = squares.reshape(across, across, side, side, 3).swapaxes(1, 2).reshape(across * side, across * side, 3)
+    data = io.BytesIO()
+    imageio.imwrite(data, picture, extension=".png", compress_level=1)
+    down, right = np.divmod(np.arange(len(corners)), across)
+    at = side * np.column_stack([right, down])[:, None] + 0.5 + (side - 1) * np.array([[0, 0], [1, 0], [0, 1]])
+    uvs = at.reshape(-1, 2) / (across * side)
+    return np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1]]), data.getvalue()
+
+
+def _colors_at(source: Shape, look: Look, triangle: IndexArray, inside: FloatArray) -> NDArray[np.uint8]:
+    """(n, 3) colours, as displayed, of the source's image or materials at points of it."""
+    if look.texture is None or source.uvs is None or source.uv_triangles is None:
+        assert look.colors is not None
+        return np.rint(255 * to_display(look.colors[source.faces[triangle]])).astype(np.uint8)
+    uvs = np.einsum("nc,ncd->nd", inside, source.uvs[source.uv_triangles[triangle]])
+    return texture_colors(look, uvs)
 
 
 def crossing_triangles(shape: Shape, source: Shape, images: Images, uvs: FloatArray) -> NDArray[np.bool_]:
@@ -154,14 +237,14 @@ def crossing_triangles(shape: Shape, source: Shape, images: Images, uvs: FloatAr
     return crossing
 
 
-def texture_colors(look: Look, uvs: FloatArray) -> FloatArray:
-    """(n, 3) linear colours of the texture at texture coordinates, nearest texel."""
+def texture_colors(look: Look, uvs: FloatArray) -> NDArray[np.uint8]:
+    """(n, 3) colours of the texture at texture coordinates, as displayed: nearest texels."""
     assert look.texture is not None
     height, width = look.texture.shape[:2]
     across, up = look.on_image(uvs).T
     column = np.floor(across % 1.0 * width).astype(np.int64).clip(0, width - 1)
     row = np.floor((1.0 - up) % 1.0 * height).astype(np.int64).clip(0, height - 1)
-    return to_linear(look.texture[row, column, :3] / 255.0)
+    return np.asarray(look.texture[row, column, :3])
 
 
 def _layout_jacobians(source: Shape) -> FloatArray:
@@ -171,87 +254,3 @@ def _layout_jacobians(source: Shape) -> FloatArray:
     layout = source.uvs[source.uv_triangles]
     gradients = triangle_frames(source.positions, source.triangles)[:, 1:]
     return np.asarray(np.einsum("tki,tkj->tij", layout[:, 1:] - layout[:, :1], gradients))
-
-
-def light_on(normals: FloatArray) -> FloatArray:
-    """(n,) what a matt white surface gives back: light from everywhere, and Lambert's law for each lamp."""
-    lamps = sum(strength * np.maximum(normals @ (place / np.linalg.norm(place)), 0.0) for place, strength in LAMPS)
-    return np.asarray(AMBIENT + ABOVE * normals[:, 1] + lamps)
-
-
-def _vertex_pattern(shape: Shape, mode: Mode) -> FloatArray:
-    """(n, 3) linear colours of a pattern that positions on the shape decide."""
-    cells = CHECKER_CELLS if mode == "checker" else 0
-    colors = position_colors(shape.positions, shape.positions, cells=0)
-    if cells:
-        steps = np.floor(shape.to_view(shape.positions) * (cells / 2)).astype(np.int64).sum(axis=1)
-        colors = np.where((steps % 2 == 0)[:, None], 0.25 + 0.7 * colors, 0.25 * colors)
-    return to_linear(colors)
-
-
-def _own(shape: Shape, look: Look) -> Primitive:
-    if look.colors is not None:
-        return _flat(shape, look.colors[shape.faces])
-    return _painted(shape, np.broadcast_to(CLAY, shape.positions.shape))
-
-
-def _painted(shape: Shape, colors: FloatArray) -> Primitive:
-    return _drawn(shape, np.arange(len(shape.positions)), shape.triangles, colors)
-
-
-def _flat(shape: Shape, colors: FloatArray) -> Primitive:
-    """One colour a triangle; one vertex for every pair of vertex and colour that occurs."""
-    palette, color = np.unique(colors, axis=0, return_inverse=True)
-    vertices, own, triangles = _pairs(shape.triangles, np.repeat(color.ravel(), 3).reshape(-1, 3))
-    return _drawn(shape, vertices, triangles, palette[own])
-
-
-def _split_at_seams(shape: Shape, uvs: FloatArray, uv_triangles: IndexArray) -> Primitive:
-    """One vertex for every pair of vertex and texture coordinates that occurs."""
-    vertices, texture, triangles = _pairs(shape.triangles, uv_triangles)
-    return _drawn(shape, vertices, triangles, uvs=uvs[texture])
-
-
-def _doubtful(shape: Shape, images: Images) -> Primitive:
-    """Triangles where the map is in doubt, a little above the model."""
-    chosen = (images.trust[shape.triangles] < DOUBTFUL).sum(axis=1) >= 2
-    vertices, triangles = _part(shape.triangles[chosen])
-    drawn = _drawn(shape, vertices, triangles, DOUBT, opacity=DOUBT_OPACITY)
-    return replace(drawn, positions=drawn.positions + _LIFT * shape.turned(shape.normals[vertices]))
-
-
-def _beside(shape: Shape, look: Look, view: View) -> list[Primitive]:
-    """Parts of the file that are left alone, grey and seen through, so that they hide nothing."""
-    rest = look.rest
-    if rest is None or not view.rest:
-        return []
-    lit = light_on(shape.turned(rest.normals))[:, None] * REST
-    return [Primitive(shape.to_view(rest.positions), rest.triangles, lit, opacity=REST_OPACITY)]
-
-
-def _part(triangles: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """The vertices that some triangles use, and the triangles in their numbers."""
-    vertices, corners = np.unique(triangles, return_inverse=True)
-    return vertices, corners.reshape(-1, 3)
-
-
-def _pairs(one: IndexArray, other: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Pairs of numbers that occur at triangles' corners, each once, and the triangles in the pairs' numbers."""
-    count = other.max(initial=0) + 1
-    pairs, corners = np.unique(one.ravel() * count + other.ravel(), return_inverse=True)
-    return *np.divmod(pairs, count), corners.reshape(-1, 3)
-
-
-def _drawn(
-    shape: Shape,
-    vertices: IndexArray,
-    triangles: IndexArray,
-    colors: FloatArray = WHITE,
-    uvs: FloatArray | None = None,
-    opacity: float = 1.0,
-) -> Primitive:
-    """Triangles between some vertices of a shape, in its light."""
-    lit = light_on(shape.turned(shape.normals[vertices]))[:, None] * colors
-    return Primitive(
-        shape.to_view(shape.positions[vertices]), triangles, lit, uvs, opacity, two_sided=not shape.encloses
-    )

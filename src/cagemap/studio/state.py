@@ -70,6 +70,8 @@ class View:
         layout.
     cages : bool
         Control meshes as lines.
+    symmetric : bool
+        A landmark beside the mirror plane of two symmetric models brings its counterpart.
     doubts : bool
         Doubtful places of the map in red.
     linked : bool
@@ -84,6 +86,7 @@ class View:
 
     mode: Mode = "texture"
     cages: bool = False
+    symmetric: bool = True
     doubts: bool = True
     linked: bool = True
     rest: bool = True
@@ -151,13 +154,11 @@ class RunningJob:
         What it does now.
     fraction : float or None
         Done, from 0 to 1, where known.
-    can_cancel : bool
     """
 
     title: str
     stage: str = ""
     fraction: float | None = None
-    can_cancel: bool = False
 
 
 @dataclass(frozen=True)
@@ -267,9 +268,13 @@ def baked_view(state: Studio, image: Path | None) -> View:
     """The view that shows an image that was baked; None: the map, as a texture where a baked image was shown."""
     if image is None:
         return map_view(state.view)
+    return replace(state.view, mode="baked", baked=image, layout=layout_of(state, image))
+
+
+def layout_of(state: Studio, image: Path) -> Path | None:
+    """The mesh with the layout that an image was baked into, where one was made for it."""
     meshes = (output.path for output in state.outputs if output.path.stem.endswith(_UNWRAPPED))
-    layout = next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED))), None)
-    return replace(state.view, mode="baked", baked=image, layout=layout)
+    return next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED))), None)
 
 
 def changed_view(state: Studio, **fields: object) -> View:

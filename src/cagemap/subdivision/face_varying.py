@@ -14,9 +14,8 @@ import numpy as np
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.sharpness import Sharpness
-from cagemap.subdivision.state import MeshState, control_state, next_state
+from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
+from cagemap.subdivision.sharpness import MeshState, Sharpness, control_state, next_state
 from cagemap.subdivision.topology import (
     BoolArray,
     Topology,
@@ -69,7 +68,10 @@ def _fixed_values(
     follows = None
     if mode in _DEPENDENT:
         n_values = np.bincount(owners, minlength=topology.table.n_vertices)[owners]
-        other = _other_of_two(owners, n_values)
+        other = np.arange(len(owners))  # of a vertex with two UVs, the other one
+        twins = np.flatnonzero(n_values == 2)
+        both = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
+        other[both] = both[:, ::-1]
         causes = fixed | single if mode == "corners_plus2" else fixed
         fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[other]))
         semi = _at_edges(cut, inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS))
@@ -92,15 +94,6 @@ def _at_edges(cut: Topology, edges: BoolArray) -> BoolArray:
     return result
 
 
-def _other_of_two(owners: IndexArray, n_values: IndexArray) -> IndexArray:
-    """The other UV of the same vertex, where a vertex has two; else the UV itself."""
-    other = np.arange(len(owners))
-    twins = np.flatnonzero(n_values == 2)
-    pairs = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
-    other[pairs] = pairs[:, ::-1]
-    return other
-
-
 def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     """The mesh's sharpness in the layout, where seams and fixed values are infinitely sharp."""
     cut, table, sharpness = layout.topology, state.topology.table, state.sharpness
@@ -120,13 +113,12 @@ def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     return Sharpness(edges, halves, vertices, after)
 
 
-def next_layout(layout: MeshState, child: Topology, scheme: Scheme) -> MeshState:
+def _next_layout(layout: MeshState, scheme: Scheme) -> MeshState:
     """Layout of the next level; new values on seams are fixed in mode ``boundaries`` only."""
-    new = child.table.n_vertices - len(layout.corner)
-    fixed = np.concatenate([layout.corner, np.zeros(new, dtype=bool)])
-    if scheme.uv_interpolation == "boundaries":
-        fixed = child.boundary
-    follows = layout.follows
+    child, follows = split_topology(layout.topology, scheme), layout.follows
+    fixed = child.boundary
+    if scheme.uv_interpolation != "boundaries":
+        fixed = np.concatenate([layout.corner, np.zeros(child.table.n_vertices - len(layout.corner), dtype=bool)])
     if follows is not None:
         follows = np.concatenate([follows, np.arange(len(follows), child.table.n_vertices)])
     return replace(layout, topology=child, corner=fixed, follows=follows)
@@ -139,7 +131,7 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
     for step in range(levels):
         if step:
             state = state if is_linear(scheme) else next_state(state, scheme)
-            layout = next_layout(layout, split_topology(layout.topology, scheme), scheme)
+            layout = _next_layout(layout, scheme)
         uvs = refine_uvs(layout, uvs, state, scheme)
     return uvs, children(layout.topology.table, scheme).astype(np.int64)
 
@@ -147,25 +139,11 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
 def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
     """UVs (p, 2) of the next level: a linear step, or in any mode but ``all`` the surface's step on the layout."""
     if is_linear(scheme):
-        return _refine_linearly(layout.topology, uvs, with_face_points=not isinstance(scheme, Loop))
+        linear: FloatArray = linear_matrix(layout.topology.table, not isinstance(scheme, Loop)) @ uvs
+        return linear
     if state.sharpness is not None:
         around = layout_sharpness(layout, state)
         fixed = layout.topology.boundary & (around.vertices >= INFINITE_SHARPNESS)
         layout = replace(layout, corner=fixed, sharpness=around)
     refined: FloatArray = subdivision_matrix(layout, scheme) @ uvs
     return refined
-
-
-def _refine_linearly(topology: Topology, uvs: FloatArray, *, with_face_points: bool) -> FloatArray:
-    """Values, midpoints of edges and, but for Loop, means of faces (OpenSubdiv's ``FVAR_LINEAR_ALL``)."""
-    table, forward = topology.table, topology.edge_corners[:, 0]
-    midpoints = 0.5 * (uvs[table.vertices[forward]] + uvs[table.vertices[table.following[forward]]])
-    if not with_face_points:
-        return np.concatenate([uvs, midpoints])
-    if table.has_only(4):
-        a, b, c, d = (uvs[table.vertices[k::4]] for k in range(4))
-        return np.concatenate([uvs, midpoints, 0.25 * ((a + c) + (b + d))])
-    starts = np.flatnonzero(np.diff(table.faces, prepend=-1))
-    sizes = np.diff(starts, append=table.n_corners)
-    centroids = np.add.reduceat(uvs[table.vertices], starts, axis=0) / sizes[:, None]
-    return np.concatenate([uvs, midpoints, centroids])

@@ -8,8 +8,8 @@ import numpy as np
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.faces import keep_faces
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh.faces import keep_faces, labels_of
+from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision.refinement import Refinement, refine
 from cagemap.surface.triangles import fan_triangles
 
@@ -22,10 +22,6 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.n_levels == 0:
         return control
-
-    def of_parents(values: IndexArray | None) -> IndexArray | None:
-        return None if values is None else values[finest.face_parents]
-
     mesh = replace(
         control,
         positions=finest.positions,
@@ -33,9 +29,7 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
         face_indices=finest.faces.ravel(),
         uvs=finest.uvs,
         uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
-        face_materials=of_parents(control.face_materials),
-        face_objects=of_parents(control.face_objects),
-        face_groups=of_parents(control.face_groups),
+        **labels_of(control, finest.face_parents),
         uv_sets=tuple(_refined(refinement, uv_set) for uv_set in control.uv_sets),
         vertex_colors=_colors(refinement),
         crease_edges=None,

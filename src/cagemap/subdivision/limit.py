@@ -1,27 +1,36 @@
 """Limit positions and normals, exact at every vertex of every level.
 
 The left eigenvectors of the matrix that takes a vertex and its ring to the next level give the limit: position from
-eigenvalue 1, tangents from the next two [HKD93]_. They are closed formulas (`limit_rings`), or eigenvectors of a small
+eigenvalue 1, tangents from the next two [HKD93]_. They are closed formulas, or eigenvectors of a small
 matrix where one infinite crease ends (dart). Semi-sharp vertices are refined locally until nothing is semi-sharp.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, eye_array
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, Loop
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
-from cagemap.subdivision.limit_rings import Entries, SmoothScheme, matrix_of, ring_limits, ring_tangents
-from cagemap.subdivision.matrices import rings_of, subdivision_matrix
+from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.subdivision.matrices import (
+    RowFiller,
+    put_boundary_rows,
+    put_inner_rows,
+    rings_of,
+    subdivision_matrix,
+    vertex_row_lengths,
+)
 from cagemap.subdivision.refinement import Refinement, state_of
-from cagemap.subdivision.sharpness import Sharpness, edge_ends
-from cagemap.subdivision.state import MeshState, next_state
+from cagemap.subdivision.sharpness import MeshState, Sharpness, edge_ends, next_state
 from cagemap.subdivision.topology import BoolArray, Topology, corner_neighbours, table_of, topology_of_table
+
+SmoothScheme: TypeAlias = CatmullClark | Loop
+# Rows, columns and weights of some entries of a matrix.
+Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 
 def limit_matrix(refinement: Refinement, level: int) -> csr_array:
@@ -61,12 +70,7 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
 
     On creases and corners the mean over all sides; zero where the surface is degenerate. Approximate where the surface
     has no normal: at interior vertices of valence 2, at boundary vertices of more than 3 faces (Catmull-Clark) or 5
-    (Loop), at sharp boundary vertices of several faces, and on bilinear surfaces.
-
-    Raises
-    ------
-    ParameterError
-        As for `limit_positions`.
+    (Loop), at sharp boundary vertices of several faces, and on bilinear surfaces. Errors as of `limit_positions`.
     """
     if level == 0 and not _has_limit_rings(refinement, 0) and refinement.n_levels:
         return limit_normals(refinement, 1)[: refinement.levels[0].n_vertices]
@@ -77,11 +81,6 @@ def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, Floa
     """Two directions that span the limit surface's tangent plane at every vertex, each (n_level, 3).
 
     Their cross product is outward; their lengths mean nothing. On the boundary the first follows the curve.
-
-    Raises
-    ------
-    ParameterError
-        As for `limit_matrix`.
     """
     state = _checked_state(refinement, level)
     positions, scheme = refinement.levels[level].positions, refinement.scheme
@@ -110,17 +109,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Features:
-    """Vertices (n,) that are sharp beyond the boundary's rules, by kind."""
-
-    semi: BoolArray
-    dart: BoolArray
-    crease: BoolArray
-    corner: BoolArray
-
-
-def _features(topology: Topology, sharpness: Sharpness) -> _Features:
+def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
+    """Vertices (n,) that are sharp beyond the boundary's rules: semi-sharp, darts, creases, corners."""
     ends, n = edge_ends(topology), topology.table.n_vertices
     inside = topology.edge_corners[:, 1] >= 0
     infinite = sharpness.edges >= INFINITE_SHARPNESS
@@ -130,7 +120,7 @@ def _features(topology: Topology, sharpness: Sharpness) -> _Features:
     inner = np.bincount(ends[infinite & inside].ravel(), minlength=n) > 0
     corner = (sharpness.vertices >= INFINITE_SHARPNESS) | (inner & (count > 2))
     infinite_only = ~semi & ~corner & inner
-    return _Features(semi, infinite_only & (count == 1), infinite_only & (count == 2), corner & ~semi)
+    return semi, infinite_only & (count == 1), infinite_only & (count == 2), corner & ~semi
 
 
 def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_array:
@@ -139,11 +129,12 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     rows = ring_limits(topology, scheme, state.corner)
     if sharpness is None:
         return rows
-    features, ends, n = _features(topology, sharpness), edge_ends(topology), topology.table.n_vertices
-    smooth = ~(features.semi | features.dart | features.crease | features.corner)
+    semi, dart, crease_vertices, corner = _features(topology, sharpness)
+    ends, n = edge_ends(topology), topology.table.n_vertices
+    smooth = ~(semi | dart | crease_vertices | corner)
     own, other = CREASE_LIMIT
-    along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & features.crease[ends]
-    fixed, crease = np.flatnonzero(features.corner), np.flatnonzero(features.crease)
+    along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease_vertices[ends]
+    fixed, crease = np.flatnonzero(corner), np.flatnonzero(crease_vertices)
     entries: list[Entries] = [
         (fixed, fixed, np.ones(len(fixed))),
         (crease, crease, np.full(len(crease), own)),
@@ -151,9 +142,9 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
         (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), other)),
     ]
     result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, n)
-    result = result + _dart_rows(topology, sharpness, scheme, features.dart & wanted)[0]
-    if np.any(features.semi & wanted):
-        part, vertices, child, followed = _refined_around(state, scheme, features.semi & wanted)
+    result = result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0]
+    if np.any(semi & wanted):
+        part, vertices, child, followed = _refined_around(state, scheme, semi & wanted)
         chosen = followed[: len(vertices)]
         finer = _limits(child, scheme, followed)[np.flatnonzero(chosen)] @ subdivision_matrix(part, scheme)
         finer = finer.tocoo()
@@ -182,13 +173,13 @@ def _tangents(
     """Two tangents of every vertex; rows that are not wanted mean nothing."""
     if state.sharpness is None:
         return ring_tangents(state.topology, scheme, state.corner, positions)
-    features = _features(state.topology, state.sharpness)
-    tangents = _tangents_of_sides(state, scheme, positions, features.corner)
-    dart_rows = _dart_rows(state.topology, state.sharpness, scheme, features.dart)
+    semi, dart, _, corner = _features(state.topology, state.sharpness)
+    tangents = _tangents_of_sides(state, scheme, positions, corner)
+    dart_rows = _dart_rows(state.topology, state.sharpness, scheme, dart)
     for tangent, rows in zip(tangents, dart_rows[1:], strict=True):
-        tangent[features.dart] = (rows @ positions)[features.dart]
-    if np.any(features.semi & wanted):
-        part, vertices, child, followed = _refined_around(state, scheme, features.semi & wanted)
+        tangent[dart] = (rows @ positions)[dart]
+    if np.any(semi & wanted):
+        part, vertices, child, followed = _refined_around(state, scheme, semi & wanted)
         chosen = followed[: len(vertices)]
         finer = _tangents(child, scheme, subdivision_matrix(part, scheme) @ positions[vertices], followed)
         for tangent, values in zip(tangents, finer, strict=True):
@@ -298,7 +289,11 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     local = matrix[ring].toarray()
     # The ring is symmetric about the crease: one tangent is even, one odd, and neither eigenvalue is repeated.
     mirror = np.concatenate([[0], 1 + (-here) % valence, *([1 + valence + (-1 - here) % valence] if quads else [])])
-    even, odd = (_left_eigenvectors(0.5 * (local + sign * local[:, mirror])) for sign in (1, -1))
+    sides = []
+    for sign in (1, -1):
+        values, vectors = np.linalg.eig((0.5 * (local + sign * local[:, mirror])).T)
+        sides.append(vectors[:, np.argsort(-values.real)].real.T)
+    even, odd = sides
     weights = np.stack([even[0] / even[0].sum(), even[1], odd[0]])
     # Counter-clockwise on a flat ring, the second tangent is on the left of the first.
     angles = 2 * np.pi * np.concatenate([here, here + 0.5]) / valence
@@ -308,7 +303,89 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     return weights
 
 
-def _left_eigenvectors(matrix: FloatArray) -> FloatArray:
-    """Left eigenvectors in rows, that of the largest eigenvalue first."""
-    values, vectors = np.linalg.eig(matrix.T)
-    return np.asarray(vectors[:, np.argsort(-values.real)].real.T)
+# Boundary formulas are derived for these rules: published ones (also OpenSubdiv's) belong to modified boundary rules
+# and are up to 10 degrees off.
+def matrix_of(entries: list[Entries], n: int) -> csr_array:
+    """(n, n) matrix of all entries."""
+    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+    return csr_array((weights, (rows, columns)), shape=(n, n))
+
+
+def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> csr_array:
+    """Weights of limit positions, (n, n): smooth inside, 1/6, 2/3, 1/6 on the boundary, a corner itself."""
+    own, *each = scheme.limit_weights(topology.valences)
+    rows = RowFiller(vertex_row_lengths(topology, corner, len(each)))
+    put_inner_rows(rows, topology, own, *zip(rings_of(topology, scheme), each, strict=True))
+    put_boundary_rows(rows, topology, corner, CREASE_LIMIT)
+    return rows.matrix(topology.table.n_vertices)
+
+
+def ring_tangents(
+    topology: Topology, scheme: SmoothScheme, corner: BoolArray, positions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Two tangents of every vertex, (n, 3) each; on the boundary the first follows the curve."""
+    n = topology.table.n_vertices
+    tangents = []
+    for number, interior in enumerate(_interior_tangents(topology, scheme)):
+        on_boundary = matrix_of(_boundary_tangents(topology, scheme, corner, number), n)
+        tangents.append(interior @ positions + on_boundary @ positions)
+    return tangents[0], tangents[1]
+
+
+def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_array]:
+    """Weights of the two tangents of interior vertices, (n, n) each; boundary rows are empty."""
+    table = topology.table
+    rings = rings_of(topology, scheme)
+    # Few (valence, rank) pairs occur: their trigonometry is done once each.
+    present = np.flatnonzero(np.bincount(topology.valences))
+    first_of = np.zeros(present[-1] + 1, dtype=np.int64)
+    first_of[present] = np.cumsum(present) - present
+    valences = np.repeat(present, present)
+    ranks = np.arange(len(valences)) - first_of[valences]
+    masks: tuple[FloatArray, ...] = scheme.tangent_weights(valences, ranks)
+    if isinstance(scheme, CatmullClark):  # at valence 2, where no tangent plane exists, those of the ring's polygon
+        sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
+        polygon = sign, none, none, sign
+        masks = tuple(np.where(valences == 2, new, old) for new, old in zip(polygon, masks, strict=True))
+    inside = np.flatnonzero(~topology.boundary[table.vertices])
+    centres, rank = table.vertices[inside], topology.ranks[inside]
+    mask = first_of[topology.valences[centres]] + rank
+    result = []
+    for tangent in (masks[: len(rings)], masks[len(rings) :]):
+        rows = RowFiller(np.where(topology.boundary, 0, len(rings) * topology.valences))
+        for offset, (ring, weights) in enumerate(zip(rings, tangent, strict=True)):
+            rows.put(centres, len(rings) * rank + offset, ring[inside], weights[mask])
+        result.append(csr_array((rows.data, rows.indices, rows.indptr), shape=(table.n_vertices, table.n_vertices)))
+    return result
+
+
+def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:
+    """Entries of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
+    table = topology.table
+    curve = topology.boundary_corners
+    # The curve leaves vertex `here` towards `after`, and came from `before`; faces lie on its left.
+    here, after = table.vertices[curve], table.vertices[table.following[curve]]
+    before = np.empty(table.n_vertices, dtype=np.int32)
+    before[after] = here
+    before = before[here]
+    stays = corner[here].astype(np.float64)
+    if number == 0:
+        return [(here, after, np.ones(len(here))), (here, before, stays - 1), (here, here, -stays)]
+    single = topology.valences[here] == 1
+    # A corner's surface is spanned by its two edges; a curve through a single face by its two derivatives.
+    entries = [
+        (here[single], before[single], np.ones(int(single.sum()))),
+        (here[single], here[single], stays[single] - 2),
+        (here[single], after[single], 1 - stays[single]),
+    ]
+    corners_at = np.flatnonzero(topology.boundary[table.vertices])
+    for valence in np.unique(topology.valences[here[~single]]):
+        centre, edges, faces = scheme.inward_tangent(int(valence))
+        chosen = topology.valences[here] == valence
+        entries.append((here[chosen], here[chosen], np.full(int(chosen.sum()), centre)))
+        entries.append((here[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
+        corners = corners_at[topology.valences[table.vertices[corners_at]] == valence]
+        ring_weights = (edges[:-1], faces)
+        for ring, ring_weight in zip(rings_of(topology, scheme), ring_weights, strict=False):
+            entries.append((table.vertices[corners], ring[corners], ring_weight[topology.ranks[corners]]))
+    return entries

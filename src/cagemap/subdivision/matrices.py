@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, diags_array, eye_array, vstack
+from scipy.sparse import coo_array, csr_array, diags_array, vstack
 
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray
-from cagemap.subdivision.sharpness import sharpened
-from cagemap.subdivision.state import MeshState
-from cagemap.subdivision.topology import BoolArray, IntArray, Topology
+from cagemap.subdivision.sharpness import MeshState, sharpened
+from cagemap.subdivision.topology import BoolArray, CornerTable, IntArray, Topology
 
 
 class RowFiller:
@@ -125,11 +124,13 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
     face_points = diags_array(1 / sizes) @ (of_face.T @ here)
 
     own, neighbour, face = scheme.vertex_weights(topology.valences)
+    boundary = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
+    put_boundary_rows(boundary, topology, corner, CREASE_VERTEX)
     vertex_points = (
         diags_array(np.where(smooth, own, 0.0))
         + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
         + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
-        + _boundary_points(topology, corner)
+        + boundary.matrix(table.n_vertices)
     )
     interior = topology.edge_corners[:, 1] >= 0
     forward = topology.edge_corners[:, 0]
@@ -149,32 +150,25 @@ def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
     return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
 
 
-def _boundary_points(topology: Topology, corner: BoolArray) -> csr_array:
-    """(n, n) rows of boundary vertices and corners; the others are empty."""
-    rows = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
-    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
-    return rows.matrix(topology.table.n_vertices)
-
-
-def bilinear_matrix(topology: Topology) -> csr_array:
-    """One step without smoothing: vertices stay, edge points are midpoints, face points means of the corners."""
-    table = topology.table
-    shape = (table.n_corners, table.n_vertices)
-    here, ends = (_selection(corners, shape) for corners in (table.vertices, table.vertices[table.following]))
-    forward = topology.edge_corners[:, 0]
-    of_face = _selection(table.faces, (table.n_corners, table.n_faces))
-    face_points = diags_array(1 / np.bincount(table.faces)) @ (of_face.T @ here)
-    vertex_points = eye_array(table.n_vertices, format="csr")
-    stacked = csr_array(vstack([vertex_points, 0.5 * (here[forward] + ends[forward]), face_points], format="csr"))
-    stacked.sort_indices()
-    return stacked
+def linear_matrix(table: CornerTable, with_faces: bool = True) -> csr_array:
+    """One step without smoothing: vertices stay, edges get the middle, faces the mean of their corners."""
+    n, e = table.n_vertices, table.n_edges
+    forward = np.flatnonzero(table.forward)
+    edges = np.repeat(table.edges[forward], 2)
+    ends = np.stack([table.vertices[forward], table.vertices[table.following[forward]]], axis=1).ravel()
+    entries = [(np.arange(n), np.arange(n), np.ones(n)), (n + edges, ends, np.full(len(edges), 0.5))]
+    if with_faces:
+        entries.append((n + e + table.faces, table.vertices, 1.0 / np.bincount(table.faces)[table.faces]))
+    rows, columns, values = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+    places = rows.astype(np.int32), columns.astype(np.int32)
+    return csr_array(coo_array((values, places), shape=(n + e + (table.n_faces if with_faces else 0), n)))
 
 
 def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
     """S of the step from a level to the next, (n_fine, n_coarse): rows sum to 1, indices ascend in every row."""
     topology = state.topology
     if isinstance(scheme, Bilinear):
-        return bilinear_matrix(topology)
+        return linear_matrix(topology.table)
     if isinstance(scheme, Loop) or topology.table.has_only(4):
         matrix = regular_matrix(topology, scheme, state.corner)
     else:

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
+from cagemap.mesh.topology import edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.state import MeshState, control_state, next_state
-from cagemap.subdivision.topology import BoolArray, CornerTable, children, control_topology
+from cagemap.subdivision.sharpness import MeshState, control_state, next_state
+from cagemap.subdivision.topology import BoolArray, children, control_topology
 from cagemap.surface.triangles import triangles as triangles
 
 # Nonzeros of the second S per control corner, about; each further S has four times as many.
@@ -29,23 +30,13 @@ ENTRIES_PER_CORNER = 25
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Level:
-    """One level's mesh.
+    """One level's mesh."""
 
-    Attributes
-    ----------
-    positions : (n, 3) float64
-        Vertices, in the control mesh's length unit; refined positions, not limit positions.
-    faces : (m, 4) or (m, 3) int64, or None
-        None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``.
-    face_parents : (m,) int64
-        Control face that every face comes from.
-    lay : callable or None
-        Returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`.
-    """
-
-    positions: FloatArray
+    positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
+    #: (m, 4) or (m, 3) None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``
     faces: IndexArray | None
-    face_parents: IndexArray
+    face_parents: IndexArray  #: (m,) control face that every face comes from
+    #: returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`
     lay: Callable[[], Layout] | None = None
 
     @kept
@@ -168,15 +159,7 @@ class Refinement:
 
     def product(self, fine: int, coarse: int) -> csr_array:
         """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
-        self._check_order(fine, coarse)
-        if fine == coarse:
-            return csr_array(eye_array(self.levels[fine].n_vertices, format="csr"))
-        # From the coarse side: the left factor then always has short rows.
-        product = self.matrices[coarse]
-        for level in range(coarse + 1, fine):
-            product = self.matrices[level] @ product
-        product.sort_indices()
-        return product
+        return self.rows(slice(None), fine, coarse)
 
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
         """Rows of ``S^{fine,coarse}`` for vertices (m,) of the fine level, (m, n_coarse), without computing the others.
@@ -246,14 +229,7 @@ def with_options(
     uv_interpolation: str | None = None,
     creasing: str | None = None,
 ) -> ControlMesh:
-    """The same mesh with other subdivision options; None leaves those of its file.
-
-    Parameters
-    ----------
-    scheme : {"catmull-clark", "loop", "bilinear", "none"}, optional
-        "none" is the mesh as it is.
-    boundary, uv_interpolation, creasing : str, optional
-        See `SubdivisionOptions`.
+    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file.
 
     Raises
     ------
@@ -304,7 +280,12 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     scheme = default_scheme(control) if scheme is None else scheme
     _check_input(control, levels, scheme)
     state = control_state(control, scheme)
-    _check_size(state.topology.table, levels)
+    entries = ENTRIES_PER_CORNER * state.topology.table.n_corners * 4 ** max(levels - 2, 0)
+    if entries >= 2**31:
+        raise ParameterError(
+            f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
+            f"{control.n_faces} control faces; ask for fewer levels"
+        )
     has_uvs = control.uvs is not None and control.uv_indices is not None
     matrices, result = list[csr_array](), [control_level(control)]
     for step in range(levels):
@@ -372,16 +353,32 @@ def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
             )
 
 
-def _check_size(table: CornerTable, levels: int) -> None:
-    entries = ENTRIES_PER_CORNER * table.n_corners * 4 ** max(levels - 2, 0)
-    if entries >= 2**31:
-        raise ParameterError(
-            f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
-            f"{table.n_faces} control faces; ask for fewer levels"
-        )
-
-
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:
     """(t, 3) triangles of a level: quads split by `triangles`, n-gons of the control mesh into fans."""
     faces = refinement.levels[level].faces
     return cage_triangles(refinement.control)[0] if faces is None else triangles(faces)
+
+
+def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:
+    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`.
+
+    A step adds a vertex per edge and, but for Loop, per face; it splits every edge and adds one per corner.
+
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> from cagemap import ControlMesh
+    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
+    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
+    >>> list(islice(vertex_counts(tetrahedron), 4))
+    [4, 10, 34, 130]
+    """
+    loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
+    vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
+    edges = len(edge_table(control).vertices)
+    while True:
+        yield vertices
+        vertices += edges + (0 if loop else faces)
+        edges = 2 * edges + corners
+        faces = 4 * faces if loop else corners
+        corners = (3 if loop else 4) * faces

@@ -1,4 +1,4 @@
-"""Semi-sharp creases and corners (OpenSubdiv's rules).
+"""State of a level: connectivity, fixed corners, semi-sharp creases and corners (OpenSubdiv's rules).
 
 A step takes 1 from every sharpness between 0 and infinity (10). Where it changes the rule, say from crease to smooth,
 both masks are blended by the sharpness that disappears [DKT98]_.
@@ -17,9 +17,9 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing
+from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.topology import BoolArray, CornerTable, Topology
+from cagemap.subdivision.topology import BoolArray, CornerTable, Topology, control_topology, split_topology
 
 # Vertex rules; smooth includes darts, where a single crease ends.
 SMOOTH, CREASE, CORNER = 0, 2, 3
@@ -195,3 +195,40 @@ def sharpened(
     result.eliminate_zeros()
     result.sort_indices()
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class MeshState:
+    """One level without positions, of the mesh or of its UVs.
+
+    ``corner`` (n,) are boundary vertices that stay in place; ``sharpness`` is None where nothing is sharp beyond the
+    boundary; ``follows`` (n,) is of UVs only, see `vertex_rules`.
+    """
+
+    topology: Topology
+    corner: BoolArray
+    sharpness: Sharpness | None = None
+    follows: IndexArray | None = None
+
+
+def boundary_corners(topology: Topology, scheme: Scheme) -> BoolArray:
+    """(n,) boundary vertices that stay in place: those with a single face, if the boundary rule says so."""
+    if scheme.boundary != "edge_and_corner":
+        return np.zeros(topology.table.n_vertices, dtype=bool)
+    return topology.boundary & (topology.valences == 1)
+
+
+def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
+    """State of level 0."""
+    topology = control_topology(control)
+    corner = boundary_corners(topology, scheme)
+    return MeshState(topology, corner, control_sharpness(control, topology, corner, scheme.creasing))
+
+
+def next_state(state: MeshState, scheme: Scheme) -> MeshState:
+    """State one level finer."""
+    topology = split_topology(state.topology, scheme)
+    corner = np.zeros(topology.table.n_vertices, dtype=bool)
+    corner[: len(state.corner)] = state.corner
+    sharpness = None if state.sharpness is None else next_sharpness(state.sharpness, topology, scheme.creasing)
+    return MeshState(topology, corner, sharpness)

@@ -56,25 +56,15 @@ class CornerTable:
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """A corner table of an oriented manifold mesh, with the order of the faces around every vertex.
-
-    Attributes
-    ----------
-    table : CornerTable
-    ranks : (c,) int32
-        Place of the corner around its vertex, counter-clockwise; at the boundary from the first boundary edge on.
-    valences : (n,) int32
-        Number of faces around every vertex.
-    edge_corners : (e, 2) int32
-        Forward and backward corner of every edge; -1 instead of the latter on the boundary.
-    boundary : (n,) bool
-    """
+    """A corner table of an oriented manifold mesh, with the order of the faces around every vertex."""
 
     table: CornerTable
+    #: (c,) place of the corner around its vertex, counter-clockwise; at the boundary from the first boundary edge on
     ranks: IntArray
-    valences: IntArray
+    valences: IntArray  #: (n,) number of faces around every vertex
+    #: (e, 2) forward and backward corner of every edge; -1 instead of the latter on the boundary
     edge_corners: IntArray
-    boundary: BoolArray
+    boundary: BoolArray  #: (n,)
 
     @property
     def boundary_corners(self) -> IntArray:

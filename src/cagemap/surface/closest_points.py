@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
@@ -20,6 +19,8 @@ from cagemap.surface.triangles import CACHED, normalized, triangle_areas, triang
 
 _LEAF_SIZE = 8  # triangles
 _STACK_SIZE = 64  # nodes
+_SHIFTS = 32, 16, 8, 4, 2  # they and the masks insert two zero bits before each of the lowest 21 bits
+_MASKS = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
 _CHUNK = 512  # queries that a thread answers in a row, each starting from the last answer
 # Largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes.
 _MAX_RUN_EXTENT = 6.0
@@ -27,25 +28,15 @@ _MAX_RUN_EXTENT = 6.0
 
 @dataclass(frozen=True, eq=False)
 class TriangleTree:
-    """Triangles of a surface, ordered for closest-point search.
+    """Triangles of a surface, ordered for closest-point search."""
 
-    Attributes
-    ----------
-    boxes : (nodes, 12) float64
-        Lower and upper bounds of positions, then of normals. Padding nodes are empty (lower > upper position).
-    order : (t,) int64
-        Triangle of the mesh at every position of the tree; ``places`` is the inverse.
-    corners : (t, 3, 3) float64
-        Corner positions in tree order.
-    normals : (t, 3) float64
-        Unit normals in tree order, zero for degenerate triangles.
-    """
-
+    #: (nodes, 12) lower and upper bounds of positions, then of normals. Padding nodes are empty (lower > upper
+    #: position).
     boxes: FloatArray
-    order: IndexArray
+    order: IndexArray  #: (t,) triangle of the mesh at every position of the tree; ``places`` is the inverse
     places: IndexArray
-    corners: FloatArray
-    normals: FloatArray
+    corners: FloatArray  #: (t, 3, 3) corner positions in tree order
+    normals: FloatArray  #: (t, 3) unit normals in tree order, zero for degenerate triangles
 
     def normals_of(self, triangles: IndexArray) -> FloatArray:
         """(m, 3) unit normals of some triangles (m,) of the mesh."""
@@ -99,9 +90,8 @@ def closest_points(
     Parameters
     ----------
     tree : TriangleTree
-    points : (m, 3) float64
-    normals : (m, 3) float64, optional
-        Unit normals of the queries; needed by the two options below.
+    points, normals : (m, 3) float64
+        Queries and, needed by the two options below, their unit normals.
     normal_weight : float
         ``w``, a length: opposite normals cost as much as a distance of ``2 w``.
     minimum_cosine : float
@@ -174,16 +164,10 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
 def closest_among(
     corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Triangle (m,) and barycentric coordinates (m, 3) of the closest point among each query's own candidates.
+    """Triangle (m,) and barycentric coordinates (m, 3) of the closest points among each query's own candidates.
 
-    Parameters
-    ----------
-    corners : (t, 3, 3) float64
-        Positions of the triangles' corners.
-    starts : (m, 2) int64
-        Begin and end of every query's triangles in ``candidates`` (c,); at least one. The first of equally near wins.
-    candidates : (c,) int64
-    points : (m, 3) float64
+    Query i of ``points`` (m, 3) has the triangles ``candidates[starts[i, 0]:starts[i, 1]]``, at least one, of the
+    ``corners`` (t, 3, 3). The first of equally near ones wins.
     """
     triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
     c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
@@ -201,16 +185,10 @@ def _morton_codes(points: FloatArray) -> IndexArray:
     for part in parts(len(points), CACHED):
         for axis in range(3):
             cells = np.minimum((points[part, axis] - low[axis]) * scale, 2**21 - 1).astype(np.uint64)
-            codes[part] |= _interleaved(cells) << np.uint64(axis)
+            for shift, mask in zip(_SHIFTS, _MASKS, strict=True):
+                cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
+            codes[part] |= cells << np.uint64(axis)
     return codes.astype(np.int64)
-
-
-def _interleaved(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Insert two zero bits before each of the lowest 21 bits."""
-    masks = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
-    for shift, mask in zip((32, 16, 8, 4, 2), masks, strict=True):
-        values = (values | (values << np.uint64(shift))) & np.uint64(mask)
-    return values
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -13,23 +13,12 @@ from cagemap.surface.closest_points import TriangleTree, build_tree, closest_poi
 
 @dataclass(frozen=True, eq=False)
 class PolylineFeet:
-    """Closest points of a polyline to q points in space.
+    """Closest points of a polyline to q points in space."""
 
-    Attributes
-    ----------
-    ends : (q, 2) int64
-        Ends of the segment that holds each point.
-    share : (q,) float64
-        Weight of the second end, from 0 to 1.
-    places : (q, 3) float64
-    tangents : (q, 3) float64
-        Unit vectors along the segment; zero at the ends of an open polyline.
-    """
-
-    ends: IndexArray
-    share: FloatArray
-    places: FloatArray
-    tangents: FloatArray
+    ends: IndexArray  #: (q, 2) ends of the segment that holds each point
+    share: FloatArray  #: (q,) weight of the second end, from 0 to 1
+    places: FloatArray  #: (q, 3)
+    tangents: FloatArray  #: (q, 3) unit vectors along the segment; zero at the ends of an open polyline
 
     def across(self) -> FloatArray:
         """(q, 3, 3) projections I - t t^T: distances across the polyline, along which points slide freely."""

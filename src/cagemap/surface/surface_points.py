@@ -230,21 +230,9 @@ class SurfacePoints:
 def nearest_facing(
     surface: TriangleSurface, points: FloatArray, normals: FloatArray, within: float, guess: IndexArray | None = None
 ) -> tuple[SurfacePoints, FloatArray]:
-    """Nearest points whose triangle faces the way of the normals, or any where none does in reach; and how far.
+    """Nearest points whose triangle faces the way of the normals, or any where none does in reach; and how far (m,).
 
-    Parameters
-    ----------
-    surface : TriangleSurface
-    points, normals : (m, 3) float64
-    within : float
-        The reach, in the surface's unit.
-    guess : (m,) int64, optional
-        Triangles that are probably near.
-
-    Returns
-    -------
-    points : SurfacePoints
-    distance : (m,) float64
+    ``within`` is the reach, in the surface's unit; ``guess`` (m,) are triangles that are probably near.
     """
     triangle, barycentric, distance = closest_points(
         surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=within

@@ -1,4 +1,4 @@
-"""Baking on the command line: the target laid out once, and one loop over its tiles for whatever is baked."""
+"""Baking images tile by tile: layout of the target, sizes, masks and writing."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, tr
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
-from cagemap.transfer.overlapping_uvs import doubled_materials, doubled_share
+from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 from cagemap.transfer.texture import Filter, Pixels
 
 # Width and height of an image that no other one gives a size.
 DEFAULT_SIZE = 2048
 # Share of a layout that lies over other parts of it, from which on that is said: faces of artists' layouts touch.
-LEAST_DOUBLED = 0.02
+MIN_REPORTED_OVERLAP = 0.02
 _log = logging.getLogger(__name__)
 Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
 
@@ -167,8 +167,8 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
 
 def doubled_target(control: ControlMesh) -> list[str]:
     """A warning of a target whose layout lies over itself."""
-    share = doubled_share(control)
-    if share < LEAST_DOUBLED:
+    share = overlapping_share(control)
+    if share < MIN_REPORTED_OVERLAP:
         return []
     return [
         f"{100 * share:.0f} % of the target's layout lies over other parts of it (mirrored halves, or materials with "
@@ -179,7 +179,7 @@ def doubled_target(control: ControlMesh) -> list[str]:
 
 def _doubled_source(control: ControlMesh) -> list[str]:
     """A warning of a source whose materials lie over each other."""
-    names = doubled_materials(control, LEAST_DOUBLED)
+    names = overlapping_materials(control, MIN_REPORTED_OVERLAP)
     if not names:
         return []
     return [

@@ -11,7 +11,7 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.operators import LAPLACIANS
 from cagemap.pipeline import choose_level, default_basis
 from cagemap.spectral import BasisConfig
-from cagemap.spectral.prepare import DEFAULT_VERTICES, MOST_LEVELS
+from cagemap.spectral.surface import DEFAULT_VERTICES, MOST_LEVELS
 from cagemap.tasks.requests.match import MatchRequest
 
 SIDES = ("target", "source")

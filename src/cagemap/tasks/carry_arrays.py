@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from cagemap.deform.graph import mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, array_of, real_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangle_surface import TriangleSurface

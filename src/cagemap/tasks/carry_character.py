@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from cagemap.character.normals import moved
 from cagemap.character.passenger_pieces import Kind
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.retarget import retarget
@@ -112,8 +113,7 @@ def carry_character(
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     dressed = [
         replace(
-            part,
-            mesh=part.mesh.with_positions(one.positions),
+            moved(part, one.positions),
             shapes={name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()},
         )
         for part, one in zip(to_carry, carried, strict=True)

@@ -1,4 +1,4 @@
-"""`cagemap transfer --bake`: what a detailed mesh over the source shows, in the target's layout."""
+"""`cagemap transfer --bake`: normals, displacement, occlusion and colours of a detailed mesh over the source."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import Image, check_writable, first_image, pixel_type, read_texture, texture_pixels
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import write_tiles

@@ -21,9 +21,8 @@ from cagemap.jobs.costs import (
 )
 from cagemap.jobs.farm import farm_steps, numbered
 from cagemap.pipeline import choose_level
-from cagemap.spectral.prepare import DEFAULT_VERTICES
-from cagemap.subdivision.counts import vertex_counts
-from cagemap.subdivision.refinement import default_scheme
+from cagemap.spectral.surface import DEFAULT_VERTICES
+from cagemap.subdivision.refinement import default_scheme, vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest
 
 # Side of an image that is baked, unless the job says otherwise.
@@ -76,8 +75,8 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         total, memory, disk = total + seconds, max(memory, worker_memory(both)), disk + _bytes(task, own)
         shown = " + ".join(f"{size.finest:,}" for size in own)
         lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, own)}")
-    hired = max(min(workers, len(missing)), 1)
-    minutes = (total / hired + STARTUP * bool(missing)) / 60
+    used = max(min(workers, len(missing)), 1)
+    minutes = (total / used + STARTUP * bool(missing)) / 60
     return "\n".join(
         [
             f"{len(plan.tasks)} tasks for {len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, {len(missing)} to do",

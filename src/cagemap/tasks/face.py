@@ -14,8 +14,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.face_kit import ABSENT, FaceKit, read_face_kit
 from cagemap.files.gltf.build import character_glb
-from cagemap.files.gltf.character import character_of
-from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document, write_document
+from cagemap.files.gltf.document import GLTF_SUFFIXES, write_document
 from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_mesh
@@ -42,8 +41,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     _require_paths(request)
     stages("read")
     kit = read_face_kit(None if request.only is None else _names(request.only))
-    document = read_document(request.head) if request.head.suffix.lower() in GLTF_SUFFIXES else None
-    given = read_body(request.head) if document is None else character_of(document)
+    document, given = read_body(request.head)
     try:
         body = body_of(given.parts, request.part)
     except ParameterError as error:

@@ -1,4 +1,4 @@
-"""`cagemap map`: a RESULT from anyone's point map, for transfer, wrap and report."""
+"""`cagemap map`: a RESULT from a point map of any program, for transfer, wrap and report."""
 
 from __future__ import annotations
 

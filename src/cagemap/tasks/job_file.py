@@ -1,4 +1,4 @@
-"""The job file that repeats what was done, written into the RESULT folder: ``cagemap run RESULT/job.toml``."""
+"""The job file in a RESULT folder that repeats its commands: ``cagemap run RESULT/job.toml``."""
 
 from __future__ import annotations
 

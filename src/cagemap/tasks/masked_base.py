@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.values.attributes import Attributes, read_attributes
-from cagemap.files.values.part_numbering import FileRows, given_back
+from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
@@ -66,7 +66,7 @@ def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None
     usd = base is not None and base.suffix.lower() in USD_SUFFIXES
     own = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
     below = {name: values for name in carried if (values := _named(own, name, len(carried))) is not None}
-    return given_back(carried, rows, below)
+    return to_file(carried, rows, below)
 
 
 def _named(own: Attributes, name: str, count: int) -> NDArray[Any] | None:

@@ -1,4 +1,4 @@
-"""`--target-mask`, `--source-mask`: what of a model is matched and transferred, as files and names say it."""
+"""`--target-mask`, `--source-mask`: weights of both models from files and names."""
 
 from __future__ import annotations
 

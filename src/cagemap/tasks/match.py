@@ -37,7 +37,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks, paired
 from cagemap.mesh.weld import Welded
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
 from cagemap.spectral import BasisConfig
-from cagemap.spectral.prepare import DEFAULT_VERTICES, prepare_checked
+from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.basis_options import (
     SIDES,
     basis_parameters,

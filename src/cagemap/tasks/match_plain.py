@@ -1,4 +1,4 @@
-"""Plain meshes of a match (scheme none): made ready, and what was done to them."""
+"""Plain meshes of a match (scheme none): repair, and notes on it."""
 
 from __future__ import annotations
 

@@ -11,8 +11,10 @@ from typing import Any
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.gltf.contents import Contents, read_contents
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.contents import Contents, contents_of
+from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
+from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.read import scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
@@ -25,7 +27,7 @@ from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.weld import weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest
 from cagemap.tasks.welding import weld_asked
 
@@ -40,14 +42,13 @@ def check_files(
     parts, sound = [], True
     for path in paths:
         try:
-            mesh, report = _checked(path, subdivision, weld)
-            holds = _contents(path)
+            mesh, report, holds = _checked(path, subdivision, weld)
         except CagemapError as error:
             parts.append(f"{path}\n  cannot be read: {error}")
             sound = False
             continue
         listed = _part_lines(mesh, pieces=holds is None)
-        parts.append(str(report) + ("" if holds is None else f"\n{holds}") + listed)
+        parts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
         sound &= not report.problems
     return "\n\n".join(parts), sound
 
@@ -59,8 +60,7 @@ def check_values(
     found: list[dict[str, Any]] = []
     for path in paths:
         try:
-            mesh, report = _checked(path, subdivision, weld)
-            holds = _contents(path)
+            mesh, report, holds = _checked(path, subdivision, weld)
         except CagemapError as error:
             found.append({"file": str(path), "usable": False, "error": str(error)})
             continue
@@ -70,30 +70,48 @@ def check_values(
     return json.dumps(found, indent=1, default=int), all(one["usable"] for one in found)
 
 
-def _checked(path: Path, subdivision: SubdivisionRequest, weld: str | None) -> tuple[ControlMesh, MeshReport]:
-    """A file's mesh and what `cagemap match` finds of it: a plain mesh is made ready first, and said how."""
-    read = read_whole(path)
+def _checked(
+    path: Path, subdivision: SubdivisionRequest, weld: str | None
+) -> tuple[ControlMesh, MeshReport, Contents | None]:
+    """A file's mesh, what `cagemap match` finds of it, and what a glTF or FBX file holds beside it.
+
+    Of a character only the body is reported on: what else it has is no part of the body's surface.
+    """
+    scene = read_scene(read_document(path)) if path.suffix.lower() in SCENE_SUFFIXES else None
+    if scene is None:
+        mesh = read_whole(path)
+        return mesh, _report(mesh, subdivision, weld), None
+    mesh, holds = scene_mesh(scene), contents_of(scene)
+    if not holds.is_character:
+        return mesh, _report(mesh, subdivision, weld), holds
+    body = next(one.part.mesh for one in scene.parts if one.part.name == holds.body)
+    name = f"{mesh.name}: {holds.body}" if holds.passengers else mesh.name
+    named = replace(body, name=name, file_vertices=None, file_faces=None, file_copies=None)
+    return mesh, _report(named, subdivision, weld, pieces=False), holds
+
+
+def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None, *, pieces: bool = True) -> MeshReport:
+    """What a match finds of a mesh: a plain one is made ready first, and said how; without ``pieces`` they ride."""
     if structure_problems(read):
-        return read, check_mesh(read)
+        return check_mesh(read)
     welded = weld_asked(read, weld)
     mesh = subdivision.applied(welded.mesh)
     repairs: tuple[str, ...] = ()
     try:
         ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else None
         report = check_mesh(mesh if ready is None else ready.mesh)
-        repairs = () if ready is None else ready.repairs.sentences()
+        done = None if ready is None else ready.repairs
+        if done is not None and done.pieces and not pieces:
+            repairs = (f"{done.pieces} smaller pieces ({done.pieces_vertices} vertices) ride on it in `rig`",)
+            done = replace(done, pieces=0)
+        repairs = (*repairs, *(() if done is None else done.sentences()))
     except InvalidMeshError as error:
         report = check_mesh(mesh)
         own = Problem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
         report = replace(report, problems=(*report.problems, own))
     said = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
     said += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
-    return mesh, replace(report, notes=(*report.notes, *said))
-
-
-def _contents(path: Path) -> Contents | None:
-    """What a glTF file holds beside its surface."""
-    return read_contents(path) if path.suffix.lower() in GLTF_SUFFIXES else None
+    return replace(report, notes=(*report.notes, *said))
 
 
 def _parts(mesh: ControlMesh) -> tuple[Part, ...]:

@@ -1,4 +1,4 @@
-"""What a task tells while it runs, and what it says when it is done."""
+"""Progress of a running task, and its outcome."""
 
 from __future__ import annotations
 

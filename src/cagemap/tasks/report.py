@@ -23,7 +23,7 @@ from cagemap.files.values.part_numbering import file_rows
 from cagemap.files.values.rigs import read_shapes
 from cagemap.maps.result import MatchResult
 from cagemap.pictures import UP_AXES
-from cagemap.report import CarriedShape, Rides, Weights, check_page_path, write_report
+from cagemap.report import CarriedData, CarriedShape, Weights, check_page_path, write_report
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.report import ReportRequest
@@ -58,32 +58,34 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
             except FormatError as error:
                 _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
                 continue
-    rides = rides_of(folder, result)
+    carried = carried_data(folder, result)
     stages("draw")
     file = input_file(folder, result.manifest, "target")
     upright, reason = None if file is None else upright_turn(file, result.target.control), "as its file says"
     if request.up is not None:
         upright, reason = UP_AXES[request.up], "as asked"
-    write_report(output, result, texture=pixels, baked=baked, rides=rides, upright=upright, reason=reason, force=force)
+    write_report(
+        output, result, texture=pixels, baked=baked, carried=carried, upright=upright, reason=reason, force=force
+    )
     note_output("report", folder, request)
     return f"Open {output} in a browser.", []
 
 
-def rides_of(folder: Path, result: MatchResult) -> Rides:
+def carried_data(folder: Path, result: MatchResult) -> CarriedData:
     """The last wrapped cage, weights and shapes that the result knows of, as far as their files are still there."""
     last = {entry["kind"]: entry for entry in result.manifest.get("transfers", [])}
-    rides = Rides()
+    carried = CarriedData()
     for kind, add in (("wrap", _wrapped), ("weights", _weights), ("blend-shapes", _shapes)):
         if kind not in last:
             continue
         try:
-            rides = add(rides, folder, last[kind], result)
+            carried = add(carried, folder, last[kind], result)
         except CagemapError as error:
             _log.info("%s of %s are not shown: %s", kind, folder, error)
-    return rides
+    return carried
 
 
-def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
+def _wrapped(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
     if level > result.target.refinement.n_levels:
@@ -93,10 +95,10 @@ def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchRes
         cage = result.target.control.with_positions(cage.positions[rows.vertices])
     if entry.get("amount", 1.0) != 1.0 or cage.n_vertices != result.target.refinement.levels[level].n_vertices:
         raise FormatError(f"{entry['output']}: is not the wrapped cage (any more)")
-    return replace(rides, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
+    return replace(carried, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
 
 
-def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
+def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     sides = []
     for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
         if file is None:
@@ -111,20 +113,20 @@ def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchRes
         sides.append(table)
     if sides[0].shape[1] != sides[1].shape[1]:
         raise FormatError(f"{entry['output']}: has other joints than {entry['file']}")
-    return replace(rides, weights=Weights(*sides))
+    return replace(carried, weights=Weights(*sides))
 
 
-def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
+def _shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     files = [folder / file for file in entry.get("files", [])]
-    given, carried = (
+    given, received = (
         read_shapes(paths, side.control, file_rows(folder, result.manifest, name, side.control))
         for name, paths, side in (
             ("source", files, result.source),
             ("target", [folder / entry["output"]], result.target),
         )
     )
-    both = [name for name in given if name in carried]
-    return replace(rides, shapes=tuple(CarriedShape(name, given[name], carried[name]) for name in both))
+    both = [name for name in given if name in received]
+    return replace(carried, shapes=tuple(CarriedShape(name, given[name], received[name]) for name in both))
 
 
 def _same(a: Path, b: Path) -> bool:

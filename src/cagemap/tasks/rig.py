@@ -1,4 +1,4 @@
-"""`cagemap transfer`: what rides on a cage (skinning weights, joints, blend shapes), and the map itself."""
+"""`cagemap transfer`: skinning weights, joints and blend shapes, and the map itself."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.values import gltf_skeleton
 from cagemap.files.meshes.mhclo import bind, write_mhclo
 from cagemap.files.result.folder import note_transfer, read_files, stated_path
@@ -19,13 +19,14 @@ from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import FileRows, file_rows, given_back, other_rows
+from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
+from cagemap.tasks.joint_choice import with_choice
 from cagemap.tasks.masked_base import in_file, keep_base
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -57,19 +58,22 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         _require_joints(given, skeleton, request)
     elif request.weights.suffix.lower() in USD_SUFFIXES:
         skeleton = read_usd_skeleton(request.weights, result.source.control)
-    elif request.weights.suffix.lower() in GLTF_SUFFIXES:
+    elif request.weights.suffix.lower() in SCENE_SUFFIXES:
         skeleton = gltf_skeleton(request.weights)
     stages("weights")
     try:
         carried = carry_weights(result, skin, influences=request.influences or None)
     except ParameterError as error:
         raise ParameterError(f"{request.weights}: {error}") from None
+    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    named = all(array.ndim == 1 for array in given.values())
+    names = tuple(given) if named else () if skeleton is None else skeleton.names
+    carried = with_choice(request, result.target.control, carried, names, own)
     ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in given.values()])[:-1]
     parts = np.split(carried, ends, axis=1)
     columns = {
         name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
     }
-    own = file_rows(request.result, result.manifest, "target", result.target.control)
     columns, notes = keep_base(request, result, columns, own)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
@@ -170,7 +174,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
     rest = result.target.control if own is None else own.whole
     inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     with all_or_nothing():
-        files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
+        files = write_shapes(request.output, to_file(carried, own), rest, inputs, force=request.force)
         text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
         if request.usd is not None:
             shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})

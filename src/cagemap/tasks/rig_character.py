@@ -16,7 +16,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of
-from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document, write_document
+from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import (
     MaterialImage,
@@ -25,6 +25,8 @@ from cagemap.files.gltf.material_images import (
     read_material_image,
     with_copied_materials,
 )
+from cagemap.files.gltf.materials_of import with_materials_of
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
@@ -32,10 +34,10 @@ from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.mesh.measures import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.report import CarriedShape, Passenger, Pose, Rides, Weights, check_page_path, write_report
+from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
 from cagemap.tasks.progress import Outcome, Stages
@@ -52,10 +54,10 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     stages("read")
     document = read_document(request.like)
     source = character_of(document)
-    target = read_body(request.body)
+    body_document, target = read_body(request.body)
     to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
-    laid_out = to.mesh if of.mesh.uvs is None else _in_one_square(to.mesh)
+    laid_out = to.mesh if of.mesh.uvs is None or request.keep_textures else _in_one_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
     source, of = _with_mesh(source, of, replace(of.mesh, name=request.like.name))
     carried = carry_character(
@@ -69,7 +71,13 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         stages=stages,
     )
     stages("textures")
-    dressed, document, baked, notes = _textured(carried, source, of, document, request.size)
+    keeps = request.keep_textures or of.mesh.face_materials is None
+    dressed, document = _with_own_materials(carried, document, body_document, body=keeps)
+    baked, notes = dict[tuple[str, str], _Baked](), list[str]()
+    if not keeps:
+        dressed, document, baked, notes = _textured(
+            replace(carried, character=dressed), source, of, document, request.size
+        )
     stages("write")
     made = character_glb(dressed, document, {slot: png_bytes(one.image) for slot, one in baked.items()})
     _require_readable(made, dressed)
@@ -83,10 +91,13 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
 
 
 def _require_paths(request: RigRequest) -> None:
-    for path, what in ((request.like, "the character"), (request.output, "the file to write")):
-        if path.suffix.lower() not in GLTF_SUFFIXES:
+    for path, what, suffixes in (
+        (request.like, "the character", SCENE_SUFFIXES),
+        (request.output, "the file to write", GLTF_SUFFIXES),
+    ):
+        if path.suffix.lower() not in suffixes:
             raise FormatError(
-                f"{path}: expected {what} as {', '.join(GLTF_SUFFIXES)}, got '{path.suffix}'. Export it as GLB."
+                f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. Export it as GLB."
             )
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
     outputs = [request.output, *([] if request.report is None else [request.report])]
@@ -95,13 +106,12 @@ def _require_paths(request: RigRequest) -> None:
     check_outputs(outputs, inputs, force=request.force)
 
 
-def read_body(path: Path) -> Character:
-    """The parts of a glTF file, or the mesh of any other, as a character without rig."""
-    if path.suffix.lower() in GLTF_SUFFIXES:
-        found = character_of(read_document(path))
-        return Character(found.parts)
-    mesh = read_mesh(path)
-    return Character((Part(path.stem, mesh),))
+def read_body(path: Path) -> tuple[Document | None, Character]:
+    """A glTF or FBX file and the character in it, or the mesh of any other file as one."""
+    if path.suffix.lower() in SCENE_SUFFIXES:
+        document = read_document(path)
+        return document, character_of(document)
+    return None, Character((Part(path.stem, read_mesh(path)),))
 
 
 def _body(character: Character, name: str | None, path: Path) -> Part:
@@ -164,6 +174,24 @@ def _kinds(request: RigRequest) -> dict[str, Kind]:
     return kinds | dict.fromkeys(_names(request.cloth) or [], "cloth")
 
 
+def _with_own_materials(
+    carried: CarriedCharacter, document: Document, given: Document | None, *, body: bool
+) -> tuple[Character, Document]:
+    """The target's own parts, its body only if asked for, with the materials and textures that its document has."""
+    parts = list(carried.character.parts)
+    own = range(0 if body else 1, len(parts) - len(carried.passengers))
+    known = () if given is None else material_names(given)
+    names = dict.fromkeys(name for number in own for name in parts[number].mesh.material_names if name in known)
+    if given is None or not names:
+        return carried.character, document
+    document, new = with_materials_of(document, given, list(names))
+    for number in own:
+        mesh = parts[number].mesh
+        words = tuple(new.get(name, name) for name in mesh.material_names)
+        parts[number] = replace(parts[number], mesh=replace(mesh, material_names=words))
+    return replace(carried.character, parts=tuple(parts)), document
+
+
 @dataclass(frozen=True, eq=False)
 class _Baked:
     """An image of the character's body, and the same in the layout of the body."""
@@ -178,13 +206,15 @@ def _textured(
     """The character with its body's materials, the document with them, and their images in the body's layout."""
     result, (body, *others) = carried.result, carried.character.parts
     given = of.mesh
-    if given.face_materials is None:
-        return carried.character, document, {}, []
+    assert given.face_materials is not None
     notes = []
     others_use = {name for part in source.parts if part is not of for name in part.mesh.material_names}
     copies = {name: f"{name} {of.name}" if name in others_use else name for name in given.material_names if name}
     if body.mesh.material_names and any(body.mesh.material_names):
-        notes.append(f"the body's own materials ({', '.join(body.mesh.material_names)}) give way to the character's")
+        notes.append(
+            f"the body's own materials ({', '.join(body.mesh.material_names)}) give way to the character's; "
+            "--keep-textures keeps them"
+        )
     transfer = _transfer(result, result.source.control)
     mesh = replace(
         body.mesh,
@@ -253,7 +283,7 @@ def _write_report(
     weights = None
     if of.weights is not None and body.weights is not None:
         weights = Weights(of.weights[rows[1]].toarray(), body.weights[rows[0]].toarray())
-    rides = Rides(
+    shown = CarriedData(
         weights=weights,
         shapes=tuple(
             CarriedShape(name, offsets[rows[1]], body.shapes[name][rows[0]]) for name, offsets in of.shapes.items()
@@ -266,7 +296,7 @@ def _write_report(
     )
     colors = next((one for (_, slot), one in baked.items() if slot == "baseColorTexture"), None)
     pictures = (None, None) if colors is None else (colors.given.pixels, colors.image.pixels)
-    write_report(path, result, texture=pictures[0], baked=pictures[1], rides=rides, force=force)
+    write_report(path, result, texture=pictures[0], baked=pictures[1], carried=shown, force=force)
 
 
 def _poses(

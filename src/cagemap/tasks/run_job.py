@@ -23,7 +23,7 @@ from cagemap.jobs import (
     Task,
     measure_consistency,
     missing_tasks,
-    open_crew,
+    open_client,
     pair_rows,
     plan_job,
     read_job,
@@ -33,7 +33,7 @@ from cagemap.jobs import (
 )
 from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
 from cagemap.jobs.consistency import read_consistency, write_consistency
-from cagemap.jobs.detours import composed_result, has_ways_round, matches_only, with_ways
+from cagemap.jobs.detours import composed_result, has_detours, matches_only, with_detours
 from cagemap.jobs.farm import PAGE, Step, chosen_numbers, farm_steps, openjd_template, slurm_script
 from cagemap.jobs.page import PairRow
 from cagemap.jobs.plan import STATE
@@ -85,15 +85,15 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
         return run_numbered(request.task, job.path.stem, plan, version, stages)
     started = time.perf_counter()
     stages("run tasks")
-    with open_crew(request.scheduler, request.workers, stages.note) as crew:
+    with open_client(request.scheduler, request.workers, stages.note) as connect:
         verdict, matched = Consistency({}, 0, (), {}), dict[str, Outcome]()
-        if has_ways_round(plan):
-            matched = run_plan(matches_only(plan), run_task, crew, Ticker(stages))
+        if has_detours(plan):
+            matched = run_plan(matches_only(plan), run_task, connect, Ticker(stages))
             stages("compare maps with each other")
             verdict = collection_verdict(plan, matched)
-            plan = with_ways(plan, verdict.ways, version)
+            plan = with_detours(plan, verdict.detours, version)
             stages("run tasks")
-        outcomes = run_plan(plan, run_task, crew, Ticker(stages))
+        outcomes = run_plan(plan, run_task, connect, Ticker(stages))
     # What the first half did is no leftover of an earlier run.
     outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
@@ -110,7 +110,7 @@ def exported(kind: str, job: Path, plan: Plan) -> str:
 def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:
     """Do the tasks of some numbers, one after the other in this process; what is done is kept.
 
-    A task whose needs are not done fails. Maps on the ways round doubtful ones, which have no number, are made first.
+    A task whose needs are not done fails. Detours around doubtful maps have no number and are made first.
     """
     steps = farm_steps(plan)
     numbers = chosen_numbers(words, steps[-1].last)
@@ -170,15 +170,15 @@ def _kept_so_far(plan: Plan) -> dict[str, Outcome]:
 
 
 def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
-    """How the maps that are done agree, and the plan with ways round the doubtful ones; measured once at a time."""
-    if not has_ways_round(plan):
+    """How the maps that are done agree, and the plan with detours around the doubtful ones; measured once at a time."""
+    if not has_detours(plan):
         return Consistency({}, 0, (), {}), plan
     from filelock import FileLock
 
     (plan.root / STATE).mkdir(parents=True, exist_ok=True)
     with FileLock(plan.root / STATE / "consistency.lock"):
         verdict = collection_verdict(plan, _kept_so_far(plan))
-    return verdict, with_ways(plan, verdict.ways, version)
+    return verdict, with_detours(plan, verdict.detours, version)
 
 
 def _concluded(
@@ -229,10 +229,8 @@ def cycle_notes(verdict: Consistency) -> list[str]:
     notes = []
     for pair in verdict.doubtful:
         target, source = pair
-        text = (
-            f"{source} -> {target} disagrees with the ways round it by {100 * verdict.errors[pair]:.1f} % of the size"
-        )
-        way = verdict.ways.get(pair)
+        text = f"{source} -> {target} disagrees with its detours by {100 * verdict.errors[pair]:.1f} % of the size"
+        way = verdict.detours.get(pair)
         notes.append(f"{text}; replaced by the way through {', '.join(way[1:-1])}" if way else text)
     return notes
 

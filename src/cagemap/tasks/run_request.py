@@ -1,4 +1,4 @@
-"""Requests done: which function does which."""
+"""Run a request by its type."""
 
 from __future__ import annotations
 

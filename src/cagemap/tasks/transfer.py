@@ -1,4 +1,4 @@
-"""`cagemap transfer`: something of the source, carried to the target."""
+"""`cagemap transfer`: images, values, rigs or shapes of the source, carried to the target."""
 
 from __future__ import annotations
 
@@ -52,6 +52,8 @@ _READ_BY = {
     "detail_texture": ("--bake",),
     "rays": ("--bake",),
     "influences": ("--weights",),
+    "only": ("--weights",),
+    "mirror": ("--weights",),
     "kind": ("--passenger",),
     "size": (*_PICTURES, "--material-colors"),
     "bits": (*_PICTURES, "--material-colors"),

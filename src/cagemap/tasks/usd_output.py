@@ -1,4 +1,4 @@
-"""What `--usd` writes: a layer over the target's USD file, or a USD file of its own where the target is none."""
+"""`--usd`: results as a layer over the target's USD file, or as a USD file of their own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.folder import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
-from cagemap.files.values.part_numbering import FileRows, file_rows, given_back
+from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
 from cagemap.maps.result import MatchResult
 
 # What is said where a target's file cannot be asked.
@@ -75,7 +75,7 @@ def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
         every = np.full(len(rows.whole.face_indices), len(values), dtype=np.int64)
         every[rows.corners] = indices
         uvs = name, np.vstack([values, np.zeros((1, 2))]), every
-    return replace(results, attributes=given_back(results.attributes, rows), points=points, uvs=uvs)
+    return replace(results, attributes=to_file(results.attributes, rows), points=points, uvs=uvs)
 
 
 def texture_reference(image: Path, layer: Path) -> str:

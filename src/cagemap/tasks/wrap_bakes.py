@@ -1,4 +1,4 @@
-"""Images baked onto a wrapped cage: what it still misses of the source, or of a more detailed mesh in its place."""
+"""Images baked onto a wrapped cage: the residual to the source, or a more detailed mesh."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake
 from cagemap.transfer.locate import TexelSamples, locate_centers
 from cagemap.transfer.texture import Pixels
 
-# Samples along a texel's side where materials meet: 16 levels between two colours.
+# Samples along a texel's side at borders of materials: 16 levels between two colours.
 _EDGE_SAMPLES = 4
-# Linear grey for materials whose colour is not known; what most programs show for a new material.
+# Linear grey of materials without a colour; the default of most programs.
 UNKNOWN_COLOR = 0.8
 
 

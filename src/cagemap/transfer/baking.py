@@ -1,4 +1,4 @@
-"""Bake: for every texel of the target's UV layout, what lies at its image under T12 on the source (method 9).
+"""Bake images: every texel of the target takes the value at its image under T12 on the source (method 9).
 
     texel -> point of the target -> T12 -> point of the source -> value there
 
@@ -40,8 +40,8 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 Shade = Callable[[TexelSamples], FloatArray]
 
-# Area in the layout up to which a triangle covers nothing: 1e-6 a side, where a texel of a 16k image has 6e-5.
-_NO_AREA = 1e-12
+# Area in the layout below which a triangle is degenerate: a side of 1e-6; a texel of a 16k image has 6e-5.
+_MIN_AREA = 1e-12
 # Texels that one thread works on at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
 # Samples located at a time within a band: 60 bytes each.
@@ -50,7 +50,7 @@ _SAMPLE_BUDGET = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """All that a bake needs of one match: prepare it once, bake many images.
+    """A match in the form that bakes use: prepare it once, bake many images.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class Transfer:
     point_map : PointMap
         T12, for the target's vertices and the source's triangles.
     mapped : MappedSurface
-        The target's vertices on the source, ready to walk.
+        Images of the target's vertices, and the source as triangles to walk over.
     masks : Masks
-        What of both surfaces is transferred; see `cagemap.transfer.masks`.
+        Weights of both surfaces' vertices, see `cagemap.transfer.masks`.
     """
 
     target: TexturedSurface
@@ -82,16 +82,16 @@ class BakeOptions:
     tile : int
         UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
     supersample : int, optional
-        Raster samples along a texel's side. By default 1, and 3 or 5 where triangles are smaller than texels: of odd
-        numbers the middle one is the texel's centre, which stands for texels that span no more than one of the source.
+        Raster samples along a texel's side. By default 1, and 3 or 5 where triangles are smaller than texels. With odd
+        numbers, texels that span at most one texel of the source use their centre alone.
     dilation : int, optional
         Width in texels of the filled border around islands; the whole background by default.
     wrap : "repeat" or "clamp"
-        What lies outside a plain source texture.
+        How a plain source texture continues outside the unit square.
     threads : int, optional
         By default as many as `cagemap.thread_limit` allows.
     filter : "smooth", "linear" or "nearest"
-        How a texture is looked up where nothing shrinks; nearest, everywhere, is for labels: no colour is mixed.
+        Interpolation where the texture is not minified. Nearest is for labels: colours are never mixed.
     """
 
     tile: int = 0
@@ -122,7 +122,7 @@ def prepare_transfer(
     masks: Masks = WHOLE,
     holes: NDArray[np.bool_] | None = None,
 ) -> Transfer:
-    """Put a match into the form that bakes need.
+    """Prepare a match for bakes.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def prepare_transfer(
         The refined levels that the point map was computed on.
     point_map : PointMap
     masks : Masks
-        What of both surfaces is transferred.
+        Weights of both surfaces' vertices.
     holes : (m1,) bool, optional
         Target faces that get no texels, see `Refinement.holes`.
 
@@ -242,7 +242,7 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     corner_uvs = target.corner_uvs() - udim_origin(options.tile)
     neighbors = triangle_neighbors(target.layout()[1])
     if target.holes is not None:
-        # Shrunk to a point, a triangle holds no texel; the rim of a hole is a border of its island.
+        # Triangles of holes shrink to a point, so that they cover no texel; their rims are borders of islands.
         corner_uvs[target.holes] = corner_uvs[target.holes, :1]
         neighbors = np.where(target.holes[neighbors], -1, neighbors)
     _require_covered(target, corner_uvs, options.tile)
@@ -258,19 +258,19 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
 
 def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
     """(t1,) whether a triangle has an area in the layout."""
-    return np.asarray(triangle_areas(*target.layout()) > _NO_AREA)
+    return np.asarray(triangle_areas(*target.layout()) > _MIN_AREA)
 
 
 def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int) -> None:
-    """Refuse a tile that no triangle covers a part of: its image would be black."""
+    """Require that a triangle covers a part of a tile: else its image would be black."""
     laid = _laid_out(target)
-    beside = (corner_uvs.max(axis=1) <= 0.0).any(axis=1) | (corner_uvs.min(axis=1) >= 1.0).any(axis=1)
-    if not np.any(laid & ~beside):
+    outside = (corner_uvs.max(axis=1) <= 0.0).any(axis=1) | (corner_uvs.min(axis=1) >= 1.0).any(axis=1)
+    if not np.any(laid & ~outside):
         place = f"UDIM tile {tile}" if tile else "the unit square"
-        flat, outside = np.count_nonzero(~laid), np.count_nonzero(laid & beside)
+        n_flat, n_outside = np.count_nonzero(~laid), np.count_nonzero(laid & outside)
         raise ParameterError(
             f"expected texture coordinates of the target that cover a part of {place}, got {len(laid)} triangles, "
-            f"{flat} of them in one point or on a line and {outside} outside. Move the layout there, or make "
+            f"{n_flat} of them in one point or on a line and {n_outside} outside. Move the layout there, or make "
             "another one (`unwrap`)."
         )
 
@@ -385,7 +385,7 @@ def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:
 
 
 def unit(dtype: np.dtype[Any]) -> float:
-    """What stands for 1: the largest integer, or 1 for floats."""
+    """Value of full intensity: the largest integer, or 1 for floats."""
     return float(np.iinfo(dtype).max) if dtype.kind == "u" else 1.0
 
 

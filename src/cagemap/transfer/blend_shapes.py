@@ -6,10 +6,9 @@ target's triangle to its image, the target's triangle is to move by ``Q^T F Q``.
 
     min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - Q_i^T D(T12(i))|^2,
 
-with S the refinement and D the source's displacement, all at unit area. The second term, the simple twin, says where
-the whole goes. Lengths of D become those of the target by the median stretch of the map, which parts that only one
-surface has (a mouth bag) do not change, as they do its area. Zero stays zero, and under the identity each shape comes
-back.
+with S the refinement and D the source's displacement, all at unit area. The second term fixes rigid motion. Lengths of
+D are scaled by the median stretch of the map: other than the ratio of areas, it does not depend on parts that only one
+surface has (a mouth bag). Zero stays zero, and the identity map returns each shape.
 """
 
 from __future__ import annotations
@@ -23,31 +22,30 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import weighted_percentiles
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
-from cagemap.numerics.rotations import nearest_rotations
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.subdivision.linear_values import interpolate_linearly
 from cagemap.surface.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals
 from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
 
-# Vertices of the target at which a shape is looked at, about; far more than a shape has detail.
+# About this many vertices of the target sample a shape.
 _SAMPLES = 25_000
-# Gradients decide what is smaller than about 0.6 of sqrt(area), displacements where the whole goes.
+# Weight of displacements against gradients: gradients decide details smaller than about 0.6 of sqrt(area).
 _ANCHOR = 100.0
-# Control points that the surface does not feel (of a cube, say) go with the source's own; against the anchor.
-_UNFELT = 1e-7
-# What touches in a shape of the source is to touch in the target's: weight against the anchor.
+# Weight, relative to the anchor, of control points that hardly move the surface (of a cube, say).
+_RIDGE = 1e-7
+# Weight of contacts of the source's shape against the anchor.
 _CONTACT = 100.0
-# Walks that end nearer than this to each other, in units of sqrt(area), end at the same place.
-_SAME = 1e-12
-# Surfaces touch where they are closer than this many edges of samples, and face each other.
-_TOUCHING, _FACING = 1.0, -0.5
+# Ends of walks that differ by less, in units of sqrt(area), are equal.
+_SAME_POINT = 1e-12
+# Contact: closer than this many edges of samples, and a cosine of normals below this.
+_CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeCarrier:
-    """All that carries shapes from one source to one target; prepare it once.
+    """The linear system that carries shapes from one source to one target; prepare it once.
 
     Attributes
     ----------
@@ -61,15 +59,15 @@ class ShapeCarrier:
         Gradients of functions on the samples' triangles.
     areas, masses : (t,), (s,) float64
     deforming : (r, 3) int64
-        Source vertices of triangles that say how others deform.
+        Source vertices of the triangles whose deformation is carried.
     images : (t,) int64
-        The one of these that says so for every triangle.
-    turns : (t, 3, 3), vertex_turns : (s, 3, 3) float64
+        Row of ``deforming`` for every target triangle.
+    rotations : (t, 3, 3), vertex_rotations : (s, 3, 3) float64
         Rotations Q from the target to the source.
     ratio : float
-        Length on the target of what is 1 on the source, both at unit area.
+        Length on the target for a length of 1 on the source, both at unit area.
     own : (n1, n2) csr_array
-        Source's control values at the target's control vertices.
+        Weights of the source's control values at the target's control vertices.
     ridge : (n1, n1) dia_array
     matrix : (n1, n1) csc_array
     factors : Factorization
@@ -84,8 +82,8 @@ class ShapeCarrier:
     masses: FloatArray
     deforming: IndexArray
     images: IndexArray
-    turns: FloatArray
-    vertex_turns: FloatArray
+    rotations: FloatArray
+    vertex_rotations: FloatArray
     ratio: float
     own: sparse.csr_array
     ridge: sparse.dia_array
@@ -111,14 +109,14 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     given = point_map.source
     deforming, found = _deforming(point_map, triangles, images)
     across = normalized(triangle_normals(given.positions, deforming[found]))
-    turns = _rotations(gradient, places, images, triangles, across)
-    around = corner_sums(triangles, (areas[:, None, None] * turns).reshape(-1, 9), count).reshape(-1, 3, 3)
-    samples = sparse.csr_array(target.product(target.n_levels, 0)[:count])
+    rotations = _rotations(gradient, places, images, triangles, across)
+    around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
+    samples = target.rows(slice(count), target.n_levels, 0)
     weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
     n = target.control.n_vertices
     control = source.control
     linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
-    ridge = sparse.diags_array(_UNFELT * _ANCHOR * (samples.T @ masses))
+    ridge = sparse.diags_array(_RIDGE * _ANCHOR * (samples.T @ masses))
     matrix = samples.T @ (weighted + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
     return ShapeCarrier(
         point_map,
@@ -130,7 +128,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         masses,
         deforming,
         found,
-        turns,
+        rotations,
         nearest_rotations(around),
         _length_ratio(areas, triangle_areas(images, triangles)),
         linear.at(point_map.triangle[:n], point_map.barycentric[:n]),
@@ -141,7 +139,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
 
 
 def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
-    """Median stretch of triangles, by their area; those whose image is a point say nothing."""
+    """Median stretch of triangles, weighted by area, without those whose image is a point."""
     known = image_areas > 0.0
     if not known.any():
         return 1.0
@@ -150,10 +148,10 @@ def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
 
 
 def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Source triangles (r, 3) that say how the target's deform, and which (t,) says so for each of these.
+    """Source triangles (r, 3) whose deformation is carried, and the one (t,) for every target triangle.
 
-    The one at the image of its centre; or, where vertices go to those of their own number, its own three vertices: a
-    level coarser than the finest moves otherwise than the small triangle in the middle.
+    It is the one at the image of its centre. Under the identity map it is the triangle of its own three vertices: on a
+    coarse level that one deforms differently from the small triangle at its centre.
     """
     given, count = point_map.source, len(images)
     weights, corners = point_map.barycentric[:count], given.triangles[point_map.triangle[:count]]
@@ -167,8 +165,8 @@ def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -
 def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
     """(t,) source triangle at the image of every triangle's centre.
 
-    The one that holds all corners, or the nearest that a walk from a corner finds: across a sharp fold, such as a
-    lip's, a walk can end on the wrong side, and hardly from all of them.
+    The one that holds all corners, else the nearest one found by walks from the three corners: at a sharp fold, such as
+    a lip, a single walk may end on the wrong side.
     """
     given, centres = point_map.source, images[triangles].mean(axis=1)
     found = np.zeros(len(triangles), dtype=np.int64)
@@ -178,7 +176,7 @@ def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArra
         triangle, barycentric = walk_from(frames, given.neighbors, starts, centres)
         places = np.einsum("tc,tcd->td", barycentric, given.positions[given.triangles[triangle]])
         distance = np.linalg.norm(places - centres, axis=1)
-        nearer = distance < least - _SAME
+        nearer = distance < least - _SAME_POINT
         found[nearer], least[nearer] = triangle[nearer], distance[nearer]
     whole = whole_triangles(triangles, given.triangles, point_map.triangle, point_map.barycentric)
     return np.where(whole >= 0, whole, found)
@@ -211,18 +209,22 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
         )
     given, maps = carrier.point_map.source, carrier.point_map
     moved = given.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
-    told, of_triangle = np.unique(carrier.images, return_inverse=True)
-    inner = _deformation(given.positions, given.positions + moved, carrier.deforming[told])
+    used, of_triangle = np.unique(carrier.images, return_inverse=True)
+    inner = _deformation(given.positions, given.positions + moved, carrier.deforming[used])
     change = inner[of_triangle] - np.eye(3)
-    wanted = np.einsum("tba,tbc,tcd->tad", carrier.turns, change, carrier.turns)  # Q^T (F - I) Q
+    wanted = np.einsum("tba,tbc,tcd->tad", carrier.rotations, change, carrier.rotations)  # Q^T (F - I) Q
     count = len(carrier.masses)
-    own = carrier.ratio * np.einsum("sba,sb->sa", carrier.vertex_turns, maps.images.at(slice(count)).interpolate(moved))
+    own = carrier.ratio * np.einsum(
+        "sba,sb->sa", carrier.vertex_rotations, maps.images.at(slice(count)).interpolate(moved)
+    )
     flow = (
         (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)
     )  # rows (t, direction), columns x y z
     right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * own)
-    unfelt = carrier.ratio * given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
-    right = right + carrier.ridge @ np.einsum("nba,nb->na", carrier.vertex_turns[: len(unfelt)], unfelt)
+    control_moves = carrier.ratio * given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
+    right = right + carrier.ridge @ np.einsum(
+        "nba,nb->na", carrier.vertex_rotations[: len(control_moves)], control_moves
+    )
     factors = carrier.factors
     first, second, closing = contacts(carrier, moved)
     if len(first):
@@ -234,11 +236,11 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
 
 
 def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Samples (k,), (k,) whose images touch in a shape of the source, and how (k, 3) they are to move past each other.
+    """Pairs of samples (k,), (k,) whose images touch in a shape of the source, and their relative displacement (k, 3).
 
-    Touching are points that are close, face each other, and are not neighbours: closed lips and eyelids. What closes in
-    the shape is left the gap that the source has then; what touches at rest already keeps what is between it, as far as
-    it does so in the source, so that nothing moves where the source does not.
+    Points touch if they are close, face each other and are not neighbours: closed lips and eyelids. Points that come
+    into contact get the gap of the source's shape. Points in contact at rest keep their gap, but for its change in the
+    source: where the source does not move, nothing moves.
 
     Parameters
     ----------
@@ -252,11 +254,11 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     places = images.interpolate(shaped)
     normals = images.interpolate(vertex_normals(shaped, given.triangles))
     edges = np.sqrt(2 * carrier.masses)
-    distance, nearest = cKDTree(places).query(places, k=16, distance_upper_bound=_TOUCHING * float(edges.max()))
+    distance, nearest = cKDTree(places).query(places, k=16, distance_upper_bound=_CONTACT_DISTANCE * float(edges.max()))
     nearest = np.minimum(nearest, count - 1)
-    close = np.isfinite(distance) & (distance < _TOUCHING * edges[:, None])
-    facing = np.einsum("sd,skd->sk", normals, normals[nearest]) < _FACING
-    # Neighbours on a sharp fold of the target face each other too, and are close at rest along the surface.
+    close = np.isfinite(distance) & (distance < _CONTACT_DISTANCE * edges[:, None])
+    facing = np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE
+    # Neighbours across a sharp fold of the target are no contact: they are close at rest.
     apart = np.linalg.norm(
         carrier.point_map.target.positions[nearest] - carrier.point_map.target.positions[:count, None], axis=2
     )
@@ -268,11 +270,11 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     first, second = first[once], second[once]
     before = images.positions[first] - images.positions[second]
     gap = places[first] - places[second]
-    at_rest = np.linalg.norm(before, axis=1) < _TOUCHING * edges[first]
-    turned = np.einsum("kba,kb->ka", carrier.vertex_turns[first], np.where(at_rest[:, None], gap - before, gap))
-    turned *= carrier.ratio
+    at_rest = np.linalg.norm(before, axis=1) < _CONTACT_DISTANCE * edges[first]
+    rotated = np.einsum("kba,kb->ka", carrier.vertex_rotations[first], np.where(at_rest[:, None], gap - before, gap))
+    rotated *= carrier.ratio
     own = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
-    return first, second, np.where(at_rest[:, None], turned, turned - own)
+    return first, second, np.where(at_rest[:, None], rotated, rotated - own)
 
 
 def _gradients(places: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_array, FloatArray]:

@@ -1,7 +1,7 @@
 """Values painted on the source's control mesh, carried to the target's: at vertices, at face corners, as UV sets.
 
-Every value of the target is a convex combination of the source's own values. Under the identity map each comes back as
-it was; labels are put to the vote.
+Every value of the target is a convex combination of the source's values, so the identity map returns them. Labels take
+the largest weight.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from cagemap.transfer.attributes import largest_share
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import locate_centers, walk_from
 
-# Texture coordinates of one vertex that differ by less are one.
+# Texture coordinates of one vertex that differ by less are equal.
 _SAME_UV = 1e-7
-# Points that lie on two sides of a seam have no node in common, neighbours on one side nearly all of their weight.
-_APART = 0.5
+# Points share less than this much of their weights only if a seam lies between them.
+_MAX_WEIGHT_CHANGE = 0.5
 
 
 def control_weights(transfer: Transfer, target: Refinement, source: Refinement) -> sparse.csr_array:
@@ -42,7 +42,7 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 
 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
-    """Values combined with weights; integers and truth values are labels, of which the heaviest wins.
+    """Values combined with weights; of integers and booleans (labels) the one with the largest weight.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class CornerValues:
     weights : (c1, p2) csr_array
         Weights of the source's nodes at every face corner of the target.
     crossed : (m1,) bool
-        Target faces over which a seam of the source runs: no values in them are right on both of its sides.
+        Target faces that a seam of the source crosses: their values cannot be right on both of its sides.
     """
 
     weights: sparse.csr_array
@@ -107,8 +107,8 @@ def corner_weights(
 ) -> CornerValues:
     """Find the source nodes that every face corner of the target takes its value from.
 
-    A corner's value is that of its own side of a seam: from the centre of the refined triangle in its tip one walks to
-    the image of its vertex, and never across a seam.
+    A corner takes its value from its own side of a seam: a walk from the centre of the refined triangle at the corner
+    to the image of its vertex never crosses a seam.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def corner_weights(
 def _crossed_faces(
     transfer: Transfer, control: ControlMesh, linear: LinearValues, sides: NDArray[np.int32], centres: IndexArray
 ) -> NDArray[np.bool_]:
-    """(m1,) faces with two neighbouring refined triangles between which no way leads but across a seam."""
+    """(m1,) faces with two neighbouring refined triangles that only a path across a seam connects."""
     target = transfer.target
     face = target.face_parents[target.triangle_faces]
     neighbors = triangle_neighbors(target.triangles)
@@ -147,7 +147,7 @@ def _crossed_faces(
     own = walk_from(transfer.mapped.frames, sides, centres[far], points)
     apart = 0.5 * abs(linear.at(triangle, barycentric) - linear.at(*own)).sum(axis=1)
     crossed = np.zeros(control.n_faces, dtype=np.bool_)
-    crossed[face[near[apart > _APART]]] = True
+    crossed[face[near[apart > _MAX_WEIGHT_CHANGE]]] = True
     return crossed
 
 

@@ -1,10 +1,10 @@
-"""Bakes from a detailed mesh that lies on the source: what bakers do along rays, here along the map.
+"""Bakes from a detailed mesh over the source, along the map and then along the source's normals.
 
     texel -> point of the target -> T12 -> point of the source -> along its normal to the detailed mesh
 
-Its normal and the way to it turn with the map, as the source's own images do (`vectors`); its colours and its ambient
-occlusion are carried as they are. The detailed mesh of a *wrapped* cage is the source itself: then target and source of
-the bake are the wrapped surface, and the map is the identity (`own_transfer`).
+Normals and displacement vectors rotate with the map (`vectors`); colours and ambient occlusion do not change. The
+detailed mesh of a *wrapped* cage is the source itself: then target and source of the bake are the wrapped surface, and
+the map is the identity (`own_transfer`).
 """
 
 from __future__ import annotations
@@ -35,16 +35,24 @@ from cagemap.transfer.baking import (
     unit,
 )
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.exact_corners import Landing, corner_samples, make_exact
+from cagemap.transfer.exact_corners import SurfaceTargets, corner_samples, make_lookups_exact
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
-from cagemap.transfer.normal_rays import REACH, Met, meet
+from cagemap.transfer.normal_rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
 from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
-from cagemap.transfer.vectors import Green, Space, Turn, bake_turned, check_space, displacement_order, normal_encoder
+from cagemap.transfer.vectors import (
+    Green,
+    Space,
+    VectorPullback,
+    bake_vectors,
+    check_space,
+    displacement_order,
+    normal_encoder,
+)
 
-# Corners that follow the detail by this much may slide along it.
-_WHOLE = 1.0 - 1e-9
+# Corners of at least this weight may slide along the detail.
+_FULL_WEIGHT = 1.0 - 1e-9
 # Rows of an image whose lengths are turned into values at a time.
 _ROWS = 256
 
@@ -56,9 +64,9 @@ class Detail:
     Attributes
     ----------
     surface : TriangleSurface
-        In the source's place and unit: at unit area *of the source*, whose scale it has.
+        Over the source, scaled like it: to unit area *of the source*.
     follow : (n2,) float64 or None
-        How much of the detail counts at every vertex of the source, from 0 to 1; all of it by default.
+        Weight of the detail at every vertex of the source, from 0 to 1; default 1.
     """
 
     surface: TriangleSurface
@@ -85,9 +93,9 @@ def detail_over(source: TriangleSurface, positions: FloatArray, triangles: Index
     if share < 0.5:
         sizes = [float(np.ptp(side.positions / side.scale, axis=0).max()) for side in (source, detail.surface)]
         raise ParameterError(
-            f"detail: expected a mesh that lies on the source, got one that is further away than {REACH:g} of "
-            f"sqrt(area) from {100 * (1 - share):.0f} % of it (the source is {sizes[0]:.4g} large, the detail "
-            f"{sizes[1]:.4g}): put it where the source is, in the same unit"
+            f"detail: expected a mesh that lies on the source, got one that is further away than "
+            f"{MAX_DETAIL_DISTANCE:g} of sqrt(area) from {100 * (1 - share):.0f} % of it (the source is "
+            f"{sizes[0]:.4g} large, the detail {sizes[1]:.4g}): put it where the source is, in the same unit"
         )
     return detail
 
@@ -95,7 +103,7 @@ def detail_over(source: TriangleSurface, positions: FloatArray, triangles: Index
 def detailed_share(detail: Detail, source: TriangleSurface) -> float:
     """Share of the source's area that has detail near it."""
     feet = SurfacePoints.nearest(detail.surface, source.positions)
-    near = np.linalg.norm(feet.positions - source.positions, axis=1) <= REACH
+    near = np.linalg.norm(feet.positions - source.positions, axis=1) <= MAX_DETAIL_DISTANCE
     return float(source.vertex_areas @ near)
 
 
@@ -115,7 +123,7 @@ def bake_detail_normals(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the detail's normals as a normal map of the target: what they are to the source's, they become to its own.
+    """Bake the detail's normals, relative to the source's, as a normal map of the target.
 
     Parameters
     ----------
@@ -135,17 +143,16 @@ def bake_detail_normals(
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
 
-    def give(samples: TexelSamples) -> FloatArray:
-        met = _met(transfer, detail, samples)
-        shares = (met.near * _following(transfer, detail, samples))[:, None]
-        smooth = normalized(met.foot.interpolate(detail.surface.vertex_normals))
-        return normalized(shares * smooth + (1.0 - shares) * met.normals)
+    def normals_at(samples: TexelSamples) -> FloatArray:
+        hits, weights = _weighted_hits(transfer, detail, samples)
+        smooth = normalized(hits.foot.interpolate(detail.surface.vertex_normals))
+        return normalized(weights[:, None] * smooth + (1.0 - weights[:, None]) * hits.normals)
 
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     encode = normal_encoder(green, space, kept)
     counts = _plan(transfer, detail, canvas)
-    return bake_turned(transfer, canvas, counts, give, encode, space, [0, 1, 2], kept, options)
+    return bake_vectors(transfer, canvas, counts, normals_at, encode, space, [0, 1, 2], kept, options)
 
 
 def bake_detail_vectors(
@@ -158,9 +165,9 @@ def bake_detail_vectors(
     dtype: DTypeLike = np.float32,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake the way from the source to the detail as vector displacement of the target, in the target's units.
+    """Bake the offset from the source to the detail as vector displacement of the target, in the target's units.
 
-    Bilinear lookups at the vertices of the target's level, on either side of a seam, give the way from there.
+    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam.
 
     Parameters
     ----------
@@ -169,34 +176,32 @@ def bake_detail_vectors(
     space : "tangent" or "object"
         In tangent space the channels are tangent, normal, bitangent.
     scale : float
-        What a value of 1 stands for; with integers the range from -scale / 2 to scale / 2.
+        Length of a value of 1; integers hold the range from -scale / 2 to scale / 2.
     dtype : optional
-        Integers have their zero in the middle.
+        Of integers, the middle value is zero.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
-    def seen(samples: TexelSamples) -> tuple[Met, FloatArray]:
-        met = _met(transfer, detail, samples)
-        return met, met.near * _following(transfer, detail, samples)
-
-    def give(samples: TexelSamples) -> FloatArray:
-        met, shares = seen(samples)
-        return np.asarray(shares[:, None] * (met.foot.positions - met.points))
+    def offsets_at(samples: TexelSamples) -> FloatArray:
+        hits, weights = _weighted_hits(transfer, detail, samples)
+        return np.asarray(weights[:, None] * (hits.foot.positions - hits.points))
 
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     counts, order = _plan(transfer, detail, canvas), displacement_order(space)
-    plain = np.dtype(np.float32)
-    vectors = bake_turned(transfer, canvas, counts, give, np.asarray, space, order, plain, options)
+    single = np.dtype(np.float32)
+    vectors = bake_vectors(transfer, canvas, counts, offsets_at, np.asarray, space, order, single, options)
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
-    (met, shares), turn = seen(samples), Turn.of(transfer, space)
+    hits, weights = _weighted_hits(transfer, detail, samples)
+    pull_back = VectorPullback.of(transfer, space)
     axes = np.broadcast_to(np.eye(3)[:, None], (3, len(uvs), 3))
-    turned = np.stack([turn.back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, np.argsort(order)]
-    straight = shares[:, None] * (met.foot.positions - met.points)
-    landing = Landing(detail.surface, met.points, met.normals, straight, shares >= _WHOLE, turned)
-    make_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), landing)
-    pixels = vectors if kept == plain else np.empty(vectors.shape, dtype=kept)
+    coordinates = np.stack([pull_back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, np.argsort(order)]
+    offsets = weights[:, None] * (hits.foot.positions - hits.points)
+    slides = weights >= _FULL_WEIGHT
+    targets = SurfaceTargets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
+    make_lookups_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), targets)
+    pixels = vectors if kept == single else np.empty(vectors.shape, dtype=kept)
     for rows in parts(len(vectors), _ROWS):
         pixels[rows] = to_dtype(encode(vectors[rows]), kept)
     return Displacement(pixels, middle, scale)
@@ -211,7 +216,7 @@ def bake_detail_heights(
     dtype: DTypeLike = np.float32,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake how far the detail lies above the source along its normal as displacement of the target.
+    """Bake the height of the detail above the source, along its normal, as displacement of the target.
 
     Parameters
     ----------
@@ -222,9 +227,8 @@ def bake_detail_heights(
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
     def shade(samples: TexelSamples) -> FloatArray:
-        met = _met(transfer, detail, samples)
-        heights = met.near * _following(transfer, detail, samples) * met.heights
-        return encode(samples.mean(heights[:, None]))
+        hits, weights = _weighted_hits(transfer, detail, samples)
+        return encode(samples.mean((weights * hits.heights)[:, None]))
 
     canvas = make_canvas(transfer, size, options)
     pixels = run_bake(transfer, canvas, _plan(transfer, detail, canvas), shade, 1, kept, options)
@@ -262,7 +266,7 @@ def bake_detail_values(
     table = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
 
     def shade(samples: TexelSamples) -> FloatArray:
-        foot = _met(transfer, detail, samples).foot
+        foot = _normal_hits(transfer, detail, samples).foot
         return np.asarray(samples.mean(foot.interpolate(table)) * unit(kept))
 
     canvas = make_canvas(transfer, size, options)
@@ -309,11 +313,11 @@ def bake_detail_texture(
     scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
 
     def shade(samples: TexelSamples) -> FloatArray:
-        foot = _met(transfer, detail, samples).foot
-        met = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
-        return scale * look_up(laid, met, nearest=nearest)
+        foot = _normal_hits(transfer, detail, samples).foot
+        on_detail = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
+        return scale * look_up(laid, on_detail, nearest=nearest)
 
-    # A typical texel's side on the surface, from the areas that both see.
+    # Side of a typical texel on the surface, from the areas of triangles there and in the texture.
     corners = laid.corner_texels().reshape(-1, 2)
     in_texels = triangle_areas(corners, np.arange(len(corners)).reshape(-1, 3))
     texel = float(np.sqrt(np.median(detail.surface.areas / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
@@ -326,27 +330,28 @@ def bake_detail_texture(
 def _length_encoder(
     transfer: Transfer, detail: Detail, scale: float, kept: np.dtype[Any]
 ) -> tuple[float, Callable[[FloatArray], FloatArray]]:
-    """The value that means no way, and how lengths at unit area of the source are stored."""
+    """The value of a length of 0, and how lengths at unit area of the source are stored."""
     middle = 0.5 if kept.kind == "u" else 0.0
     factor = scale_ratio(transfer) / (detail.surface.scale * scale)
     return middle, lambda lengths: np.asarray((factor * lengths + middle) * unit(kept))
 
 
-def _met(transfer: Transfer, detail: Detail, samples: TexelSamples) -> Met:
-    """Where the detail is, seen from the source points of samples."""
+def _normal_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) -> NormalHits:
+    """Points of the detail on the normals of samples' source points."""
     source = transfer.point_map.source
     corners = source.triangles[samples.triangle]
     points = np.einsum("sc,scd->sd", samples.barycentric, source.positions[corners])
     normals = normalized(np.einsum("sc,scd->sd", samples.barycentric, source.vertex_normals[corners]))
-    return meet(detail.surface, points, normals)
+    return intersect_normals(detail.surface, points, normals)
 
 
-def _following(transfer: Transfer, detail: Detail, samples: TexelSamples) -> FloatArray:
-    """(s,) how much of the detail counts at samples."""
+def _weighted_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) -> tuple[NormalHits, FloatArray]:
+    """Points of the detail on samples' normals, and the (s,) weight of the detail there."""
+    hits = _normal_hits(transfer, detail, samples)
     if detail.follow is None:
-        return np.ones(len(samples.triangle))
+        return hits, hits.near.astype(np.float64)
     corners = transfer.source.triangles[samples.triangle]
-    return np.asarray(np.einsum("sc,sc->s", samples.barycentric, detail.follow[corners]))
+    return hits, hits.near * np.einsum("sc,sc->s", samples.barycentric, detail.follow[corners])
 
 
 def _plan(transfer: Transfer, detail: Detail, canvas: Canvas) -> NDArray[np.int32]:

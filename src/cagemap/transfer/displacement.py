@@ -24,7 +24,7 @@ from cagemap.transfer.texture import Pixels, each_tile, lay_texture
 
 # Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
 _GREY = 1e-3
-# Share of the target's area at either end that a local stretch may not decide: folds of the map stretch without limit.
+# Share of the target's area at which local stretch is cut off at either end: folds stretch without limit.
 _OUTLIERS = 0.005
 # Rows of an image whose channels are compared at a time.
 _ROWS = 256

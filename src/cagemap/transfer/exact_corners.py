@@ -1,14 +1,13 @@
-"""Images whose bilinear lookups are exact at the corners of a layout.
+"""Make bilinear lookups of an image exact at the corners of a layout.
 
-A texel holds what is true at its centre; what a renderer reads at a vertex is a mean of four. Where values jump, at
-creases, or differ across a seam, that mean is wrong, and both sides of a seam read different ones. The least change of
-the texels that makes every lookup right solves ``min |x|`` with ``B A x = B (wanted - A image)``, A the lookups'
-weights and B what of an error matters at each corner:
+A renderer reads at a vertex the mean of four texels. At creases and seams this mean is wrong, and differs on both sides
+of a seam. The least change x of the texels that makes every lookup exact solves ``min |x|`` with ``B A x = B (wanted -
+A image)``, A the lookups' weights and B the weight of an error at each corner:
 
     x = A^T B^T y,   (B A A^T B^T + trace) y = B (wanted - A image).
 
-Where a layout is so tight that corners share their texels, not all can have their way; but displaced points are free to
-slide along a surface. B counts their distance from its tangent planes, and a few rounds look for these anew.
+Corners that share their texels cannot all be exact, but displaced points may slide along the surface. B then weights
+the distance from its tangent planes, which are updated for a few rounds.
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ from cagemap.surface.surface_points import nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.normal_rays import REACH
+from cagemap.transfer.normal_rays import MAX_DETAIL_DISTANCE
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
-# Corners that share all their texels cannot all be right: lookups are weighed against this much change of texels.
+# Weight of the change of texels against the error of lookups.
 _TRACE = 1e-3
 _ACCURACY, _STEPS = 1e-4, 200
-# Rounds of feet and texels; errors along a surface count this much against those across it.
-_ROUNDS, _SLIDE = 3, 0.1
+# Rounds of closest points and texels; weight of errors along the surface against those across it.
+_ROUNDS, _TANGENTIAL_WEIGHT = 3, 0.1
 
 
 def lookup_matrix(places: FloatArray, height: int, width: int) -> sparse.csr_array:
@@ -51,30 +50,32 @@ def lookup_matrix(places: FloatArray, height: int, width: int) -> sparse.csr_arr
 
 
 @dataclass(frozen=True, eq=False)
-class Aim:
-    """What lookups should read.
+class LookupTargets:
+    """Values that lookups should have.
 
     Attributes
     ----------
-    wanted : (k, c) float64
-    matters : (k, c, c) float64
-        What of an error counts: B, one block a corner.
+    values : (k, c) float64
+    weights : (k, c, c) float64
+        Weights of errors: B, one block a corner.
     """
 
-    wanted: FloatArray
-    matters: FloatArray
+    values: FloatArray
+    weights: FloatArray
 
 
-def make_exact(image: NDArray[np.float32], places: FloatArray, aim: Callable[[FloatArray], Aim]) -> None:
-    """Change an image of floats as little as makes its lookups right, in place.
+def make_lookups_exact(
+    image: NDArray[np.float32], places: FloatArray, targets: Callable[[FloatArray], LookupTargets]
+) -> None:
+    """Change an image of floats, in place and as little as possible, so that its lookups are exact.
 
     Parameters
     ----------
     image : (h, w, c) float32
     places : (k, 2) float64
         Texel coordinates.
-    aim : callable
-        From what lookups read now (k, c) to what they should; asked once a round.
+    targets : callable
+        From the current lookups (k, c) to their targets; called once a round.
     """
     if not len(places):
         return
@@ -89,39 +90,39 @@ def make_exact(image: NDArray[np.float32], places: FloatArray, aim: Callable[[Fl
     shared, size = sparse.csr_array(lookups @ lookups.T), len(places) * channels
     for _ in range(_ROUNDS):
         read = np.asarray(lookups @ values)
-        aimed = aim(read)
+        wanted = targets(read)
 
-        def counted(errors: FloatArray, matters: FloatArray = aimed.matters) -> FloatArray:
-            return np.asarray(np.einsum("kab,kb->ka", matters, errors))
+        def weighted(errors: FloatArray, weights: FloatArray = wanted.weights) -> FloatArray:
+            return np.asarray(np.einsum("kab,kb->ka", weights, errors))
 
-        def spread(answer: FloatArray, matters: FloatArray = aimed.matters) -> FloatArray:
-            return np.asarray(np.einsum("kab,ka->kb", matters, answer))
+        def transposed(answer: FloatArray, weights: FloatArray = wanted.weights) -> FloatArray:
+            return np.asarray(np.einsum("kab,ka->kb", weights, answer))
 
         def system(flat: FloatArray) -> FloatArray:
             answer = flat.reshape(-1, channels)
-            return (counted(shared @ spread(answer)) + _TRACE * answer).ravel()
+            return (weighted(shared @ transposed(answer)) + _TRACE * answer).ravel()
 
-        missing = counted(aimed.wanted - read).ravel()
+        errors = weighted(wanted.values - read).ravel()
         operator = linalg.LinearOperator((size, size), matvec=system, dtype=np.float64)
-        found, _ = linalg.cg(operator, missing, rtol=_ACCURACY, maxiter=_STEPS)
-        values += lookups.T @ spread(found.reshape(-1, channels))
+        found, _ = linalg.cg(operator, errors, rtol=_ACCURACY, maxiter=_STEPS)
+        values += lookups.T @ transposed(found.reshape(-1, channels))
     texels[used] = values
 
 
 @dataclass(frozen=True, eq=False)
-class Landing:
-    """Displaced corners that are to lie on a surface: the aim of a vector displacement.
+class SurfaceTargets:
+    """Lookup targets of a vector displacement: displaced corners lie on a surface.
 
     Attributes
     ----------
     surface : TriangleSurface
     points, normals : (k, 3) float64
-        Of the corners, before they are displaced.
+        Of the corners, not displaced.
     offsets : (k, 3) float64
-        Displacements of those that are not to slide.
+        Displacements of corners that may not slide.
     slides : (k,) bool
     coordinates : (k, 3, 3) float64
-        Linear maps from displacements to what is stored.
+        Linear maps from displacements to stored values.
     """
 
     surface: TriangleSurface
@@ -131,21 +132,23 @@ class Landing:
     slides: NDArray[np.bool_]
     coordinates: FloatArray
 
-    def __call__(self, read: FloatArray) -> Aim:
-        """What is to be read where (k, 3) is read now."""
+    def __call__(self, read: FloatArray) -> LookupTargets:
+        """Targets for the current lookups (k, 3)."""
         sound = np.abs(np.linalg.det(self.coordinates)) > 1e-9
         back = np.linalg.inv(np.where(sound[:, None, None], self.coordinates, np.eye(3)))
         now = self.points + np.einsum("kab,kb->ka", back, read)
-        feet, _ = nearest_facing(self.surface, now, self.normals, REACH)
+        feet, _ = nearest_facing(self.surface, now, self.normals, MAX_DETAIL_DISTANCE)
         offsets = np.where(self.slides[:, None], feet.positions - self.points, self.offsets)
         across = feet.normals[:, :, None] * feet.normals[:, None, :]
-        counts = np.where(self.slides[:, None, None], _SLIDE * np.eye(3) + (1.0 - _SLIDE) * across, np.eye(3))
-        wanted = np.einsum("kab,kb->ka", self.coordinates, offsets)
-        return Aim(wanted, np.where(sound[:, None, None], counts @ back, 0.0))
+        weights = np.where(
+            self.slides[:, None, None], _TANGENTIAL_WEIGHT * np.eye(3) + (1.0 - _TANGENTIAL_WEIGHT) * across, np.eye(3)
+        )
+        values = np.einsum("kab,kb->ka", self.coordinates, offsets)
+        return LookupTargets(values, np.where(sound[:, None, None], weights @ back, 0.0))
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
-    """Corners of the target's layout in a tile, as samples: where they are, and what lies there on the source.
+    """Corners of the target's layout in a tile as samples: their UVs and their images on the source.
 
     Returns
     -------

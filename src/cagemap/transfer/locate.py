@@ -1,9 +1,9 @@
 """From texels to points of the source surface: each sample follows T12 and walks to the closest source triangle.
 
-The three corners of a target triangle are mapped to source points. A sample inside the triangle combines them in space
-and walks over adjacent source triangles, from the point of the nearest corner, to the closest one. So every sample ends
-in *one* source triangle, whose own texture coordinates it may then interpolate: no seam of the source is ever crossed.
-Where all three corners lie in one source triangle the walk begins there: from another one it may stop at a sharp fold.
+The three corners of a target triangle are mapped to source points. A sample inside the triangle is their combination in
+space; a walk over adjacent source triangles, from the image of the nearest corner, finds the closest one. Every sample
+ends in *one* source triangle and interpolates its texture coordinates, so no seam of the source is crossed. Where one
+source triangle holds all three corners the walk begins there: from another one it may stop at a sharp fold.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _EXTENSION = 2.0
 
 @dataclass(frozen=True, eq=False)
 class MappedSurface:
-    """The target's triangles with where the map T12 takes their corners, and the source to walk on.
+    """The target's triangles, the images of their corners under T12, and the source as triangles to walk over.
 
     Attributes
     ----------
@@ -70,9 +70,9 @@ def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: Poi
 def whole_triangles(
     target_triangles: IndexArray, source_triangles: IndexArray, triangle: IndexArray, barycentric: FloatArray
 ) -> IndexArray:
-    """(t1,) source triangle that all corners of a target triangle lie in, edges and corners included; -1: none.
+    """(t1,) source triangle that contains the images of all corners of a target triangle, borders included; -1: none.
 
-    Three vertices of the source carry the images of the corners there, and they are a triangle of it.
+    Exactly three vertices of the source have weights in these images, and they form a triangle.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How each target triangle reads a texture of the source, so that it neither aliases nor blurs."""
+"""Mip level and number of samples for every target triangle, so that a texture neither aliases nor blurs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 # No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
 MAX_SAMPLES_PER_AXIS = 16
-# A span up to this many texels is left to the bilinear filter: an unscaled texture then comes through unblurred.
+# Up to this span, in texels of the source, one sample is enough: an unscaled texture stays unblurred.
 UNSCALED = 1.25
 # A span of 2^l texels, less this share of an octave, reads level l.
 _SLACK = 0.1
@@ -31,7 +31,7 @@ _BAND_TEXELS = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Lookups:
-    """What target triangles read, and how often.
+    """Mip levels and samples of target triangles.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Lookups:
     counts : (t1, 2) int32
         Samples along x and y in a raster cell.
     crisp : (t1,) bool
-        Where a texel spans no more than one of the source: its centre stands for all of it.
+        Whether a texel spans at most one of the source, so that its centre alone is sampled.
     """
 
     mips: MipMaps
@@ -71,7 +71,7 @@ def plan_lookups(
     exact : bool
         See `MipMaps.build`.
     kind : "smooth", "linear" or "nearest"
-        How the texture is looked up where nothing shrinks. Nearest takes the one texel in any case.
+        Interpolation where the texture is not minified; nearest is used everywhere.
     """
     centers = locate_centers(mapped)
     if kind == "nearest":
@@ -91,7 +91,7 @@ def plan_lookups(
 def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
     """(t1,) how often to halve a texture for triangles of spans (t1, 2) in its texels.
 
-    As often as the shorter span allows, so that nothing blurs along it; samples see to the longer one, up to a limit.
+    The shorter span decides, so that nothing blurs along it; several samples cover the longer one, up to a limit.
     """
     shorter = np.floor(np.log2(np.maximum(spans.min(axis=1), 1.0)) + _SLACK)
     longer = np.ceil(np.log2(np.maximum(spans.max(axis=1), 1.0) / MAX_SAMPLES_PER_AXIS) - _SLACK)

@@ -1,4 +1,4 @@
-"""Masks in transfer: painted ones, how much of every texel is transferred, and what lies outside."""
+"""Masks in transfer: masks from images, the weight of every texel, and blending over a base image."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
 
 @kinds_checked
 def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeOptions | None = None) -> Pixels:
-    """How much of every texel of the target is transferred: the product of both masks, linear in the triangles.
+    """Weight of every texel of the target: the product of both masks, linear in the triangles.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
 
 
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
-    """What was baked over a base image: ``base + weight (baked - base)``, the base itself where the weight is 0.
+    """Blend a baked image over a base: ``base + weight (baked - base)``; exactly the base where the weight is 0.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
 
 
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
-    """What was baked with the weight as its alpha, multiplied into the one that it has.
+    """A baked image with the weight as alpha, multiplied into the alpha that it has.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From a match, fresh or read back, to baked images in one call."""
+"""Bake images of a match in one call."""
 
 from __future__ import annotations
 

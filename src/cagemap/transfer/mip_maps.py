@@ -1,9 +1,8 @@
-"""Halved images of a texture, for texels that span several of its own: what they would alias is filtered out of them.
+"""Mip maps: halved, low-passed images of a texture, for texels that span several texels of the source.
 
-A box of samples lets a tenth of what is finer than the target's texels through as moire, the cubic of Mitchell and
-Netravali (1988) a hundredth, and it hardly rings. Images below the first level are halved by a Lanczos kernel, which
-leaves what the cubic will judge as it is. Both see covered texels only (normalised convolution, Knutsson and Westin
-1993), so that nothing bleeds in from beside islands.
+The cubic of Mitchell and Netravali (1988) lets 1 % of frequencies above the limit through as moire (a box: 10 %), with
+little ringing. Images below the first level are halved by a Lanczos kernel, which keeps frequencies below the limit.
+Both use covered texels only (normalised convolution, Knutsson and Westin 1993), so that no colours bleed into islands.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from cagemap.transfer.smooth import SmoothTile, channel_range
 from cagemap.transfer.texture import Pixels, Texture, look_up
 
 _LOBES = 3
-# Where covered texels have less than this share of the kernel, its negative lobes would amplify: plain means there.
-_ENOUGH = 0.75
-# Rows of a halved image made at a time: about 100 bytes for each texel of the source that they ask for.
+# Where covered texels have less than this share of the kernel, means replace it: negative lobes would amplify.
+_MIN_KERNEL_SHARE = 0.75
+# Rows of a halved image per block: about 100 bytes for each texel of the source.
 _ROWS = 128
-# What uncovered texels count: where there is nothing else, they decide.
-_UNCOVERED = 1e-5
+# Weight of uncovered texels: they count only where there are no others.
+_UNCOVERED_WEIGHT = 1e-5
 
 Coverage = NDArray[np.float32] | NDArray[np.bool_]
 
@@ -115,7 +114,7 @@ def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
 
 
 def low_passed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -> Pixels:
-    """(h, w, c) what texels of twice the size should see of the covered texels of an image.
+    """(h, w, c) covered texels of an image, low-passed for texels of twice the size.
 
     As float32, or in the number type and the range of the image ``like``: kernels overshoot at edges.
     """
@@ -131,7 +130,7 @@ def _filtered(
 ) -> tuple[Pixels, Coverage]:
     """Normalised convolution by a kernel along both sides; plain means where too little of the kernel is covered.
 
-    What is no number counts as not covered, and not at all.
+    NaN and infinite texels have no weight.
     """
     shape, ends = (down[0].shape[0], across[0].shape[0]), None if like is None else channel_range(like)
     result = np.zeros((*shape, pixels.shape[2]), dtype=np.float32 if like is None else like.dtype)
@@ -140,7 +139,7 @@ def _filtered(
     def fill(rows: slice) -> None:
         own = [matrix[rows] for matrix in down]
         first, last = int(own[0].indices.min()), int(own[0].indices.max()) + 1
-        weight = np.maximum(coverage[first:last].astype(np.float32), np.float32(_UNCOVERED))
+        weight = np.maximum(coverage[first:last].astype(np.float32), np.float32(_UNCOVERED_WEIGHT))
         given = pixels[first:last].astype(np.float32)
         numbers = np.isfinite(given)
         if not numbers.all():
@@ -151,7 +150,7 @@ def _filtered(
             _separable(table, vertical[:, first:last], horizontal)
             for vertical, horizontal in zip(own, across, strict=True)
         )
-        values = np.where((sharp[..., -1] >= _ENOUGH)[..., None], sharp, mean)
+        values = np.where((sharp[..., -1] >= _MIN_KERNEL_SHARE)[..., None], sharp, mean)
         with np.errstate(invalid="ignore"):
             found = values[..., :-1] / values[..., -1:]
         if ends is not None:

@@ -1,4 +1,4 @@
-"""Whether an image is a tangent-space normal map, which is no colour: its directions belong to the source's layout."""
+"""Detect tangent-space normal maps among colour images."""
 
 from __future__ import annotations
 

@@ -11,30 +11,29 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Detail further from the source than this, in units of sqrt(area), belongs to something else.
-REACH = 0.1
-# Steps of Newton's method along a normal.
-_STEPS = 5
-# A normal meets the detail where it comes nearer than this, in units of sqrt(area).
-_MET = 1e-6
-# A normal that leaves the detailed surface more flatly than this never meets it.
-_GRAZING = 0.2
+# Detail further from the source than this, in units of sqrt(area), is ignored.
+MAX_DETAIL_DISTANCE = 0.1
+_NEWTON_STEPS = 5
+# Distance, in units of sqrt(area), below which a point of the normal lies on the detail.
+_HIT_TOLERANCE = 1e-6
+# Least cosine between the normals of source and detail for which Newton's method is tried.
+_MIN_COSINE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
-    """Where the detail is, seen from points of the source; lengths at unit area of the source.
+class NormalHits:
+    """Points of the detail on the normals of source points; lengths at unit area of the source.
 
     Attributes
     ----------
     points, normals : (s, 3) float64
         Of the source.
     foot : SurfacePoints
-        Where the normal meets the detail; the nearest point that faces the same way where it does not.
+        Intersection of the normal with the detail; the nearest point with an agreeing normal where there is none.
     heights : (s,) float64
-        How far along the normal that is.
+        Signed distance of ``foot`` along the normal.
     near : (s,) bool
-        Whether it is in reach.
+        Whether the detail is closer than `MAX_DETAIL_DISTANCE`.
     """
 
     points: FloatArray
@@ -44,10 +43,10 @@ class Met:
     near: NDArray[np.bool_]
 
 
-def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> Met:
-    """Follow normals to the detail: Newton's method from the nearest points that face the same way.
+def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> NormalHits:
+    """Intersect normals with the detail by Newton's method, from the nearest points with agreeing normals.
 
-    Each step goes on to where the normal meets the plane of the triangle that is nearest now.
+    Each step intersects the normal with the plane of the triangle that is nearest to the last point.
 
     Parameters
     ----------
@@ -56,23 +55,24 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
     points, normals : (s, 3) float64
         Of the source at unit area; unit length.
     """
-    first, distance = nearest_facing(surface, points, normals, REACH)
+    first, distance = nearest_facing(surface, points, normals, MAX_DETAIL_DISTANCE)
     triangle, barycentric = first.triangle.copy(), first.barycentric.copy()
-    heights, met = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
+    heights, hit = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
     open_, foot = np.arange(len(points)), first
-    for _ in range(_STEPS):
+    for _ in range(_NEWTON_STEPS):
         across, origin, along = foot.normals, points[open_], normals[open_]
         slope = np.einsum("sd,sd->s", along, across)
-        ahead = np.einsum("sd,sd->s", foot.positions - origin, across) / np.where(slope > _GRAZING, slope, np.inf)
-        ahead = np.clip(ahead, -REACH, REACH)
-        foot, missed = nearest_facing(surface, origin + ahead[:, None] * along, along, REACH, foot.triangle)
-        here = (missed < _MET) & (slope > _GRAZING)
+        height = np.einsum("sd,sd->s", foot.positions - origin, across) / np.where(slope > _MIN_COSINE, slope, np.inf)
+        height = np.clip(height, -MAX_DETAIL_DISTANCE, MAX_DETAIL_DISTANCE)
+        place = origin + height[:, None] * along
+        foot, gap = nearest_facing(surface, place, along, MAX_DETAIL_DISTANCE, foot.triangle)
+        here = (gap < _HIT_TOLERANCE) & (slope > _MIN_COSINE)
         done = open_[here]
-        heights[done], triangle[done], barycentric[done] = ahead[here], foot.triangle[here], foot.barycentric[here]
-        met[done] = True
+        heights[done], triangle[done], barycentric[done] = height[here], foot.triangle[here], foot.barycentric[here]
+        hit[done] = True
         open_, foot = open_[~here], foot.at(~here)
         if not len(open_):
             break
-    aside = np.einsum("sd,sd->s", first.positions - points, normals)
-    place = SurfacePoints(surface, triangle, barycentric)
-    return Met(points, normals, place, np.where(met, heights, aside), distance <= REACH)
+    nearest_height = np.einsum("sd,sd->s", first.positions - points, normals)
+    feet = SurfacePoints(surface, triangle, barycentric)
+    return NormalHits(points, normals, feet, np.where(hit, heights, nearest_height), distance <= MAX_DETAIL_DISTANCE)

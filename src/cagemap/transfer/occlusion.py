@@ -1,4 +1,4 @@
-"""Ambient occlusion: the part of the sky over every vertex that the surface itself does not hide."""
+"""Ambient occlusion at vertices: the visible share of the cosine-weighted hemisphere."""
 
 from __future__ import annotations
 

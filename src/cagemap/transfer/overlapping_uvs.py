@@ -1,4 +1,4 @@
-"""Layouts that lie over themselves: mirrored halves, or materials that each have an image of their own."""
+"""Overlapping UV layouts: mirrored halves, or materials with an image each."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from cagemap.surface.triangles import fan_triangles
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
-# Texels a side at which layouts are looked at. What is counted at island borders is right on average, but not along
-# rows of texels: tiles are turned, by an angle at which no rows, columns or diagonals of a layout come to lie so.
+# Texels a side of the raster. Tiles are rotated, by an angle at which no edges of a layout run along rows of texels:
+# counts of texels along such edges would be biased.
 _RASTER = 704
-_ACROSS = np.array([1.0, (np.sqrt(5.0) - 1.0) / 2.0])
-_TURN = np.array([_ACROSS, _ACROSS[::-1] * [-1.0, 1.0]]) / _ACROSS.sum()
-_TEXELS = _RASTER**2 * np.linalg.det(_TURN)  # in the area of a tile
-# Tiles that are looked at; more are those of a texture that is repeated.
-_MOST_TILES = 64
+_DIRECTION = np.array([1.0, (np.sqrt(5.0) - 1.0) / 2.0])
+_ROTATION = np.array([_DIRECTION, _DIRECTION[::-1] * [-1.0, 1.0]]) / _DIRECTION.sum()
+_TEXELS = _RASTER**2 * np.linalg.det(_ROTATION)  # in the area of a tile
+# Layouts with more tiles than this are those of repeated textures.
+_MAX_TILES = 64
 
 
-def doubled_share(control: ControlMesh) -> float:
-    """Share of a layout's area that lies over other parts of it, 0 without UVs.
+def overlapping_share(control: ControlMesh) -> float:
+    """Share of a layout's area that overlaps other parts of it; 0 without UVs.
 
-    Faces that lie across tiles, as those of a texture that is repeated, are left out.
+    Faces across several tiles, as with repeated textures, are ignored.
     """
     corners, faces = _uv_triangles(control)
     masks = _covered(corners)
@@ -36,8 +36,8 @@ def doubled_share(control: ControlMesh) -> float:
     return max(0.0, 1.0 - covered / areas.sum()) if areas.sum() > 0 else 0.0
 
 
-def doubled_materials(control: ControlMesh, least: float) -> tuple[str, ...]:
-    """Materials of which more than this share of the layout lies over that of other materials."""
+def overlapping_materials(control: ControlMesh, min_share: float) -> tuple[str, ...]:
+    """Names of materials of whose layout more than a share overlaps that of other materials."""
     if control.face_materials is None or len(control.material_names) < 2:
         return ()
     corners, faces = _uv_triangles(control)
@@ -48,15 +48,17 @@ def doubled_materials(control: ControlMesh, least: float) -> tuple[str, ...]:
         for chosen, mask in _covered(own):
             u, v = tile_cells(own[chosen[:1]])[0].tolist()
             owners.setdefault((u, v), []).append((material, mask))
-    doubled = np.zeros(len(control.material_names))
+    overlapping = np.zeros(len(control.material_names))
     covered = np.zeros(len(control.material_names))
     for tile in owners.values():
         several = sum(mask.astype(np.int64) for _, mask in tile) > 1
         for material, mask in tile:
-            doubled[material] += np.count_nonzero(mask & several)
+            overlapping[material] += np.count_nonzero(mask & several)
             covered[material] += np.count_nonzero(mask)
     return tuple(
-        name for name, part, whole in zip(control.material_names, doubled, covered, strict=True) if part > least * whole
+        name
+        for name, part, whole in zip(control.material_names, overlapping, covered, strict=True)
+        if part > min_share * whole
     )
 
 
@@ -69,18 +71,18 @@ def _uv_triangles(control: ControlMesh) -> tuple[FloatArray, IndexArray]:
 
 
 def _covered(corners: FloatArray) -> list[tuple[IndexArray, NDArray[np.bool_]]]:
-    """For every tile the triangles that lie in it, and which texels of the turned tile they cover."""
+    """For every tile its triangles, and which texels of the rotated tile they cover."""
     cells = tile_cells(corners) if len(corners) else np.zeros((0, 2))
     places = corners - cells[:, None]
     within = np.flatnonzero(((places > -OVERHANG) & (places < 1.0 + OVERHANG)).all(axis=(1, 2)))
     tiles, owner = np.unique(cells[within], axis=0, return_inverse=True)
-    if len(tiles) > _MOST_TILES:
+    if len(tiles) > _MAX_TILES:
         return []
     found = []
     for tile in range(len(tiles)):
         chosen = within[owner.ravel() == tile]
         no_borders = np.zeros((len(chosen), 3), dtype=np.int32)
-        turned = (places[chosen] - 0.5) @ _TURN.T + 0.5
-        layout = lay_out(turned, no_borders, _RASTER, _RASTER, band_rows=_RASTER, gutter=0.0)
+        rotated = (places[chosen] - 0.5) @ _ROTATION.T + 0.5
+        layout = lay_out(rotated, no_borders, _RASTER, _RASTER, band_rows=_RASTER, gutter=0.0)
         found.append((chosen, rasterize_band(layout, 0) >= 0))
     return found

@@ -1,4 +1,4 @@
-"""Pack UV islands into the unit square, each sunk onto the horizon of those before it.
+"""Pack UV islands into the unit square by a skyline heuristic.
 
 The horizon is the height reached so far in every column of the square; an island goes where its lower outline leaves
 the least room beneath (Levy, Petitjean, Ray, Maillot, *Least squares conformal maps for automatic texture atlas

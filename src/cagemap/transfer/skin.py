@@ -1,4 +1,4 @@
-"""Skinning weights carried to another cage: convex, few influences, filled in where the map is not to be trusted."""
+"""Skinning weights carried to another cage: convex, few influences, harmonic where the map is not trusted."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 
-# Sums of weights that differ less from 1 are rounding: such rows stay as they are.
+# Sums of weights within this distance of 1 are rounding: such rows do not change.
 _ROUNDING = 1e-5
-# Sums that differ less from 1 are normalised: exporters round, and rigs are kept unnormalised (MakeHuman's sums are
-# 0.954 to 1.063). What differs more are other values, or weights of which joints are missing.
-_MOST_OFF = 0.1
+# Sums within this distance of 1 are normalised (MakeHuman's are 0.954 to 1.063). Others are no weights, or lack joints.
+_MAX_DEVIATION = 0.1
 
 
 def carry_skin(
@@ -37,8 +36,7 @@ def carry_skin(
     net : ElasticGraph
         Of the target's control mesh.
     trusted : (n1,) bool
-        Where the map is to be trusted. All other vertices are filled in from these: the weights are harmonic on the net
-        there, so they stay convex.
+        Where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex.
     influences : int, optional
         How many joints may move a vertex; the smallest weights are left out. None for all.
 
@@ -62,7 +60,7 @@ def carry_skin(
 
 
 def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
-    """Skinning weights with rows that sum to 1, and what to tell a user whose rows did not.
+    """Skinning weights with rows that sum to 1, and a note if rows were scaled.
 
     Parameters
     ----------
@@ -84,7 +82,7 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
     skin = np.asarray(skin, dtype=np.float64)
     sums = skin.sum(axis=1)
     off = np.where(sums == 0, 0.0, np.abs(sums - 1))
-    wrong = np.flatnonzero(~((skin.min(axis=1) >= 0) & (off <= _MOST_OFF)))  # so written, a NaN is wrong too
+    wrong = np.flatnonzero(~((skin.min(axis=1) >= 0) & (off <= _MAX_DEVIATION)))  # so written, a NaN is wrong too
     if len(wrong):
         raise ParameterError(
             f"skinning weights: expected rows without negative weights that sum to 1 (0.9 to 1.1 is normalised), got "
@@ -103,7 +101,7 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
 
 
 def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
-    """Values (n, q) that are kept where known, and harmonic on the net elsewhere: means of what is around.
+    """Values (n, q), kept where known and harmonic on the net elsewhere.
 
     Raises
     ------
@@ -143,7 +141,7 @@ def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
 
 
 def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
-    """Weights (n, j) of which the chosen joints' are carried; the mesh's own of all others share what is left.
+    """Weights (n, j): carried ones of chosen joints; the mesh's own of the others, scaled to a sum of 1.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the smooth lookup of a texture has what it needs, and differs from a bilinear one."""
+"""Where the smooth lookup of a texture is possible, and differs from a bilinear one."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
 
 @dataclass(frozen=True, eq=False)
 class SmoothTile:
-    """What the smooth lookup needs to know of a tile.
+    """Where a tile is looked up smoothly, and the range of its channels.
 
     Attributes
     ----------
     cells : (h, w) bool
-        Where it has all that it needs, see `smooth_cells`, and its texels are not all the same.
+        Where all six by six texels are covered, see `smooth_cells`, and not all equal.
     lowest, highest : (c,) float64
-        Range of every channel, which it keeps.
+        Range of every channel, to which values are limited.
     """
 
     cells: NDArray[np.bool_]
@@ -57,7 +57,7 @@ class SmoothTile:
     def of(cls, pixels: Pixels, covered: NDArray[np.bool_]) -> SmoothTile:
         """Prepare a tile (h, w, c) whose layout covers some texels (h, w).
 
-        What is no number is not among them, and even texels need no cubic: a bilinear lookup gives the same.
+        NaN and infinite texels count as uncovered. Where all texels are equal, the bilinear lookup gives the same.
         """
         if pixels.dtype.kind == "f" and not (numbers := np.isfinite(pixels)).all():
             covered = covered & numbers.all(axis=2)

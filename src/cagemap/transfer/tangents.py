@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums
 from cagemap.surface.triangles import normalized, vertex_normals
 from cagemap.transfer.textured_surface import TexturedSurface
 

@@ -1,10 +1,10 @@
 """Source textures: one image or the tiles of a UDIM set, and their lookup at surface points.
 
-Where nothing shrinks much, what a texel sees is interpolated by the cubic of six points of Keys, *Cubic convolution
-interpolation for digital image processing* (1981, eq. 24): it meets the texels and reproduces cubics, and of detail
-three texels wide it loses a twelfth of what a bilinear lookup loses. It leaves the range of the two texels it lies
-between only where both sides fall away from them, so that a hard edge gets no rings, and that of the image never. Where
-some texel that it needs is not the surface's, at the border of an island, the lookup is bilinear. Alpha always is.
+Textures that are not minified are interpolated by the six-point cubic of Keys, *Cubic convolution interpolation for
+digital image processing* (1981, eq. 24). It interpolates the texels and reproduces cubics; of detail three texels wide
+it loses a twelfth of what a bilinear lookup loses. Values are limited to the range of the two texels around a point,
+but for local peaks, and to the range of the image: hard edges do not ring. At borders of islands, where the six texels
+are not all covered, and for alpha, the lookup is bilinear.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ Wrap = Literal["repeat", "clamp"]
 Filter = Literal["smooth", "linear", "nearest"]
 FILTERS = get_args(Filter)
 
-# What lies across a border of a tile by less is there by a rounding: half a texel of a 4k image.
+# UVs outside a tile by less than this are rounding: half a texel of a 4k image.
 OVERHANG = 1.0 / 8192.0
-# Up to so many samples a texel spans less than two texels of the texture; above, their mean sees what is between them.
-_FEW = 4
-# What a peak between two texels may rise above them, as a part of what both fall to their outer neighbours: an eighth
-# for a parabola, more for sharper ones.
+# Up to this many samples a texel spans less than two texels of the texture and is interpolated smoothly.
+_MAX_SMOOTH_SAMPLES = 4
+# Height of a peak between two texels above them, as a share of their drop to the outer neighbours: 1/8 for a parabola.
 _PEAK = 0.25
-# Value of every half float, by its bits: numba knows none, and a converted copy of a large texture takes gigabytes.
+# Value of every half float by its bits: Numba has no half floats, and a converted copy of a large texture takes
+# gigabytes.
 _HALVES = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float64)
 
 
@@ -91,7 +91,7 @@ def lay_texture(
     uvs : (p, 2) float64
     uv_triangles : (t2, 3) int64
     wrap : "repeat" or "clamp"
-        What lies outside a plain image. Repetition is what renderers and material libraries assume.
+        How a plain image continues outside the unit square. Renderers and material libraries repeat it.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def lay_texture(
 def tile_cells(corners: FloatArray) -> FloatArray:
     """(t, 2) lower left corner of the unit square that each UV triangle lies in.
 
-    A triangle that lies across a border by no more than a rounding belongs to the side that it touches.
+    A triangle that crosses a border by rounding only belongs to the tile of its other corners.
 
     Parameters
     ----------
@@ -173,14 +173,14 @@ def look_up(
     smooth : dict of int to SmoothTile, optional
         Where to look up smoothly, by tile; bilinear elsewhere.
     nearest : bool
-        Take the texel that a point lies in: for labels, which have nothing between them.
+        Take the texel that contains the point: for labels.
     """
     result = np.zeros((len(samples.first) - 1, texture.channels))
-    # Of a large set only few tiles meet in one band of texels; the others would look at every sample for nothing.
-    met = np.zeros(len(texture.triangle_tiles), dtype=bool)
-    met[samples.triangle] = True
+    # A band of texels uses few tiles of a large set: the others are skipped.
+    used = np.zeros(len(texture.triangle_tiles), dtype=bool)
+    used[samples.triangle] = True
     colors = texture.channels - (texture.channels in (2, 4))
-    for tile in np.unique(texture.triangle_tiles[met]).tolist():
+    for tile in np.unique(texture.triangle_tiles[used]).tolist():
         pixels = texture.tiles[tile]
         u, v = udim_origin(tile)
         half = pixels.dtype == np.float16
@@ -260,7 +260,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
             c1, r1 = min(c0 + 1, width - 1), min(r0 + 1, height - 1)
             fx, fy = x - c0, y - r0
             linear_from = 0
-            if len(smooth) and first[texel + 1] - first[texel] <= _FEW and smooth[r0, c0]:
+            if len(smooth) and first[texel + 1] - first[texel] <= _MAX_SMOOTH_SAMPLES and smooth[r0, c0]:
                 _six_points(fx, across)
                 _six_points(fy, down)
                 for channel in range(colors):
@@ -298,7 +298,7 @@ def _six_points(f, weights):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _between(a, b, c, d, e, f, weights):  # type: ignore[no-untyped-def]
-    """Weighted sum of six values: between the middle two, or beyond them as far as a peak of their slopes may reach."""
+    """Weighted sum of six values, limited to the range of the middle two and the peak that their slopes allow."""
     total = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d + weights[4] * e + weights[5] * f
     rise, fall = max(min(c - b, d - e), 0.0), max(min(b - c, e - d), 0.0)
     return min(max(total, min(c, d) - fall * _PEAK), max(c, d) + rise * _PEAK)

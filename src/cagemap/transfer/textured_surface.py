@@ -1,4 +1,4 @@
-"""What the bake needs to know of a refined surface: triangles with their UVs, and who lies across each edge."""
+"""A refined surface as triangles with UVs."""
 
 from __future__ import annotations
 

@@ -15,21 +15,20 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.measures import cage_triangles
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.numerics.libraries import library
 from cagemap.subdivision import refine
 from cagemap.transfer.packing import pack_islands
 
-# A corner may be straight; rounding must not make it turn the wrong way. Relative to the product of its edges.
+# Rounding of the cross product at straight corners, relative to the product of the edges.
 _STRAIGHT = -1e-9
-# Levels of refinement after which control vertices are near the surface.
+# Levels of refinement that bring control vertices near the surface.
 _SMOOTHING = 2
-# Islands thinner than this, relative to their length squared, are as good as folded.
+# Polygons with less area than this, relative to their squared length, count as folded.
 _FLAT = 1e-6
-# Pairs of polygons that are looked at at once.
+# Pairs of polygons compared per block.
 _PAIRS = 2**18
 
 

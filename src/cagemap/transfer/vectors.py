@@ -1,8 +1,8 @@
-"""Normal maps and vector displacement: directions that turn with the map.
+"""Normal maps and vector displacement: vectors of the source rotated by the map's differential.
 
-At a point of the target with normal n1, whose image on the source has normal n2, the differential of the map turns the
-plane across n1 into the plane across n2; Q is the rotation nearest to it that takes n1 to n2. A vector v of the source
-arrives as ``Q^T v``, so what is flat stays flat, and under the identity everything comes back.
+The differential of the map at a point of the target takes the tangent plane there, with normal n1, to that of its
+image, with normal n2. Q is the rotation nearest to the differential that takes n1 to n2. A vector v of the source
+becomes ``Q^T v`` on the target: flat normal maps stay flat, and the identity map changes nothing.
 """
 
 from __future__ import annotations
@@ -162,36 +162,38 @@ def _bake_texture_vectors(
     kept: np.dtype[Any],
     options: BakeOptions,
 ) -> Pixels:
-    """Bake the vectors that a texture of the source holds."""
+    """Bake vectors that are stored in a texture of the source."""
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     frames = None if space == "object" else tangent_frames(transfer.source)
-    # Means of directions are directions of the mean surface, and their lengths what it has lost: none is restored
-    # before the end, and none rounded.
+    # Mean directions are shorter than 1 where the surface is rough: they are normalised once, at the end, and not
+    # rounded.
     lookups = plan_lookups(
         transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, exact=True, kind=options.filter
     )
 
-    def give(samples: TexelSamples) -> FloatArray:
+    def vectors_at(samples: TexelSamples) -> FloatArray:
         vectors = decode(lookups.mips.look_up(samples))[:, order]
         if frames is None:
             return vectors
         return np.asarray(np.einsum("sab,sb->sa", frames.at(samples.triangle, samples.barycentric), vectors))
 
-    return bake_turned(transfer, canvas, lookups.counts, give, encode, space, order, kept, options, lookups.crisp)
+    return bake_vectors(
+        transfer, canvas, lookups.counts, vectors_at, encode, space, order, kept, options, lookups.crisp
+    )
 
 
 def check_space(space: str) -> None:
-    """Refuse what is neither tangent nor object space."""
+    """Require tangent or object space."""
     if space not in ("tangent", "object"):
         raise ParameterError(f"space: expected tangent or object, got {space!r}")
 
 
-def bake_turned(
+def bake_vectors(
     transfer: Transfer,
     canvas: Canvas,
     counts: NDArray[np.int32],
-    give: Callable[[TexelSamples], FloatArray],
+    vectors_at: Callable[[TexelSamples], FloatArray],
     encode: Callable[[FloatArray], FloatArray],
     space: Space,
     order: list[int],
@@ -199,7 +201,7 @@ def bake_turned(
     options: BakeOptions,
     crisp: NDArray[np.bool_] | None = None,
 ) -> Pixels:
-    """Run a bake of vectors: given sample by sample, turned, and averaged in the target's frame.
+    """Bake vectors of the source: rotated to the target sample by sample, and averaged in its frame.
 
     Parameters
     ----------
@@ -207,12 +209,12 @@ def bake_turned(
     canvas : Canvas
     counts : (t1, 2) int32
         Samples in a texel, as `run_bake` takes them.
-    give : callable
+    vectors_at : callable
         Samples, each a texel of its own -> (s, 3) vectors of the source in object space.
     encode : callable
         Vectors (k, 3) in the channels' order -> their values.
     space : "tangent" or "object"
-        That of the target, in which the vectors are to be.
+        Of the target, for the result.
     order : list of int
         Which channels hold tangent, bitangent and normal.
     kept : numpy.dtype
@@ -220,21 +222,21 @@ def bake_turned(
     crisp : (t1,) bool, optional
         As `run_bake` takes it.
     """
-    turn = Turn.of(transfer, space)
+    pull_back = VectorPullback.of(transfer, space)
 
     def shade(samples: TexelSamples) -> FloatArray:
         repeats = np.diff(samples.first)
         inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
-        vectors = turn.back(give(samples.single()), samples, triangle, inside)
+        vectors = pull_back(vectors_at(samples.single()), samples, triangle, inside)
         return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
 
     return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
-    """What turns vectors of the source into those of the target.
+class VectorPullback:
+    """Rotates vectors of the source to the target.
 
     Attributes
     ----------
@@ -251,28 +253,30 @@ class Turn:
     source_normals: FloatArray
 
     @classmethod
-    def of(cls, transfer: Transfer, space: Space) -> Turn:
-        """For a transfer, into tangent or object space."""
+    def of(cls, transfer: Transfer, space: Space) -> VectorPullback:
+        """Into tangent or object space of the target."""
         frames = None if space == "object" else tangent_frames(transfer.target)
         normals = (vertex_normals(side.positions, side.triangles) for side in (transfer.target, transfer.source))
         return cls(transfer, frames, *normals)
 
-    def back(self, vectors: FloatArray, samples: TexelSamples, triangle: IndexArray, inside: FloatArray) -> FloatArray:
-        """(s, 3) vectors of the source at samples, in the target's triangles (s,) at barycentric coordinates (s, 3)."""
+    def __call__(
+        self, vectors: FloatArray, samples: TexelSamples, triangle: IndexArray, inside: FloatArray
+    ) -> FloatArray:
+        """(s, 3) vectors of the source at samples, in target triangles (s,) at barycentric coordinates (s, 3)."""
         target, source, mapped = self.transfer.target, self.transfer.source, self.transfer.mapped.mapped
         corners = target.triangles[triangle]
         edges = target.positions[corners[:, 1:]] - target.positions[corners[:, :1]]
         images = mapped[corners[:, 1:]] - mapped[corners[:, :1]]
         n1 = np.einsum("sc,scd->sd", inside, self.normals[corners])
         n2 = np.einsum("sc,scd->sd", samples.barycentric, self.source_normals[source.triangles[samples.triangle]])
-        turned = _turned_back(vectors, n1, n2, edges, images)
-        return turned if self.frames is None else _solve(self.frames.at(triangle, inside), turned)
+        rotated = _rotated_to_target(vectors, n1, n2, edges, images)
+        return rotated if self.frames is None else _solve(self.frames.at(triangle, inside), rotated)
 
 
-def _turned_back(
+def _rotated_to_target(
     vectors: FloatArray, n1: FloatArray, n2: FloatArray, edges: FloatArray, images: FloatArray
 ) -> FloatArray:
-    """(s, 3) ``Q^T v``; edges (s, 2, 3) of target triangles and their images say how the map turns."""
+    """(s, 3) ``Q^T v``; the map takes edges (s, 2, 3) of target triangles to their images."""
     one, two = plane_basis(n1, edges[:, 0]), plane_basis(n2, images[:, 0])
     flat, image = edges @ one, images @ two  # (s, edge, coordinate)
     determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0]
@@ -288,8 +292,8 @@ def _turned_back(
     sine, cosine = sine / length, cosine / length
     x, y = np.einsum("sab,sa->sb", two, vectors).T
     height = np.einsum("sd,sd->s", normalized(n2), vectors)
-    turned = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
-    return np.asarray(np.einsum("sab,sb->sa", one, turned) + height[:, None] * normalized(n1))
+    rotated = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
+    return np.asarray(np.einsum("sab,sb->sa", one, rotated) + height[:, None] * normalized(n1))
 
 
 def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -64,33 +64,16 @@ class MendConfig:
 
 @dataclass(frozen=True)
 class WrapConfig:
-    """How closely a net follows.
+    """How closely a net follows."""
 
-    Attributes
-    ----------
-    level : int
-        Level whose points are fitted; 0 is the control mesh.
-    fairness : float
-        Weight of the net's energy against squared distances to the source.
-    anchor : float
-        Weight of the map's own images along the surface, against the distance from it.
-    rounds : int
-        Times that closest points are looked for.
-    max_distance : float
-        99th percentile of distances, of sqrt(area), above which part of the net slid into a wrong place.
-    stronger_anchor : float
-        Factor on ``anchor`` of the second fit that is then tried; the closer one counts.
-    net, counterpart, mending
-        Numbers of the parts of the method.
-    """
-
-    level: int = 0
-    fairness: float = 1e-4
-    anchor: float = 0.003
-    rounds: int = 3
+    level: int = 0  #: level whose points are fitted; 0 is the control mesh
+    fairness: float = 1e-4  #: weight of the net's energy against squared distances to the source
+    anchor: float = 0.003  #: weight of the map's own images along the surface, against the distance from it
+    rounds: int = 3  #: times that closest points are looked for
+    #: 99th percentile of distances, of sqrt(area), above which part of the net slid into a wrong place
     max_distance: float = 0.01
-    stronger_anchor: float = 3.0
-    net: NetConfig = NetConfig()
+    stronger_anchor: float = 3.0  #: factor on ``anchor`` of the second fit that is then tried; the closer one counts
+    net: NetConfig = NetConfig()  #: numbers of the parts of the method
     counterpart: CounterpartConfig = CounterpartConfig()
     mending: MendConfig = MendConfig()
 

@@ -8,19 +8,20 @@ from crossing, and carries what has no counterpart along.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
 from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
+from cagemap.deform.fit import similarity
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Energy, minimise
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.rotations import nearest_rotations
-from cagemap.wrap.config import WrapConfig
-from cagemap.wrap.detached import DetachedPieces
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, nearest_rotations
+from cagemap.wrap.config import NetConfig, WrapConfig
 from cagemap.wrap.net import ControlNet
 from cagemap.wrap.terms import NetTerms, Samples
 
@@ -33,32 +34,19 @@ def unchanged(positions: FloatArray) -> FloatArray:
 
 
 def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjust = unchanged) -> FloatArray:
-    """Fit the points of a net.
-
-    Parameters
-    ----------
-    net : ControlNet
-    samples : Samples
-    config : WrapConfig
-    adjust : callable
-        Applied to the net after every round, to keep a symmetry.
-
-    Returns
-    -------
-    (n_l, 3) float64
-        At unit area of the source.
-    """
+    """(n_l, 3) fitted points of a net, at unit area of the source; ``adjust`` keeps a symmetry after every round."""
     free = free_points(samples, config)
-    detached = DetachedPieces.find(net.graph, free)
-    terms = NetTerms.build(net.graph, samples, config, detached.attached if len(detached.points) else None)
+    pieces = detached_pieces(net.graph, free)
+    detached = np.concatenate([free[:0], *pieces])
+    attached = np.setdiff1d(np.arange(net.graph.n), detached)
+    terms = NetTerms.build(net.graph, samples, config, attached if pieces else None)
     energy = replace(net.energy, admissible=similar_at(free))
     positions = terms.start(energy)
-    loose = np.setdiff1d(free, detached.points)
     local = LocalFit(net, samples, config, free, np.ones(net.graph.n))
-    positions = local.moved(positions, loose, config.net.carrying_rounds)
-    positions = adjust(detached.carried(positions, config.net))
+    positions = local.moved(positions, np.setdiff1d(free, detached), config.net.carrying_rounds)
+    positions = adjust(carried(net.graph, pieces, positions, config.net))
     positions = rounds(energy, terms, positions, config.rounds, adjust)
-    return adjust(detached.carried(positions, config.net)) if len(detached.points) else positions
+    return adjust(carried(net.graph, pieces, positions, config.net)) if pieces else positions
 
 
 def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
@@ -66,6 +54,44 @@ def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
     own = samples.rows.T @ samples.weights
     most = samples.rows.T @ np.full(len(samples.weights), samples.weights.max())
     return np.flatnonzero(own <= config.net.min_weight * most)
+
+
+def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
+    """Connected pieces of a graph that lie in points (k,) as a whole."""
+    piece = components(graph.heads, graph.tails, graph.n)
+    sizes = np.bincount(piece)
+    whole = np.bincount(piece[points], minlength=len(sizes)) == sizes
+    order = np.argsort(piece, kind="stable")
+    return np.split(order[whole[piece[order]]], np.cumsum(sizes[whole]))[:-1]
+
+
+def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
+    """Connected pieces of free points (k,) alone, such as eyes or teeth; no equation says where they are.
+
+    Raises
+    ------
+    ParameterError
+        If that is all of the graph.
+    """
+    pieces = whole_pieces(graph, free)
+    if sum(map(len, pieces)) == graph.n:
+        raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
+    return pieces
+
+
+def carried(graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatArray, config: NetConfig) -> FloatArray:
+    """(n, 3) positions with every detached piece moved as the points nearest to it at rest: by a similarity."""
+    if not pieces:
+        return positions
+    rest = graph.positions
+    attached = np.setdiff1d(np.arange(graph.n), np.concatenate(pieces))
+    tree, moved = cKDTree(rest[attached]), positions.copy()
+    for own in pieces:
+        _, nearest = tree.query(rest[own].mean(axis=0), k=min(config.nearest_points, len(attached)))
+        near = attached[np.atleast_1d(nearest)]
+        rotation, scale, shift = similarity(rest[near], positions[near])
+        moved[own] = scale * rest[own] @ rotation.T + shift
+    return moved
 
 
 def rounds(

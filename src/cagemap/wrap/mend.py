@@ -12,8 +12,7 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.wrap.config import MendConfig, WrapConfig
-from cagemap.wrap.detached import DetachedPieces, whole_pieces
-from cagemap.wrap.fit import Adjust, LocalFit, free_points, unchanged
+from cagemap.wrap.fit import Adjust, LocalFit, carried, detached_pieces, free_points, unchanged, whole_pieces
 from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
 from cagemap.wrap.terms import Samples
 
@@ -25,20 +24,14 @@ def mend(
 
     Bad faces become stiffer each time and are fitted again. Small ones that still fold are released: carried along
     with the samples that depend on them. The others are laid flat before they are fitted again.
-
-    Parameters
-    ----------
-    net, samples, config, adjust
-        As `fit_net` takes them.
-    positions : (n_l, 3) float64
-        Fitted.
     """
     if not config.rounds:
         return positions
     graph, numbers = net.graph, config.mending
     stiffness, released = np.ones(graph.n), np.zeros(graph.n)
     small = graph.areas + np.bincount(graph.heads, graph.areas[graph.tails], graph.n) < numbers.small
-    detached = DetachedPieces.find(graph, free_points(samples, config)).points
+    free = free_points(samples, config)
+    detached = np.concatenate([free[:0], *detached_pieces(graph, free)])
     folded_at_rest, aspects = folded_faces(net, graph.positions), face_aspects(net.mesh, graph.positions)
     is_small = np.logical_and.reduceat(small[net.mesh.face_indices], net.mesh.face_offsets[:-1])
     least = np.where(is_small, numbers.small_thin, numbers.thin) * np.maximum(aspects, np.percentile(aspects, 99))
@@ -60,9 +53,9 @@ def mend(
             released[graph.rings(lost, numbers.release_rings)] = 1.0
             weights = np.where(samples.rows @ released > numbers.share, 0.0, samples.weights)
             samples = replace(samples, weights=weights)
-            pieces = DetachedPieces.find(graph, free_points(samples, config))
-            if len(pieces.points) > len(detached):
-                positions, detached = adjust(pieces.carried(positions, config.net)), pieces.points
+            pieces = detached_pieces(graph, free_points(samples, config))
+            if sum(map(len, pieces)) > len(detached):
+                positions, detached = adjust(carried(graph, pieces, positions, config.net)), np.concatenate(pieces)
         similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
         local = LocalFit(net, samples, config, similar, stiffness)
         moving = np.setdiff1d(graph.rings(corners, rings), detached)
@@ -103,7 +96,7 @@ def _laid_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> 
 
     Tutte's placement: in a plane, inside a convex border, no face of a patch folds whose points are such means.
     """
-    flat = flat[~np.isin(flat, whole_pieces(graph, flat)[0])]
+    flat = np.setdiff1d(flat, np.concatenate([flat[:0], *whole_pieces(graph, flat)]))
     if not len(flat):
         return positions
     around = np.setdiff1d(graph.rings(flat, 1), flat)

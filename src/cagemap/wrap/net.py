@@ -1,4 +1,4 @@
-"""The control net that is fitted: one level of the target as a mesh, its rest shape, and what may go wrong with it."""
+"""The control net that is fitted: one level of the target, its rest shape and its checks."""
 
 from __future__ import annotations
 
@@ -31,11 +31,6 @@ class ControlNet:
     energy: ElasticEnergy
     # (m,) Where every face's triangles of the finest level begin: those of one face follow those of the face before
     first_triangles: IndexArray
-
-    @property
-    def surface_triangles(self) -> IndexArray:
-        """(t, 3) triangles of the finest level."""
-        return level_triangles(self.refinement, self.refinement.n_levels)
 
     def surface(self, positions: FloatArray) -> FloatArray:
         """(n_f, 3) finest vertices of the surface over a net (n_l, 3)."""
@@ -74,17 +69,13 @@ def control_net(refinement: Refinement, level: int, scale: float, config: NetCon
     return ControlNet(refinement, level, mesh, graph, energy, first)
 
 
-def face_normals(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
-    """(m, 3) normals of faces with any number of corners, of length twice their area."""
-    here, following = positions[mesh.face_indices], positions[mesh.face_indices[mesh.next_corners]]
-    return np.add.reduceat(np.cross(here, following), mesh.face_offsets[:-1], axis=0)
-
-
 def folded_faces(net: ControlNet, positions: FloatArray) -> NDArray[np.bool_]:
     """(m,) faces of the net whose mean normal is turned against the refined surface that they control."""
-    fine = triangle_normals(net.surface(positions), net.surface_triangles)
+    refinement, corner = net.refinement, positions[net.mesh.face_indices]
+    fine = triangle_normals(net.surface(positions), level_triangles(refinement, refinement.n_levels))
     sums = np.add.reduceat(fine, net.first_triangles, axis=0)
-    return np.asarray(np.einsum("md,md->m", face_normals(net.mesh, positions), sums) <= 0)
+    normals = np.add.reduceat(np.cross(corner, corner[net.mesh.next_corners]), net.mesh.face_offsets[:-1], axis=0)
+    return np.asarray(np.einsum("md,md->m", normals, sums) <= 0)
 
 
 def face_aspects(mesh: ControlMesh, positions: FloatArray) -> FloatArray:

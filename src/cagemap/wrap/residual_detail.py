@@ -1,4 +1,4 @@
-"""What a wrapped cage still misses of the source: the source, as the detail over the wrapped surface."""
+"""Residual of a wrap: the source as a detailed mesh over the wrapped surface."""
 
 from __future__ import annotations
 
@@ -22,20 +22,7 @@ def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> 
     """The wrapped surface, to bake into its own layout, and the source as the detail over it.
 
     Both surfaces are refined past the levels of the match: where it is coarse, its triangles are not the surface. Where
-    a vertex was not to follow, the detail does not count.
-
-    Parameters
-    ----------
-    wrapped : Wrapped
-    target, source : Refinement
-        Of the match.
-
-    Returns
-    -------
-    transfer : Transfer
-    detail : Detail
-    source : Refinement
-        Whose finest vertices the detail has.
+    a vertex was not to follow, the detail does not count. The last value is the refined source, of the detail.
     """
     transfer, follow = wrapped_transfer(wrapped, target)
     other = _refined(source, max(source.n_levels, _RENDERED))
@@ -45,14 +32,7 @@ def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> 
 
 
 def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, FloatArray]:
-    """The wrapped surface as it is rendered, to bake into its own layout; and how far its vertices (n,) follow.
-
-    Parameters
-    ----------
-    wrapped : Wrapped
-    target : Refinement
-        Of the match.
-    """
+    """The wrapped surface as it is rendered, to bake into its own layout; and how far its vertices (n,) follow."""
     fine = _refined(target, max(target.n_levels, _RENDERED))
     # `refine` works on the control mesh; positions of the net are refined from their own level.
     positions = fine.prolong(wrapped.mesh.positions, wrapped.level, fine.n_levels)

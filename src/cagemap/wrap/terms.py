@@ -54,7 +54,7 @@ class Samples:
             level += 1
         sampled = refinement.levels[level]
         count = sampled.n_vertices
-        rows = sparse.csr_array(refinement.product(refinement.n_levels, net.level)[:count])
+        rows = refinement.rows(slice(count), refinement.n_levels, net.level)
         faces = level_triangles(refinement, level) if sampled.faces is None else sampled.faces
         areas = vertex_areas(sampled.positions, faces)
         lengths = np.linalg.norm(graph.edges, axis=1)

@@ -1,4 +1,4 @@
-"""Wrap a target's cage onto a source along a map, and tell how well it lies there."""
+"""Wrap a target's cage onto a source along a map, and measure the distance."""
 
 from __future__ import annotations
 
@@ -37,65 +37,32 @@ Closest = tuple[IndexArray, FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Residual:
-    """Distances of a surface's vertices to another surface, as parts of sqrt(source area).
-
-    Attributes
-    ----------
-    mean, p99, largest : float
-    where : int
-        Vertex that is furthest.
-    """
+    """Distances of a surface's vertices to another surface, as parts of sqrt(source area)."""
 
     mean: float
     p99: float
     largest: float
-    where: int
+    where: int  #: vertex that is furthest
 
 
 @dataclass(frozen=True, eq=False)
 class Wrapped:
-    """The target's net in the source's shape.
+    """The target's net in the source's shape."""
 
-    Attributes
-    ----------
-    mesh : ControlMesh
-        The net (level ``level`` of the target) with its fitted positions, in the source's units; all else is the
-        target's.
-    level : int
-    surface : (n_f, 3) float64
-        Finest vertices of the surface over it.
-    closest : PointMap
-        Closest points of the source to them.
-    distance : (n_f,) float64
-        How far these are, as parts of sqrt(source area).
-    follow : (n_f,) float64
-        How far each vertex was to follow, from 0 to 1.
-    residual : Residual
-        Of all finest vertices to the source.
-    followed : Residual
-        The same of those that have a counterpart.
-    from_source : Residual
-        Of all vertices of the source to the wrapped surface.
-    left_out : float
-        Share of the target's area that has no counterpart.
-    folded : (k,) int64
-        Faces of the net that turn against their refined surface, and did not at rest.
-    aspect : float
-        99th percentile of faces' longest by shortest edge, divided by that at rest.
-    """
-
+    #: the net (level ``level`` of the target) with its fitted positions, in the source's units; all else is the
+    #: target's
     mesh: ControlMesh
     level: int
-    surface: FloatArray
-    closest: PointMap
-    distance: FloatArray
-    follow: FloatArray
-    residual: Residual
-    followed: Residual
-    from_source: Residual
-    left_out: float
-    folded: IndexArray
-    aspect: float
+    surface: FloatArray  #: (n_f, 3) finest vertices of the surface over it
+    closest: PointMap  #: closest points of the source to them
+    distance: FloatArray  #: (n_f,) how far these are, as parts of sqrt(source area)
+    follow: FloatArray  #: (n_f,) how far each vertex was to follow, from 0 to 1
+    residual: Residual  #: of all finest vertices to the source
+    followed: Residual  #: the same of those that have a counterpart
+    from_source: Residual  #: of all vertices of the source to the wrapped surface
+    left_out: float  #: share of the target's area that has no counterpart
+    folded: IndexArray  #: (k,) faces of the net that turn against their refined surface, and did not at rest
+    aspect: float  #: 99th percentile of faces' longest by shortest edge, divided by that at rest
 
 
 def wrap(

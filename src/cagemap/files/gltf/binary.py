@@ -13,13 +13,17 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # What an array in the file is for.
 VERTICES, INDICES = 34962, 34963
+# Extension by which triangles that follow each other as a fan are one polygon.
+NGONS = "FB_ngon_encoding"
+# Extra of a primitive: polygons whose fan does not begin at their first corner, and where it does.
+STARTS = "cagemap_fan_starts"
 # By kind and size: one type has different letters on different systems.
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class Binary:
-    """What a document holds beside its JSON, and what is added to it."""
+    """What a document holds beside its JSON, and what is added to it; ``extensions`` that its entries use."""
 
     def __init__(self, document: Document | None = None) -> None:
         self._given = Document({}, (), Path("new.glb")) if document is None else document
@@ -27,6 +31,7 @@ class Binary:
         self._length = 0
         self._views: list[dict[str, Any]] = list(self._given.entries("bufferViews"))
         self._accessors: list[dict[str, Any]] = list(self._given.entries("accessors"))
+        self.extensions: set[str] = set()
 
     def view(self, data: bytes, target: int | None = None) -> int:
         """Add bytes; returns the number of their buffer view."""
@@ -72,7 +77,8 @@ class Binary:
         data = b"".join(self._chunks)
         if data:
             buffers.append({"byteLength": len(data)})
-        lists = {"accessors": self._accessors, "bufferViews": self._views, "buffers": buffers}
+        used = sorted({*top.get("extensionsUsed", ()), *self.extensions})
+        lists = {"accessors": self._accessors, "bufferViews": self._views, "buffers": buffers, "extensionsUsed": used}
         blobs = (*self._given.buffers, data) if data else self._given.buffers
         return Document(top | {name: values for name, values in lists.items() if values}, blobs, self._given.file)
 
@@ -90,3 +96,10 @@ def _form(array: NDArray[Any]) -> dict[str, Any]:
 def _small(numbers: IndexArray) -> NDArray[Any]:
     """Numbers in two bytes where they fit; the largest of a type means something else."""
     return numbers.astype("<u2" if numbers.max(initial=0) < 65535 else "<u4")
+
+
+def corners_from(offsets: IndexArray, starts: IndexArray) -> IndexArray:
+    """(c,) corners of all faces, each from its corner ``starts`` on, round the face."""
+    sizes = np.diff(offsets)
+    place = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - starts, sizes)
+    return np.asarray(np.repeat(offsets[:-1], sizes) + place % np.repeat(sizes, sizes))

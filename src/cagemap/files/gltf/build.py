@@ -14,7 +14,7 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
 from cagemap.files.gltf.nodes import decomposed
-from cagemap.files.gltf.parts import Scene, read_scene
+from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.pruning import without_unused
 from cagemap.files.gltf.textures import with_images
@@ -109,17 +109,18 @@ class _Made:
         node = self._node_of_part.get(part.name)
         if node is None:
             node = self._new_node({"name": part.name}, None)
-        mesh, shapes = part.mesh, part.shapes
+        mesh, shapes, normals = part.mesh, part.shapes, part.normals
         skinned = part.weights is not None and rig is not None
         if not skinned and self._scene is not None and node < len(self._scene.nodes.names):
             away = np.linalg.inv(self._scene.nodes.world[node])
             mesh = mesh.with_positions(mesh.positions @ away[:3, :3] + away[3, :3])
             shapes = {name: offsets @ away[:3, :3] for name, offsets in shapes.items()}
             if np.linalg.det(away[:3, :3]) < 0.0:
-                mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
-        made = mesh_entry(
-            self._binary, mesh, self._materials(part), weights=part.weights if skinned else None, shapes=shapes
-        )
+                mesh, normals = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), None
+            elif normals is not None:
+                normals = turned_normals(normals, away[:3, :3])
+        weights = part.weights if skinned else None
+        made = mesh_entry(self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals)
         entry = self._nodes[node]
         if skinned:
             entry["skin"] = 0

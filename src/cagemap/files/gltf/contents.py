@@ -1,32 +1,32 @@
-"""What a glTF file holds, in a few lines: meshes, skeleton, shapes, textures, animations."""
+"""What a glTF or FBX file holds and what is done with it, in a few lines."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.bones import humanoid_names
+from cagemap.character.roles import body_of, role
 from cagemap.files.gltf.animations import animation_lengths, animation_names
+from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import humanoid_bones
-from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.parts import Scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
 from cagemap.files.text import whole_characters
-from cagemap.mesh.measures import face_areas
 from cagemap.mesh.mesh_report import first_few
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What a glTF file holds.
+    """What a glTF or FBX file holds.
 
     Attributes
     ----------
     body : str
-        The mesh of the largest area.
+        The mesh that `cagemap.character.roles.body_of` finds.
     passengers : tuple of str
         All other meshes.
     vertices, stored : int
@@ -35,7 +35,7 @@ class Contents:
     influences : int
         Joints that move a vertex, at most.
     humanoid : int
-        Bones that a VRM names.
+        Joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_names`.
     shapes : tuple of str
     textures : tuple of str
         Material, slot and format.
@@ -60,55 +60,60 @@ class Contents:
     extensions: tuple[str, ...]
     welded: tuple[str, ...]
 
+    @property
+    def is_character(self) -> bool:
+        """Whether it has a skeleton, or clothes, eyes and such by their names."""
+        return bool(self.joints or any(map(role, self.passengers)))
+
     def __str__(self) -> str:
         bones = f", {self.humanoid} of them named as humanoid bones" if self.humanoid else ""
         moving = [f"{name} ({seconds:.3g} s)" for name, seconds in self.animations]
-        split = self.stored - self.vertices
-        rows = {
-            "body": self.body + (", the largest surface" if self.passengers else ""),
-            "passengers": _listed(self.passengers),
-            "skeleton": f"{self.joints} joints{bones}, at most {self.influences} a vertex" if self.joints else "",
-            "shapes": _listed(self.shapes),
-            "textures": _listed(self.textures),
-            "animations": _listed(moving),
-            "kept as it is": _listed(self.extensions),
-            "vertices": f"{self.vertices}, made of {self.stored} in the file: copies along seams are welded"
-            if split
-            else "",
-        }
-        return "\n".join(["  holds", *(f"    {name:<15}{said}" for name, said in rows.items() if said)])
+        joints = f"{self.joints} joints{bones}, at most {self.influences} a vertex" if self.joints else ""
+        welded = f"{self.vertices}, made of {self.stored} in the file" if self.stored > self.vertices else ""
+        rows = (
+            ("body", self.body, "is matched"),
+            ("passengers", _listed(self.passengers), "ride on the body"),
+            ("skeleton", joints, "is carried, with its weights"),
+            ("shapes", _listed(self.shapes), "are carried"),
+            ("textures", _listed(self.textures), "are baked for the other body"),
+            ("animations", _listed(moving), "are retargeted"),
+            ("extensions", _listed(self.extensions), "are kept as they are"),
+            ("vertices", welded, "copies along seams are welded"),
+        )
+        lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]
+        return "\n".join(["  holds, and what `cagemap rig` does with it", *lines])
 
 
 def _listed(names: tuple[str, ...] | list[str]) -> str:
-    return f"{len(names)}: {first_few(names)}" if names else ""
+    return f"{len(names)} ({first_few(names)})" if names else ""
 
 
-def read_contents(path: str | Path) -> Contents:
-    """What a glTF file holds.
+def contents_of(scene: Scene) -> Contents:
+    """What a file holds.
 
     Raises
     ------
     FormatError
-        If it cannot be read.
+        If names, animations or textures of its document are damaged.
     """
-    document = read_document(path)
-    scene = read_scene(document)
+    document = scene.document
     parts = [one.part for one in scene.parts]
-    body = int(np.argmax([face_areas(part.mesh).sum() for part in parts]))
+    body = body_of(parts)
+    rig = None if scene.joints is None else scene.joints.rig
     weights = [part.weights for part in parts if part.weights is not None]
-    used = [whole_characters(name) for name in document.entries("extensionsUsed") if isinstance(name, str)]
+    named = [name for name in document.entries("extensionsUsed") if isinstance(name, str) and name != NGONS]
     return Contents(
-        body=parts[body].name,
-        passengers=tuple(part.name for number, part in enumerate(parts) if number != body),
+        body=body.name,
+        passengers=tuple(part.name for part in parts if part is not body),
         vertices=sum(part.mesh.n_vertices for part in parts),
         stored=sum(one.stored for one in scene.parts),
-        joints=0 if scene.joints is None else len(scene.joints.rig.names),
+        joints=0 if rig is None else len(rig.names),
         influences=max((int(np.diff(table.indptr).max()) for table in weights), default=0),
-        humanoid=len(humanoid_bones(document)),
+        humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_names(rig))),
         shapes=tuple(dict.fromkeys(name for part in parts for name in part.shapes)),
         textures=_textures(document),
         animations=tuple(zip(animation_names(document), animation_lengths(document), strict=True)),
-        extensions=tuple(used),
+        extensions=tuple(map(whole_characters, named)),
         welded=tuple(note for one in scene.parts for note in one.notes),
     )
 

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
+from cagemap.files.fbx.read import fbx_as_glb
 from cagemap.files.gltf.draco import DRACO, without_draco
 from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, resource, view_bytes
 from cagemap.files.gltf.structure import require_structure
@@ -22,6 +23,7 @@ from cagemap.numerics.arrays import shown
 
 __all__ = [
     "GLTF_SUFFIXES",
+    "SCENE_SUFFIXES",
     "Document",
     "glb_bytes",
     "image_bytes",
@@ -32,6 +34,8 @@ __all__ = [
 ]
 
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
+# What is read as a glTF document.
+SCENE_SUFFIXES = (*GLTF_SUFFIXES, ".fbx")
 # Required extensions that change nothing of what is read here; of others, geometry or textures would be misread.
 _UNDERSTOOD = {DRACO, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
 _UNDERSTOOD_FAMILIES = ("KHR_materials_", "VRMC_")
@@ -47,16 +51,16 @@ _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 def read_document(path: str | Path) -> Document:
-    """Read a glTF 2.0 file with its buffers; nothing is fetched from a network.
+    """Read a glTF 2.0 file with its buffers, or an FBX file as one; nothing is fetched from a network.
 
     Raises
     ------
     FormatError
-        If the file is no glTF 2.0, is cut short, lacks a buffer, names files outside its folder, or requires an
+        If the file is neither, is cut short, lacks a buffer, names files outside its folder, or requires an
         extension that is not understood.
     """
     file = Path(path)
-    content = read_bytes(file, "a glTF file")
+    content = fbx_as_glb(file) if file.suffix.lower() == ".fbx" else read_bytes(file, "a glTF file")
     text, blob = _chunks(file, content) if content[:4] == b"glTF" else (content, None)
     document = Document(_parsed(file, text), (), file)
     asset = document.table(document.json, "asset", "glTF")

@@ -1,4 +1,7 @@
-"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at UV seams."""
+"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at seams.
+
+Seams are those of UVs and of hard edges. Polygons are marked (FB_ngon_encoding), for programs that know it.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,12 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from cagemap.files.gltf.binary import VERTICES, Binary
+from cagemap.character.normals import normal_groups
+from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_from
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import fan_triangles, vertex_normals
+from cagemap.surface.triangles import fan_triangles, normalized, vertex_normals
 
 
 def mesh_entry(
@@ -22,6 +26,7 @@ def mesh_entry(
     *,
     weights: sparse.csr_array | None = None,
     shapes: Mapping[str, FloatArray] | None = None,
+    normals: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Entry of ``meshes`` for a control mesh, its arrays added to ``binary``.
 
@@ -29,22 +34,33 @@ def mesh_entry(
     ----------
     binary : Binary
     mesh : ControlMesh
-        Normals are those of its vertices. Creases and infinite colours have no place in the format.
+        Creases and infinite colours have no place in the format.
     materials : sequence of int or None
         Number in the document of each of its materials.
     weights : (n, j) csr_array, optional
         Of the joints of the skin of its node; all influences are written, four a set.
     shapes : dict of str to (n, 3) float64, optional
+    normals : (c, 3) float64, optional
+        Of the face corners. Default: those of the vertices.
     """
-    corners, corner_faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     sets = _uv_sets(mesh)
-    first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets)])
+    hard = [] if normals is None else [normal_groups(mesh, normals)]
+    first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets), *hard])
+    numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
+    polygons = bool((mesh.face_sizes != 3).any())
+    starts = np.zeros(mesh.n_faces, dtype=np.int64)
+    if polygons:
+        starts = _fan_starts(mesh, numbers, np.argsort(numbers_of, kind="stable"))
+        binary.extensions.add(NGONS)
+    corners, corner_faces = fan_triangles(mesh.face_offsets, corners_from(mesh.face_offsets, starts))
     triangles, vertices = numbers[corners], mesh.face_indices[first]
-    normals = vertex_normals(mesh.positions, mesh.face_indices[corners])
-    normals[~normals.any(axis=1)] = [0.0, 0.0, 1.0]
+    smooth = vertex_normals(mesh.positions, mesh.face_indices[corners])[vertices]
+    stated = smooth if normals is None else normalized(normals[first])
+    written = np.where(np.any(stated != 0.0, axis=1, keepdims=True), stated, smooth)
+    written[~written.any(axis=1)] = [0.0, 0.0, 1.0]
     attributes = {
         "POSITION": binary.places(mesh.positions[vertices]),
-        "NORMAL": binary.accessor(normals[vertices].astype("<f4"), VERTICES),
+        "NORMAL": binary.accessor(written.astype("<f4"), VERTICES),
     }
     for number, one in enumerate(sets):
         # glTF counts v from the top.
@@ -54,18 +70,36 @@ def mesh_entry(
         attributes["COLOR_0"] = binary.accessor(mesh.vertex_colors[vertices].astype("<f4"), VERTICES)
     if weights is not None:
         attributes |= _skinning(binary, weights[vertices])
-    common: dict[str, Any] = {"attributes": attributes}
+    common: dict[str, Any] = {"attributes": attributes} | ({"extensions": {NGONS: {}}} if polygons else {})
     if shapes:
         common["targets"] = [{"POSITION": binary.offsets(offsets[vertices])} for offsets in shapes.values()]
-    numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     primitives = []
     for number in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == number].ravel()
         primitive = common | {"indices": binary.indices(chosen)}
+        own = starts[numbers_of == number]
+        if own.any():
+            turned = np.flatnonzero(own)
+            primitive["extras"] = {STARTS: np.column_stack([turned, own[turned]]).tolist()}
         material = materials[number] if mesh.face_materials is not None else None
         primitives.append(primitive if material is None else primitive | {"material": material})
     named = {"extras": {"targetNames": list(shapes)}} if shapes else {}
     return {"primitives": primitives} | named
+
+
+def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
+    """(m,) corner at which the fan of each face begins: with another vertex than its neighbours in order.
+
+    So no two fans in a row can be taken for one. Every second face begins at its first corner, most others too.
+    """
+    first = mesh.face_offsets[:-1]
+    moved = order[1::2]
+    heads = np.append(numbers[first[order[::2]]], -1)
+    choice = numbers[first[moved][:, None] + np.arange(3)]
+    free = (choice != heads[: len(moved), None]) & (choice != heads[1 : len(moved) + 1, None])
+    starts = np.zeros(mesh.n_faces, dtype=np.int64)
+    starts[moved] = free.argmax(axis=1)
+    return starts
 
 
 def _uv_sets(mesh: ControlMesh) -> list[UvSet]:

@@ -20,6 +20,7 @@ from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import turn_faces
 from cagemap.mesh.weld import weld_mesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import normalized
 
 _log = logging.getLogger(__name__)
 
@@ -164,7 +165,7 @@ def _transformed(
     if alike and np.array_equal(whole, np.eye(4)):
         return arrays
     if weights is None or changes is None or alike:
-        placed = points @ whole
+        placed, blended = points @ whole, whole
         turned = {name: offsets @ whole[:3, :3] for name, offsets in arrays.shapes.items()}
     else:
         blended = np.asarray(weights @ changes.reshape(len(changes), 16)).reshape(-1, 4, 4)
@@ -172,10 +173,18 @@ def _transformed(
         turned = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
     if not np.isfinite(placed).all() or np.abs(placed).max() > 1e100:
         raise FormatError(f"{arrays.control.name}: expected places of a moderate size, got others. Export it again.")
+    normals = None if arrays.normals is None else turned_normals(arrays.normals, blended[..., :3, :3])
     control = arrays.control.with_positions(placed[:, :3])
     if np.linalg.det(whole[:3, :3]) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
-    return replace(arrays, control=control, shapes=turned)
+    return replace(arrays, control=control, shapes=turned, normals=normals)
+
+
+def turned_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
+    """Normals (n, 3) of a surface whose points are multiplied, as rows, by (3, 3) or (n, 3, 3)."""
+    cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
+    signs = np.sign(np.linalg.det(linear))[..., None, None]
+    return normalized(np.einsum("na,...ab->nb" if linear.ndim == 2 else "na,nab->nb", normals, signs * cofactors))
 
 
 def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
@@ -187,21 +196,39 @@ def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -
     """The surface with UV seams: copies of a vertex are one, with weights and offsets of the first."""
     given = arrays.control
     offsets = np.column_stack(list(arrays.shapes.values())) if arrays.shapes else None
-    welded = weld_mesh(given, offsets=offsets)
+    welded = weld_mesh(_with_stored(given), offsets=offsets)
     mesh = welded.mesh
     if mesh.file_vertices is None:
         mesh = extract(mesh, np.arange(mesh.n_faces))
-    kept, faces = mesh.file_vertices, mesh.file_faces
+    kept = mesh.file_vertices
     assert kept is not None
-    assert faces is not None
+    mesh, stored = _without_stored(mesh)
     mesh = _with_merged_uvs(mesh)
     part = Part(
         given.name,
         mesh,
         None if weights is None else weights[kept],
         {name: shape[kept] for name, shape in arrays.shapes.items()},
+        None if arrays.normals is None else arrays.normals[stored],
     )
     return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
+
+
+def _with_stored(mesh: ControlMesh) -> ControlMesh:
+    """With a UV set, as they go along with corners, that holds the stored vertex of each."""
+    numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
+    if mesh.uvs is None:
+        return replace(mesh, uvs=numbers, uv_indices=mesh.face_indices)
+    return replace(mesh, uv_sets=(*mesh.uv_sets, UvSet("", numbers, mesh.face_indices)))
+
+
+def _without_stored(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
+    """Without that set, and what it holds: (c,) stored vertex of every corner."""
+    if mesh.uv_sets:
+        *others, last = mesh.uv_sets
+        return replace(mesh, uv_sets=tuple(others)), last.uvs[last.uv_indices, 0].astype(np.int64)
+    assert mesh.uvs is not None
+    return replace(mesh, uvs=None, uv_indices=None), mesh.uvs[mesh.uv_indices, 0].astype(np.int64)
 
 
 def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:

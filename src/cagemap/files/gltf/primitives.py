@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.accessors import read_accessor
+from cagemap.files.gltf.binary import NGONS, STARTS, corners_from
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct
 from cagemap.files.text import whole_characters
@@ -32,17 +33,19 @@ class VertexArrays:
     Attributes
     ----------
     control : ControlMesh
-        Triangles with materials, UV sets and colours.
+        Triangles, or polygons, with materials, UV sets and colours.
     joints : (n, q) int64
         Numbers in the skin's list of joints; no columns where a mesh has none.
     weights : (n, q) float64
     shapes : dict of str to (n, 3) float64
+    normals : (n, 3) float64 or None
     """
 
     control: ControlMesh
     joints: IndexArray = field(repr=False)
     weights: FloatArray = field(repr=False)
     shapes: dict[str, FloatArray] = field(repr=False)
+    normals: FloatArray | None = field(default=None, repr=False)
 
 
 def material_names(document: Document) -> tuple[str, ...]:
@@ -90,6 +93,7 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
     width = max(one.joints.shape[1] for one in read)
     sizes = [one.control.n_vertices for one in read]
     names = dict.fromkeys(shape for one in read for shape in one.shapes)
+    normals = [one.normals for one in read if one.normals is not None]
     return VertexArrays(
         join_meshes([one.control for one in read]),
         np.concatenate([np.pad(one.joints, ((0, 0), (0, width - one.joints.shape[1]))) for one in read]),
@@ -100,6 +104,7 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
             )
             for shape in names
         },
+        np.concatenate(normals) if len(normals) == len(read) else None,
     )
 
 
@@ -115,10 +120,11 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         place = f"{where}: {attribute}"
         return read_accessor(document, attributes[attribute], place, shapes, count).astype(np.float64)
 
-    triangles = [_triangles(document, where, primitive, count) for primitive in group]
-    corners = np.concatenate(triangles)
-    control = ControlMesh(positions, np.arange(0, 3 * len(corners) + 1, 3), corners.ravel(), scheme=Plain(), name=name)
-    control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], triangles)
+    sizes, corners = zip(*(_faces(document, where, primitive, count) for primitive in group), strict=True)
+    offsets = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
+    control = ControlMesh(positions, offsets, np.concatenate(corners), scheme=Plain(), name=name)
+    counts = [len(own) for own in sizes]
+    control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], counts)
     sets = [attribute for attribute in attributes if attribute.startswith("TEXCOORD_")]
     for attribute in sorted(sets, reverse=True):
         # glTF counts v from the top.
@@ -139,6 +145,7 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         np.concatenate(joints, axis=1).astype(np.int64),
         np.concatenate(weights, axis=1),
         _shapes(document, where, number, group[0], count),
+        read("NORMAL", "VEC3") if "NORMAL" in attributes else None,
     )
 
 
@@ -157,7 +164,7 @@ def _shapes(
 
 
 def _with_materials(
-    document: Document, where: str, control: ControlMesh, stated: list[Any], triangles: list[IndexArray]
+    document: Document, where: str, control: ControlMesh, stated: list[Any], counts: list[int]
 ) -> ControlMesh:
     if all(material is None for material in stated):
         return control
@@ -173,7 +180,7 @@ def _with_materials(
         numbers.append(words[word])
     return replace(
         control,
-        face_materials=np.repeat(np.array(numbers, dtype=np.int64), [len(faces) for faces in triangles]),
+        face_materials=np.repeat(np.array(numbers, dtype=np.int64), counts),
         material_names=tuple(words),
         material_colors=np.array(colors),
     )
@@ -182,6 +189,31 @@ def _with_materials(
 def _color(document: Document, material: dict[str, Any], where: str) -> list[float]:
     factor = document.table(material, "pbrMetallicRoughness", where).get("baseColorFactor")
     return [np.nan] * 3 if factor is None else document.numbers(factor, f"{where}: color", 4)[:3].tolist()
+
+
+def _faces(document: Document, where: str, primitive: dict[str, Any], count: int) -> tuple[IndexArray, IndexArray]:
+    """Sizes of a primitive's faces, and the vertices of all their corners: polygons where it says that it has some."""
+    triangles = _triangles(document, where, primitive, count)
+    begins = np.ones(len(triangles), dtype=bool)
+    polygons = NGONS in document.table(primitive, "extensions", where)
+    if polygons:
+        begins[1:] = (triangles[1:, 0] != triangles[:-1, 0]) | (triangles[1:, 1] != triangles[:-1, 2])
+    sizes = 2 + np.diff(np.append(np.flatnonzero(begins), len(triangles)))
+    corners = triangles[np.column_stack([begins, begins, np.ones(len(triangles), dtype=bool)])]
+    extras = primitive.get("extras")
+    stated = extras.get(STARTS) if polygons and isinstance(extras, dict) else None
+    if stated is None:
+        return sizes, corners
+    try:
+        rows = np.asarray(stated)
+    except ValueError:  # lists of different lengths
+        rows = np.zeros(0)
+    whole = rows.dtype.kind == "i" and rows.ndim == 2 and rows.shape[1] == 2 and rows.min() >= 0
+    if not whole or rows[:, 0].max() >= len(sizes) or (rows[:, 1] >= sizes[rows[:, 0]]).any():
+        document.refuse(where, f"expected faces and their corners as {STARTS}, got {shown(stated)}")
+    starts = np.zeros(len(sizes), dtype=np.int64)
+    starts[rows[:, 0]] = -rows[:, 1]
+    return sizes, corners[corners_from(np.concatenate([[0], np.cumsum(sizes)]), starts)]
 
 
 def _triangles(document: Document, where: str, primitive: dict[str, Any], count: int) -> IndexArray:

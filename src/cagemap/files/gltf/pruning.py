@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.entries import Document, view_bytes
 
 # Extensions that name no accessors or buffer views; with others nothing is dropped.
-_KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
+_KNOWN = {NGONS, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
 _KNOWN_FAMILIES = ("KHR_materials_", "VRMC_")
 
 _Holder = tuple[dict[str, Any], str]

@@ -19,7 +19,7 @@ from cagemap.files.landmarks.curves import mesh_entries
 from cagemap.files.ownership import mark
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import build_tree, closest_points
 

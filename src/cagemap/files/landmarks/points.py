@@ -22,7 +22,7 @@ from cagemap.files.schema import parse_json
 from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.faces import cage_triangles
 
 Named = list[tuple[str, int, tuple[float, float, float] | None]]
 

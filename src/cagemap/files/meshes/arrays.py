@@ -1,4 +1,4 @@
-"""Control meshes and schemes as named arrays and plain entries, the form in which archives store them."""
+"""Control meshes and schemes as named arrays and plain entries, as archives store them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError, InvalidMeshError
-from cagemap.files.array_specs import Form, check_arrays, check_offsets, lie_in_triangles
+from cagemap.files.array_specs import ArraySpec, check_arrays, check_offsets, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
 from cagemap.mesh.curves import CageCurves, Curves
@@ -20,24 +20,24 @@ from cagemap.mesh.schemes import SCHEMES, Scheme
 
 # Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
 CONTROL_FORMS = {
-    "positions": Form(("c", 3)),
-    "face_offsets": Form(("f+1",), below="q+1"),
-    "face_indices": Form(("q",), below="c"),
-    "uvs": Form(("t", 2), optional=True),
-    "uv_indices": Form(("q",), below="t", optional=True),
-    "face_materials": Form(("f",), below="m", optional=True),
-    "material_colors": Form(("m", 3), optional=True, nan=True),
-    "vertex_colors": Form(("c", 3), optional=True, nan=True),
-    "face_objects": Form(("f",), below="objects", optional=True),
-    "face_groups": Form(("f",), below="groups", optional=True),
-    "crease_edges": Form(("creases", 2), below="c", optional=True),
-    "crease_sharpness": Form(("creases",), optional=True),
-    "corner_vertices": Form(("corners",), below="c", optional=True),
-    "corner_sharpness": Form(("corners",), optional=True),
-    "hole_faces": Form(("holes",), below="f", optional=True),
-    "file_vertices": Form(("c",), below="file_c", optional=True),
-    "file_faces": Form(("f",), below="file_f", optional=True),
-    "file_copies": Form(("copies", 2), below="file_c", optional=True),
+    "positions": ArraySpec(("c", 3)),
+    "face_offsets": ArraySpec(("f+1",), below="q+1"),
+    "face_indices": ArraySpec(("q",), below="c"),
+    "uvs": ArraySpec(("t", 2), optional=True),
+    "uv_indices": ArraySpec(("q",), below="t", optional=True),
+    "face_materials": ArraySpec(("f",), below="m", optional=True),
+    "material_colors": ArraySpec(("m", 3), optional=True, nan=True),
+    "vertex_colors": ArraySpec(("c", 3), optional=True, nan=True),
+    "face_objects": ArraySpec(("f",), below="objects", optional=True),
+    "face_groups": ArraySpec(("f",), below="groups", optional=True),
+    "crease_edges": ArraySpec(("creases", 2), below="c", optional=True),
+    "crease_sharpness": ArraySpec(("creases",), optional=True),
+    "corner_vertices": ArraySpec(("corners",), below="c", optional=True),
+    "corner_sharpness": ArraySpec(("corners",), optional=True),
+    "hole_faces": ArraySpec(("holes",), below="f", optional=True),
+    "file_vertices": ArraySpec(("c",), below="file_c", optional=True),
+    "file_faces": ArraySpec(("f",), below="file_f", optional=True),
+    "file_copies": ArraySpec(("copies", 2), below="file_c", optional=True),
 }
 CONTROL_ARRAYS = tuple(CONTROL_FORMS)
 # Names beside those of materials; each an array of text.
@@ -70,7 +70,7 @@ def control_from_arrays(
     Raises
     ------
     FormatError
-        If arrays are missing, of another form, or make no mesh that the method can take; says ``remedy``.
+        If arrays are missing, of another spec, or make no mesh that the method can take; says ``remedy``.
     """
     stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
     texts: dict[str, Any] = {
@@ -108,7 +108,7 @@ def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tu
 
 
 def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
-    """Points of a control mesh whose arrays have their forms already, if there are any.
+    """Points of a control mesh whose arrays have their specs already, if there are any.
 
     Raises
     ------
@@ -151,20 +151,20 @@ def curves_from_arrays(
     Raises
     ------
     FormatError
-        If arrays are missing, of another form, or are no curves of the meshes; says ``remedy``.
+        If arrays are missing, of another spec, or are no curves of the meshes; says ``remedy``.
     """
     if not names:
         return Curves.none()
     sides = []
     for side, count in zip(("target", "source"), vertices, strict=True):
         prefix = f"{side}_curve_"
-        forms = {
-            f"{prefix}corners": Form(("p", 3), below="c"),
-            f"{prefix}weights": Form(("p", 3)),
-            f"{prefix}starts": Form(("q+1",), below="p+1"),
-            f"{prefix}closed": Form(("q",), below="two"),
+        specs = {
+            f"{prefix}corners": ArraySpec(("p", 3), below="c"),
+            f"{prefix}weights": ArraySpec(("p", 3)),
+            f"{prefix}starts": ArraySpec(("q+1",), below="p+1"),
+            f"{prefix}closed": ArraySpec(("q",), below="two"),
         }
-        found = check_arrays(path, arrays, forms, {"c": count, "q": len(names), "two": 2}, remedy)
+        found = check_arrays(path, arrays, specs, {"c": count, "q": len(names), "two": 2}, remedy)
         points = points_from_arrays(path, found, prefix, remedy)
         starts = found[f"{prefix}starts"]
         check_offsets(path, f"{prefix}starts", starts, len(found[f"{prefix}corners"]), remedy)

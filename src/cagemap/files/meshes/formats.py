@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.like import write_glb_like
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb
@@ -24,7 +24,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.numerics.kinds import kinds_checked
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
-_READERS |= dict.fromkeys(GLTF_SUFFIXES, read_gltf)
+_READERS |= dict.fromkeys(SCENE_SUFFIXES, read_gltf)
 _READERS |= dict.fromkeys(USD_SUFFIXES, read_usd)
 MESH_SUFFIXES = tuple(_READERS)
 _WRITERS: dict[str, Callable[..., object]] = {
@@ -38,7 +38,7 @@ _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 @kinds_checked
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a mesh of an OBJ, PLY, OFF, STL, glTF, VRM or USD file, as numbered there; arrays are read-only.
+    """Read a mesh of an OBJ, PLY, OFF, STL, glTF, VRM, FBX or USD file, as numbered there; arrays are read-only.
 
     Raises
     ------
@@ -67,8 +67,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
     like : path, optional
         The file that it was read from: between USD files units, up axis and the prim's transform are kept, and a
-        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF file keeps all else that is in it, where
-        vertices and faces are the same.
+        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps all else that is in it,
+        where vertices and faces are the same.
     force : bool
 
     Raises
@@ -81,7 +81,7 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     original = Path(like) if like is not None and Path(like).suffix.lower() in USD_SUFFIXES else None
     if suffix in USD_SUFFIXES and original is not None:
         write_usd(path, mesh, space=stage_space(original), force=force)
-    elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in GLTF_SUFFIXES:
+    elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in SCENE_SUFFIXES:
         write_glb_like(path, mesh, like, force=force)
     elif suffix == ".glb" and original is not None:
         write_glb(path, mesh, to_metres=to_standard(original, mesh), force=force)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import FormatError
-from cagemap.files.array_specs import Form, check_arrays, lie_in_triangles
+from cagemap.files.array_specs import ArraySpec, check_arrays, lie_in_triangles
 from cagemap.files.atomic import atomic_folder, require_own_folder
 from cagemap.files.meshes.arrays import (
     control_from_arrays,
@@ -62,7 +62,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.subdivision import Scheme, refine
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
 
 __all__ = [
@@ -85,16 +85,16 @@ __all__ = [
 
 ARRAYS = "map.npz"
 
-_FORMS = {
-    "source_triangles": Form(("t2", 3), below="n2"),
-    "triangle": Form(("n1",), below="t2"),
-    "barycentric": Form(("n1", 3)),
-    "functional_map": Form(("k1", "k2"), optional=True),
-    "trust": Form(("n1",)),
-    "landmark_errors": Form(("p",)),
-    "target_shared": Form(("n1",), optional=True),
-    "source_shared": Form(("n2",), optional=True),
-    "runner_up_images": Form(("r", "c1", 3), optional=True),
+_SPECS = {
+    "source_triangles": ArraySpec(("t2", 3), below="n2"),
+    "triangle": ArraySpec(("n1",), below="t2"),
+    "barycentric": ArraySpec(("n1", 3)),
+    "functional_map": ArraySpec(("k1", "k2"), optional=True),
+    "trust": ArraySpec(("n1",)),
+    "landmark_errors": ArraySpec(("p",)),
+    "target_shared": ArraySpec(("n1",), optional=True),
+    "source_shared": ArraySpec(("n2",), optional=True),
+    "runner_up_images": ArraySpec(("r", "c1", 3), optional=True),
 }
 # What stored vertices may differ from those that the control mesh gives, of its size: other libraries round otherwise.
 _DRIFT = 1e-6
@@ -204,7 +204,7 @@ def read_result(folder: str | Path) -> MatchResult:
     target, source = in_threads(lambda side: side.surface(root / ARRAYS, record), read)
     finest = target.finest_triangles, source.finest_triangles
     sizes["t2"] = len(finest[1].triangles)
-    arrays = check_arrays(root / ARRAYS, stored, _FORMS, sizes, REMEDY)
+    arrays = check_arrays(root / ARRAYS, stored, _SPECS, sizes, REMEDY)
     _check_parts(root, arrays, finest[1].triangles, record)
     point_map = PointMap.from_arrays(*finest, arrays["triangle"], arrays["barycentric"])
     counts = target.control.n_vertices, source.control.n_vertices
@@ -286,8 +286,8 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any
         f"c{number}": control.n_vertices,
         f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
     }
-    forms = {f"{prefix}_{name}": form for name, form in _side_forms(number).items()}
-    arrays = check_arrays(path, stored, forms, sizes, REMEDY)
+    specs = {f"{prefix}_{name}": spec for name, spec in _side_specs(number).items()}
+    arrays = check_arrays(path, stored, specs, sizes, REMEDY)
     points = points_from_arrays(path, arrays, f"{prefix}_landmark_", REMEDY)
     return _Side(
         prefix,
@@ -302,15 +302,15 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any
     )
 
 
-def _side_forms(number: int) -> dict[str, Form]:
+def _side_specs(number: int) -> dict[str, ArraySpec]:
     return {
-        "vertices": Form((f"n{number}", 3)),
-        "faces": Form((f"m{number}", "3|4"), below=f"n{number}"),
-        "eigenvalues": Form((f"k{number}",), optional=True),
-        "landmarks": Form(("p",), below=f"c{number}"),
-        "landmark_corners": Form(("p", 3), below=f"c{number}", optional=True),
-        "landmark_weights": Form(("p", 3), optional=True),
-        "mask": Form((f"n{number}",), optional=True, share=True),
+        "vertices": ArraySpec((f"n{number}", 3)),
+        "faces": ArraySpec((f"m{number}", "3|4"), below=f"n{number}"),
+        "eigenvalues": ArraySpec((f"k{number}",), optional=True),
+        "landmarks": ArraySpec(("p",), below=f"c{number}"),
+        "landmark_corners": ArraySpec(("p", 3), below=f"c{number}", optional=True),
+        "landmark_weights": ArraySpec(("p", 3), optional=True),
+        "mask": ArraySpec((f"n{number}",), optional=True, share=True),
     }
 
 

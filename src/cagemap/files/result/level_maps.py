@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.array_specs import Form, check_arrays, lie_in_triangles
+from cagemap.files.array_specs import ArraySpec, check_arrays, lie_in_triangles
 from cagemap.files.schema import LevelMapRecord
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.point_map import PointMap
@@ -74,15 +74,15 @@ def read_level_maps(
     for i, entry in enumerate(entries):
         last = i == len(entries) - 1
         sides = target.triangles(entry.target), source.triangles(entry.source)
-        forms = {f"level_{i}_match": Form(("n1",), below="n2")}
+        specs = {f"level_{i}_match": ArraySpec(("n1",), below="n2")}
         if not last:
-            forms |= {
-                f"level_{i}_functional_map": Form((f"k1_{i}", f"k2_{i}")),
-                f"level_{i}_triangle": Form(("n1",), below="t2"),
-                f"level_{i}_barycentric": Form(("n1", 3)),
+            specs |= {
+                f"level_{i}_functional_map": ArraySpec((f"k1_{i}", f"k2_{i}")),
+                f"level_{i}_triangle": ArraySpec(("n1",), below="t2"),
+                f"level_{i}_barycentric": ArraySpec(("n1", 3)),
             }
         sizes = {"n1": sides[0].n, "n2": sides[1].n, "t2": len(sides[1].triangles)}
-        arrays = check_arrays(path, stored, forms, sizes, remedy)
+        arrays = check_arrays(path, stored, specs, sizes, remedy)
         points, c = point_map, functional_map
         if not last:
             c = arrays[f"level_{i}_functional_map"]

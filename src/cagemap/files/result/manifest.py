@@ -8,6 +8,7 @@ import os
 import platform
 import sys
 from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -169,6 +170,7 @@ def written_with() -> dict[str, Any]:
     }
 
 
+@cache
 def _library_versions() -> dict[str, str]:
     versions = {}
     for name in _LIBRARIES:

@@ -1,4 +1,4 @@
-"""What the manifest of a RESULT folder says of a map, as the values that a match has."""
+"""Values of a match from the records of its manifest."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.schema import BasisRecord, ConfidenceRecord, LandmarkCheckRecord, QualityRecord
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, MapShape, Reading, may_be_sure
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
+from cagemap.maps.hypotheses.signs import findings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
@@ -57,7 +58,7 @@ def stored_quality(
 def stored_confidence(
     record: ConfidenceRecord | None, answer: PointMap, controls: int, others: FloatArray
 ) -> Confidence | None:
-    """How sure an answer is; no longer sure if its cost, gap or shape is not what that word asks for by now.
+    """The verdict on an answer; no longer sure where a sign is beyond the bound of now, or none was written.
 
     Parameters
     ----------
@@ -81,14 +82,9 @@ def stored_confidence(
         )
         for i, reading in enumerate(record.readings)
     )
-    gap = np.inf if record.gap is None else record.gap
-    # Results from before the bound on shear do not say how much there is.
-    sheared = MapShape.of(answer).sheared if record.sheared is None else record.sheared
-    shape = MapShape(record.folded, record.aspect, record.unreached, sheared, record.jumps)
-    doubtful = record.verdict == SURE and not may_be_sure(1e-4 * record.cost, gap, shape, mirrored=record.mirrored)
+    doubtful = record.verdict == SURE and (record.signs is None or findings(record.signs))
     verdict = LOOK if doubtful else record.verdict
-    numbers = record.deciding, shape, record.file_vertex, record.part, record.mirrored
-    return Confidence(verdict, record.cost, gap, readings, *numbers)
+    return Confidence(verdict, readings, record.signs or {}, record.deciding, record.file_vertex, record.part)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

@@ -1,4 +1,4 @@
-"""Point maps in files: anyone's, read for any use of a map, and ours, written for others.
+"""Point maps in files: read from any program, written for others.
 
 Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
 """

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from cagemap.errors import ParameterError
 from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.maps.hypotheses.jumps import JUMPING
+from cagemap.maps.hypotheses.signs import JUMPING
 from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import point_pairs

@@ -22,7 +22,7 @@ from scipy import sparse
 
 from cagemap import __version__
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.array_specs import Form, check_arrays, check_offsets
+from cagemap.files.array_specs import ArraySpec, check_arrays, check_offsets
 from cagemap.files.atomic import atomic_path
 from cagemap.files.code_version import code_version
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
@@ -36,9 +36,9 @@ from cagemap.operators import Operators
 from cagemap.operators.coarse_levels import refined
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
-from cagemap.spectral.prepare import Progress, silent
+from cagemap.spectral.surface import Progress, silent
 from cagemap.subdivision import Refinement, Scheme, default_scheme
-from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import vertex_counts
 
 FORMAT = "cagemap-surface"
 FORMAT_VERSION = 4
@@ -191,7 +191,7 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
     counts = vertex_counts(control, scheme) if below is None else (mesh.n_vertices for mesh in below.levels)
     sizes = dict(zip(_level_sizes(header.level), counts, strict=False))
     sizes["n_finest"] = sizes[f"n{header.operators - 1}"]
-    checked = check_arrays(path, arrays, _forms(header), sizes, _REMEDY)
+    checked = check_arrays(path, arrays, _specs(header), sizes, _REMEDY)
     for level in range(header.operators):
         check_offsets(path, f"indptr_{level}", checked[f"indptr_{level}"], sizes[f"z{level}"], _REMEDY)
     try:
@@ -226,22 +226,22 @@ def _level_sizes(finest: int) -> list[str]:
     return [f"n{level}" for level in range(finest + 1)]
 
 
-def _forms(header: SurfaceRecord) -> dict[str, Form]:
+def _specs(header: SurfaceRecord) -> dict[str, ArraySpec]:
     """What the arrays beside the control mesh must be: z nonzeros a level, k functions in all."""
-    forms = {}
+    specs = {}
     for level, n in enumerate(_level_sizes(header.operators - 1)):
         z = f"z{level}"
-        forms[f"indices_{level}"] = Form((z,), below=n)
-        forms[f"indptr_{level}"] = Form((f"{n}+1",), below=f"{z}+1")
-        forms[f"stiffness_{level}"] = Form((z,))
-        forms[f"mass_{level}"] = Form((n,) if level == header.operators - 1 else (z,))
+        specs[f"indices_{level}"] = ArraySpec((z,), below=n)
+        specs[f"indptr_{level}"] = ArraySpec((f"{n}+1",), below=f"{z}+1")
+        specs[f"stiffness_{level}"] = ArraySpec((z,))
+        specs[f"mass_{level}"] = ArraySpec((n,) if level == header.operators - 1 else (z,))
     for level in range(header.bands):
-        forms[f"band_{level}"] = Form((f"n{level}", f"k{level}"))
-    return forms | {
-        "eigenvalues": Form(("k",)),
-        "residuals": Form(("k",), nan=True),
-        "indices": Form(("k",), below="n_finest"),
-        "gram": Form(("k", "k")),
+        specs[f"band_{level}"] = ArraySpec((f"n{level}", f"k{level}"))
+    return specs | {
+        "eigenvalues": ArraySpec(("k",)),
+        "residuals": ArraySpec(("k",), nan=True),
+        "indices": ArraySpec(("k",), below="n_finest"),
+        "gram": ArraySpec(("k", "k")),
     }
 
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.values import gltf_weights
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.suffixes import VALUE_SUFFIXES
 from cagemap.files.text import is_number, require_file
 from cagemap.files.usd.primvars import JOINT_WEIGHTS
 from cagemap.files.usd.read import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
-from cagemap.files.values.part_numbering import FileRows, prim_rows, taken
+from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
 from cagemap.files.values.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
 
@@ -56,14 +56,14 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     require_file(file, "a file of attributes")
     if file.suffix.lower() in USD_SUFFIXES:
         return _read_usd(file, control)
-    if file.suffix.lower() in GLTF_SUFFIXES:
-        return taken({JOINT_WEIGHTS: gltf_weights(file)}, rows)
+    if file.suffix.lower() in SCENE_SUFFIXES:
+        return to_part({JOINT_WEIGHTS: gltf_weights(file)}, rows)
     check_attribute_path(file)
     if file.suffix.lower() == ".json":
         if control is None:
             raise FormatError(f"{file}: vertex groups are not taken here. Write a .csv or .npz with a row a vertex.")
         groups = read_groups(file, control.n_vertices if rows is None else rows.whole.n_vertices)
-        return taken({name: _check(file, name, array) for name, array in groups.items()}, rows)
+        return to_part({name: _check(file, name, array) for name, array in groups.items()}, rows)
     try:
         if file.suffix.lower() == ".csv":
             arrays = _read_csv(file)
@@ -77,7 +77,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
         raise FormatError(f"{file}: could not read it as {file.suffix}: {error}. Write it again.") from error
     if not arrays:
         raise FormatError(f"{file}: expected at least one array, found none. Write it again with its values.")
-    return taken({name: _check(file, name, array) for name, array in arrays.items()}, rows)
+    return to_part({name: _check(file, name, array) for name, array in arrays.items()}, rows)
 
 
 def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
@@ -86,7 +86,7 @@ def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
     meshes = meshes if len(meshes) == 1 else tuple(in_world(mesh) for mesh in meshes)
     chosen = one_mesh(file, meshes, control)
     arrays = {name: _check(file, name, array) for name, array in chosen.attributes.items()}
-    return taken(arrays, None if control is None else prim_rows(meshes, chosen.path, control))
+    return to_part(arrays, None if control is None else prim_rows(meshes, chosen.path, control))
 
 
 def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:

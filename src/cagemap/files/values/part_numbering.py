@@ -71,7 +71,7 @@ class FileRows:
         order = np.argsort(known, kind="stable")
         return np.asarray(order[np.searchsorted(known[order], asked)])
 
-    def taken(self, values: NDArray[Any]) -> NDArray[Any]:
+    def to_part(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values numbered as the file, at the part's vertices, faces or corners; others as they are.
 
         At vertices that were welded the mean, where they are numbers with fractions, else those of the first.
@@ -100,7 +100,7 @@ class FileRows:
         np.add.at(counts, own, 1.0)
         return np.asarray(sums / counts.reshape(-1, *[1] * (values.ndim - 1)), dtype=values.dtype)
 
-    def given_back(self, values: NDArray[Any], below: NDArray[Any] | None = None) -> NDArray[Any]:
+    def to_file(self, values: NDArray[Any], below: NDArray[Any] | None = None) -> NDArray[Any]:
         """The part's values, numbered as the file; elsewhere those of ``below``, or 0."""
         kinds = list(zip(_counts(self.part), _counts(self.whole), strict=True))
         kind = next((number for number, (own, _) in enumerate(kinds) if len(values) == own), None)
@@ -184,17 +184,17 @@ def prim_rows(meshes: Sequence[UsdMesh], prim: str, control: ControlMesh) -> Fil
     return FileRows(replace(control, file_vertices=vertices, file_faces=faces, file_copies=copies), whole)
 
 
-def taken(values: Mapping[str, NDArray[Any]], rows: FileRows | None) -> Attributes:
+def to_part(values: Mapping[str, NDArray[Any]], rows: FileRows | None) -> Attributes:
     """Each array at the elements of the part; as it is where there are no rows of a file."""
-    return {name: array if rows is None else rows.taken(array) for name, array in values.items()}
+    return {name: array if rows is None else rows.to_part(array) for name, array in values.items()}
 
 
-def given_back(
+def to_file(
     values: Mapping[str, NDArray[Any]], rows: FileRows | None, own: Mapping[str, NDArray[Any]] | None = None
 ) -> Attributes:
     """Each array numbered as the file, with the file's ``own`` values elsewhere where there are such."""
     below = own or {}
-    return {name: array if rows is None else rows.given_back(array, below.get(name)) for name, array in values.items()}
+    return {name: array if rows is None else rows.to_file(array, below.get(name)) for name, array in values.items()}
 
 
 def other_rows(control: ControlMesh, rows: FileRows | None) -> str:

@@ -1,4 +1,4 @@
-"""What rides on a cage, in files: skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets)."""
+"""Skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets) in files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, write_whole
-from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.values import gltf_shapes, gltf_skeleton
 from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
@@ -23,7 +23,7 @@ from cagemap.files.usd.primvars import BLEND_SHAPE
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.values.attributes import read_attributes
-from cagemap.files.values.part_numbering import FileRows, taken
+from cagemap.files.values.part_numbering import FileRows, to_part
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray
@@ -47,7 +47,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         If the file is no such list, a name comes twice, or a parent is missing.
     """
     file = Path(path)
-    if file.suffix.lower() in GLTF_SUFFIXES:
+    if file.suffix.lower() in SCENE_SUFFIXES:
         return gltf_skeleton(file)
     if file.suffix.lower() in USD_SUFFIXES:
         found = read_usd_skeleton(file, control)
@@ -133,8 +133,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
 def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
     if file.suffix.lower() == ".npz":
         return _read_offsets(file, rest, rows)
-    if file.suffix.lower() in GLTF_SUFFIXES:
-        return {name: _checked_offsets(file, name, a, rest) for name, a in taken(gltf_shapes(file), rows).items()}
+    if file.suffix.lower() in SCENE_SUFFIXES:
+        return {name: _checked_offsets(file, name, a, rest) for name, a in to_part(gltf_shapes(file), rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}
     own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
@@ -161,7 +161,7 @@ def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray
 
 
 def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
-    arrays = taken(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
+    arrays = to_part(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
     return {name: _checked_offsets(file, name, array, rest) for name, array in arrays.items()}
 
 

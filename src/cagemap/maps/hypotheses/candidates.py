@@ -29,8 +29,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Progress, silent
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.rotations import nearest_rotations
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.

@@ -11,20 +11,17 @@ from cagemap.deform.inverse_consistency import inverse_consistent
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.candidates import found_readings
-from cagemap.maps.hypotheses.confidence import SURE, Confidence, MapShape, Reading
-from cagemap.maps.hypotheses.jumps import Jumps
+from cagemap.maps.hypotheses.confidence import SURE, Confidence, Reading
 from cagemap.maps.hypotheses.mirror import mirrored_gain
+from cagemap.maps.hypotheses.signs import SIGNS, jump_share, jumps, median_distortion
 from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
 from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.numerics.arrays import FloatArray
-from cagemap.surface.closest_points import build_tree, closest_points
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
 FEWEST_LANDMARKS = 3
-# Distance from the map's image, of sqrt(area), from which on nothing came to a point of the source.
-FAR = 0.05
 
 
 def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> tuple[PointMap, Confidence]:
@@ -43,14 +40,15 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
     readings = replace(best, positions=half_way(problem, best)), *others
     progress("closest points")
     found = map_of_places(prepared, readings[0].positions, pair.landmarks)
-    jumps, controls = Jumps.of(prepared, found), pair.target.control.n_vertices
-    shape = MapShape.of(found, unreached_share(prepared, found), jumps.share)
-    confidence = Confidence.of(readings, controls, shape)
-    if jumps.many:  # decided there, whatever other answers differ in
+    farthest, controls = jumps(prepared, found), pair.target.control.n_vertices
+    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(found)}
+    confidence = Confidence.of(readings, controls, signs)
+    if confidence.verdict == SURE:  # takes as long as all other signs
+        signs["mirrored"] = mirrored_gain(problem, readings[0].positions)
+        confidence = Confidence.of(readings, controls, signs)
+    if signs["jumps"] > SIGNS["jumps"].bound:  # decided there, whatever other answers differ in
         places = prepared.mesh.positions
-        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[jumps.vertex])[1]))
-    if confidence.verdict == SURE:
-        confidence = confidence.seen_mirrored(mirrored_gain(problem, readings[0].positions))
+        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[farthest.argmax()])[1]))
     if confidence.deciding is not None:
         confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
     return found, confidence
@@ -67,11 +65,3 @@ def half_way(problem: Problem, reading: Reading) -> FloatArray:
     moved = inverse_consistent(problem, reading.positions)
     cost = with_cost(problem.prepared, moved).cost
     return moved if cost <= AS_CHEAP * reading.cost else reading.positions
-
-
-def unreached_share(prepared: PreparedPair, found: PointMap) -> float:
-    """Share of the source's area, where it is not masked, that lies `FAR` or farther from what the map leads to."""
-    mesh, samples = prepared.mesh, prepared.source_samples
-    image = build_tree(found.images.at(prepared.vertices).positions, mesh.triangles)
-    far = closest_points(image, samples.points)[2] > FAR
-    return float(samples.areas[far].sum() / max(samples.areas.sum(), 1e-12))

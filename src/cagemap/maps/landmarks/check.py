@@ -33,8 +33,8 @@ from cagemap.maps.pair import Pair, Progress, silent, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.measures import face_areas
 from cagemap.mesh.topology import cells, handle_count
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads

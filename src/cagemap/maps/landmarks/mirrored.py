@@ -2,52 +2,63 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.fit import with_cost
+from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.candidates import found_readings
-from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, Reading, cost_signs
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
+from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
 from cagemap.maps.pair import Pair, PointPairs, Progress, silent
-from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
 
 # How far, of sqrt(area), shapes alone may put a landmark from the one that it is exchanged with.
 NEAR_ENOUGH = 0.08
+# How many times the cost without landmarks mirrored ones cost at least: correct ones 1.02 where arms are crossed, which
+# seems mirrored (docs/lab/judge.md).
+LEAST_COST = 1.3
 
 
 def mirrored_readings(
-    prepared: PreparedPair, pair: Pair, given: PointMap, progress: Progress = silent
-) -> Confidence | None:
-    """Two answers: the map that meets landmarks as they are, and one with those exchanged that shapes alone suggest.
-
-    None where the shapes put too few landmarks near others.
+    prepared: PreparedPair, pair: Pair, given: Placement, check: LandmarkCheck, progress: Progress = silent
+) -> tuple[Confidence | None, LandmarkCheck]:
+    """Two answers for landmarks that seem mirrored: as they are, and with those exchanged that shapes alone suggest.
 
     Parameters
     ----------
     prepared : PreparedPair
     pair : Pair
         With the landmarks.
-    given : PointMap
+    given : Placement
         Of these landmarks.
+    check : LandmarkCheck
     progress : callable
+
+    Returns
+    -------
+    confidence : Confidence or None
+        None where shapes put too few landmarks near others, or landmarks cost nothing.
+    check : LandmarkCheck
+        Without the note that they seem mirrored, where they cost nothing.
     """
     free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
     best = found_readings(Problem(prepared, free), progress)[0]
+    if given.cost < LEAST_COST * best.cost:
+        return None, replace(check, notes=tuple(note for note in check.notes if note != MIRRORED_NOTE))
     exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions)
     if len(exchange) < FEWEST_LANDMARKS:
-        return None
-    places = given.images.at(prepared.vertices).positions
-    cost = with_cost(prepared, places).cost
+        return None, check
     readings = (
-        Reading(AS_GIVEN, cost, places),
+        Reading(AS_GIVEN, given.cost, given.answer),
         Reading(EXCHANGED, best.cost, best.positions, exchange=tuple(map(tuple, exchange.tolist()))),
     )
-    return Confidence(TWO, 1e4 * cost, best.cost / max(cost, 1e-12), readings, None, MapShape.of(given))
+    return Confidence(TWO, readings, cost_signs(readings)), check
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray) -> IndexArray:

@@ -10,8 +10,8 @@ from cagemap.deform.prepared import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.constants import FACING, LEAST_COSINE, MEETING_STEPS, MET
-from cagemap.maps.projection.lay_out import lay_out_parts
+from cagemap.maps.projection.config import ProjectionConfig
+from cagemap.maps.projection.flatten import flatten_folded_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
@@ -31,7 +31,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     fitted : (n, 3) float64
         Places near the source, of area 1, of the target's vertices of the level that is deformed.
     landmarks : PointPairs
-        Met exactly, see `meet`.
+        Met exactly, see `snap_landmarks`.
 
     Returns
     -------
@@ -53,15 +53,17 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     found = facing_points(
         prepared.source.finest_triangles, positions, normals, prepared.elastic.projection_normal_weights
     )
-    return PointMap(target, meet(found, landmarks))
+    return PointMap(target, snap_landmarks(found, landmarks))
 
 
-def meet(images: SurfacePoints, landmarks: PointPairs) -> SurfacePoints:
-    """Images of all target vertices that meet landmarks.
+def snap_landmarks(
+    images: SurfacePoints, landmarks: PointPairs, config: ProjectionConfig = ProjectionConfig()
+) -> SurfacePoints:
+    """Images of all target vertices, changed so that landmarks are met.
 
-    A vertex goes where its landmark belongs. Around a landmark between vertices the triangle's corners move along with
-    what the landmark misses, and are projected again, until nothing is missed. Normals keep them on their side of a
-    thin part at first, and count less in each step: across a bend they would hold a corner back for good.
+    A landmark at a vertex replaces its image. Around a landmark between vertices the corners of its triangle move by
+    its error and are projected again, until it is met. Normals keep them on their side of a thin part at first; their
+    weight falls in each step, since it would stop corners at a bend.
     """
     vertices = vertices_at(landmarks.target)
     at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
@@ -71,16 +73,17 @@ def meet(images: SurfacePoints, landmarks: PointPairs) -> SurfacePoints:
     inside, aims = landmarks.target.at(between), landmarks.source.at(between)
     free = np.unique(np.setdiff1d(inside.corners, vertices[at_vertex]))
     gather = inside.matrix()[:, free].T
-    for step in range(MEETING_STEPS):
+    for step in range(config.landmark_steps):
         means = inside.interpolate(images.positions)
         missed = aims.positions - SurfacePoints.nearest(images.surface, means, guess=aims.triangle).positions
-        if np.linalg.norm(missed, axis=1).max() < MET:
+        if np.linalg.norm(missed, axis=1).max() < config.landmark_tolerance:
             break
         # Every corner moves as the mean, by weight, of the landmarks in its triangles.
         moved = (gather @ missed) / np.maximum(np.asarray(gather.sum(axis=1)).reshape(-1, 1), 1e-12)
         at = images.at(free)
+        weight = config.landmark_normal_weight / 4.0**step
         near = SurfacePoints.nearest(
-            images.surface, at.positions + moved, at.normals, normal_weight=FACING / 4.0**step, guess=at.triangle
+            images.surface, at.positions + moved, at.normals, normal_weight=weight, guess=at.triangle
         )
         images = images.replaced(free, near)
     return images
@@ -99,7 +102,7 @@ def map_of_places(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPa
 
 @kinds_checked
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
-    """A map without most of its folds: relaxed where they are small, laid out where whole parts fold.
+    """Remove most folds of a map: small ones are relaxed, parts that fold as a whole are flattened.
 
     Parameters
     ----------
@@ -118,7 +121,7 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
         raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
     weight = config.projection_normal_weights[0]
     images, flipped = relax_folds(point_map.images, point_map.target.triangles, held, normal_weight=weight)
-    return PointMap(point_map.target, lay_out_parts(images, flipped, point_map.target, held))
+    return PointMap(point_map.target, flatten_folded_parts(images, flipped, point_map.target, held))
 
 
 def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
@@ -168,12 +171,16 @@ def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 
 
 
 def facing_points(
-    surface: TriangleSurface, points: FloatArray, normals: FloatArray, weights: tuple[float, float]
+    surface: TriangleSurface,
+    points: FloatArray,
+    normals: FloatArray,
+    weights: tuple[float, float],
+    config: ProjectionConfig = ProjectionConfig(),
 ) -> SurfacePoints:
-    """Closest points of a surface; where they do not face the same way, those that weigh normals more.
+    """Closest points of a surface; where normals disagree, those of a second search with more weight on normals.
 
-    On the surface, a normal that differs from the source's moves the closest point sideways: where the surface bends
-    little, by far, and neighbours by different amounts. Normals are only to tell the sides of thin parts apart.
+    Normals separate the two sides of thin parts. Their weight is small: a normal that differs from the source's moves
+    the closest point sideways, the farther the less the surface bends.
 
     Parameters
     ----------
@@ -183,7 +190,7 @@ def facing_points(
         Normal weights of the first search, and of the second.
     """
     found = SurfacePoints.nearest(surface, points, normals, normal_weight=weights[0])
-    away = np.flatnonzero(np.einsum("md,md->m", found.normals, normals) < LEAST_COSINE)
+    away = np.flatnonzero(np.einsum("md,md->m", found.normals, normals) < config.min_cosine)
     if not len(away):
         return found
     guess = found.triangle[away]

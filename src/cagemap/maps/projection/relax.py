@@ -7,17 +7,14 @@ the patch's boundary: a discrete harmonic map, which is one-to-one where the pat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.maps.projection.constants import LEAST_MENDED, RINGS, SWEEPS
+from cagemap.maps.projection.config import RelaxConfig
 from cagemap.maps.quality import flipped_triangles, upside_down
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.graphs import components
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, read_only
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -32,12 +29,12 @@ def relax_folds(
     held: IndexArray,
     *,
     normal_weight: float,
-    rings: Sequence[int] = RINGS,
+    config: RelaxConfig = RelaxConfig(),
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
 
-    A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches are
-    larger in every round, until one mends little.
+    A connected patch keeps its new image only if fewer of its triangles are flipped than before. Patches grow in every
+    round, until a round removes few flips.
 
     Parameters
     ----------
@@ -49,8 +46,7 @@ def relax_folds(
         Target vertices that may not move (landmarks).
     normal_weight : float
         Of the projection, see `closest_points`.
-    rings : sequence of int
-        How many rings of triangles around the folds a patch has in every round, ascending.
+    config : RelaxConfig
 
     Returns
     -------
@@ -61,8 +57,8 @@ def relax_folds(
     flipped = flipped_triangles(images, triangles)
     if not flipped.any():
         return images, flipped
-    # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
-    inner = around(triangles, flipped, rings[-1], len(images))
+    # Only the last round's patch can change: continue with the triangles around it, renumbered.
+    inner = around(triangles, flipped, config.rings[-1], len(images))
     region = touched_triangles(triangles, inner)
     vertices, near = _renumbered(triangles[region], len(images))
     # Folds may spread while they are relaxed; what lies at the border has triangles beyond it.
@@ -70,11 +66,11 @@ def relax_folds(
     local, folded = images.at(vertices), flipped[region]
     means = neighbour_means(near, np.ones(len(vertices), dtype=bool))
     places = np.hstack([local.positions, local.normals])
-    for ring in rings:
+    for ring in config.rings:
         before = folded.sum()
         inside = _ringed(means, near[folded], ring) & movable
         moved = np.flatnonzero(inside)
-        new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight)
+        new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight, config.sweeps)
         tried = places.copy()
         tried[moved] = np.hstack([new.positions, new.normals])
         touched = touched_triangles(near, inside)
@@ -85,7 +81,7 @@ def relax_folds(
         folded[touched] = np.where(settled, still, folded[touched])
         local = local.replaced(np.flatnonzero(kept), new.at(np.flatnonzero(kept[moved])))
         places[kept] = tried[kept]
-        if folded.sum() > (1.0 - LEAST_MENDED) * before or not folded.any():
+        if folded.sum() > (1.0 - config.min_gain) * before or not folded.any():
             break
     flipped[region] = folded
     return images.replaced(vertices, local), flipped
@@ -114,10 +110,11 @@ def _relaxed(
     vertices: IndexArray,
     guess: IndexArray,
     normal_weight: float,
+    sweeps: int,
 ) -> SurfacePoints:
     """Points of the surface for some vertices (v,), whose places and normals (n, 6) are averaged in some sweeps."""
     own, moved = means[vertices], places.copy()
-    for _ in range(SWEEPS):
+    for _ in range(sweeps):
         averaged = own @ moved
         averaged[:, 3:] = normalized(averaged[:, 3:])
         moved[vertices] = averaged

@@ -1,1 +1,1 @@
-"""The studio's page: two views and two panels by viser, behind one door."""
+"""The page (HTML, JavaScript, three.js), what it is told, what it may ask for, and the server for both."""

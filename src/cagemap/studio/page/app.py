@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
+import itertools
+import json
 import logging
 import threading
 import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-import viser
-
-from cagemap.studio.downloads import content
+from cagemap.studio.downloads import content, textured, textured_name
 from cagemap.studio.landmarks import SIDES
-from cagemap.studio.page.cameras import Cameras
-from cagemap.studio.page.choices import Choices
-from cagemap.studio.page.panels import SetupPanel, WorkPanel
-from cagemap.studio.page.proxy import LOOPBACK, Door, new_token
-from cagemap.studio.page.view import FIRST_VIEW, ModelView
-from cagemap.studio.page.viser_auth import guarded, require_guarded
+from cagemap.studio.page.actions import Actions
+from cagemap.studio.page.form import form
+from cagemap.studio.page.server import LOOPBACK, Server, new_token
+from cagemap.studio.page.shown import fixed, lines, listing, page_state
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.state import Files, Studio
@@ -28,6 +25,8 @@ from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import Options
 
 log = logging.getLogger(__name__)
+# What a page asks for to know the files that have come since.
+LIST = '{"do":"list"}'
 
 
 @dataclass(frozen=True)
@@ -70,34 +69,15 @@ class StudioApp:
 
     def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
-        secret = new_token()
-        # viser prints the addresses of its own ports, which answer nobody.
-        with guarded(secret), contextlib.redirect_stdout(io.StringIO()):
-            self._servers = {side: viser.ViserServer("127.0.0.1", 0, verbose=False) for side in SIDES}
-        for server in self._servers.values():
-            server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
-        target, source = self._servers["target"], self._servers["source"]
-        cameras = Cameras(self.session, (target, source), FIRST_VIEW)
-        self._views = (ModelView(target, "target", self.session), ModelView(source, "source", self.session))
-        choices = Choices(self.session.workspace)
-        self._setup = SetupPanel(target, self.session, choices, cameras.frame)
-        self._work = WorkPanel(source, self.session, choices)
+        self._actions = Actions(self.session)
+        self._drawn: dict[str, tuple[object, Callable[[], bytes]]] = {}
+        self._count, self._drawing = itertools.count(1), threading.Lock()
         self._changed, self._closed = threading.Event(), False
+        token = None if request.host in LOOPBACK else new_token()
+        self._server = Server(request.host, request.port, token, self._given_out, self._draw, self._hello, self._heard)
         self.session.subscribe(lambda *_: self._changed.set())
         threading.Thread(target=self._follow, name="studio page", daemon=True).start()
-        token = None if request.host in LOOPBACK else new_token()
-        ports = {side: server.get_port() for side, server in self._servers.items()}
-        for port in ports.values():
-            require_guarded(port)
-        self._door = Door(
-            {str(side): port for side, port in ports.items()},
-            request.host,
-            request.port,
-            token,
-            secret,
-            lambda name: content(self.session.state.outputs, name),
-        )
-        self.address = self._door.address
+        self.address = self._server.address
         if request.files is not None:
             self.session.open(request.files)
 
@@ -106,30 +86,65 @@ class StudioApp:
         self._closed = True
         self._changed.set()
         self.session.close()
-        self._door.close()
-        for server in self._servers.values():
-            server.stop()
+        self._server.close()
 
     def _follow(self) -> None:
-        """Bring the page up to date whenever something changed; changes in between are skipped."""
+        """Tell all pages whenever something changed; changes in between are skipped."""
         while True:
             self._changed.wait()
             self._changed.clear()
             if self._closed:
                 return
             try:
-                self._refresh(self.session.state, self.session.scene)
+                self._server.tell(self._state())
             except Exception:  # the next change is another try
                 log.exception("the page could not be brought up to date")
 
-    def _refresh(self, state: Studio, scene: Scene | None) -> None:
-        # The panels first, in messages of their own: a page takes them at once, what is drawn with the next picture.
-        self._work.refresh(state)
-        self._setup.refresh(state, scene)
-        for server in self._servers.values():
-            server.flush()
-        for view in self._views:
-            view.refresh(state, scene)
+    def _state(self) -> str:
+        state, scene = self.session.state, self.session.scene
+        return json.dumps(page_state(state, scene, self.session.workspace, self._keys(state, scene)))
+
+    def _keys(self, state: Studio, scene: Scene | None) -> dict[str, str]:
+        """Names of what there is to draw: another one for whatever has changed."""
+        if scene is None:
+            return {}
+        now: dict[str, tuple[object, Callable[[], bytes]]] = {}
+        for number, side in enumerate(SIDES):
+            shape, skin, curves = scene.shape(side), scene.skins[number], state.history.present.curves
+            now[f"{side}/skin"] = skin, partial(bytes, skin)
+            now[f"{side}/cage"] = shape, partial(lines, state, scene, side, cage=True)
+            now[f"{side}/curves"] = (shape, curves), partial(lines, state, scene, side, cage=False)
+        with self._drawing:
+            known = {key.rpartition("/")[0]: (key, of) for key, (of, _) in self._drawn.items()}
+            same = {name: key for name, (key, of) in known.items() if name in now and _same(now[name][0], of)}
+            keys = {name: same.get(name) or f"{name}/{next(self._count)}" for name in now}
+            self._drawn = {keys[name]: one for name, one in now.items()}
+        return keys
+
+    def _draw(self, key: str) -> bytes | None:
+        found = self._drawn.get(key)
+        return None if found is None else found[1]()
+
+    def _given_out(self, name: str) -> tuple[bytes, str] | None:
+        state = self.session.state
+        if name == textured_name(state):
+            return textured(state), "model/gltf-binary"
+        return content(state.outputs, name)
+
+    def _hello(self) -> tuple[str, ...]:
+        workspace, options = self.session.workspace, self.session.options
+        return json.dumps(fixed() | listing(workspace) | form(options)), self._state()
+
+    def _heard(self, message: str | bytes, reply: Callable[[str], None]) -> None:
+        self._actions.do(message)
+        if isinstance(message, bytes) or message == LIST:
+            reply(json.dumps(listing(self.session.workspace)))
+
+
+def _same(one: object, other: object) -> bool:
+    """Whether two values, or all of two tuples, are the very same."""
+    ones, others = (value if isinstance(value, tuple) else (value,) for value in (one, other))
+    return len(ones) == len(others) and all(a is b for a, b in zip(ones, others, strict=True))
 
 
 def run_page(request: PageRequest, tell: Callable[[str], None]) -> None:

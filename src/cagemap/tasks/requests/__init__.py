@@ -1,1 +1,1 @@
-"""What is asked of each task: one dataclass each, with the words of its options."""
+"""Requests of the tasks: one dataclass each, annotated with its options."""

@@ -1,4 +1,4 @@
-"""Requests of the commands that make something of a pair, and their options as values for the studio's page."""
+"""Requests of match, transfer, wrap and report, and their options as values for the studio's page."""
 
 from __future__ import annotations
 

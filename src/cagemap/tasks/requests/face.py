@@ -1,4 +1,4 @@
-"""What is asked of `cagemap face`: one dataclass, with the words of its options."""
+"""Request of `cagemap face`, annotated with its options."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, F
 class FaceRequest:
     """What the user asked for."""
 
-    head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .obj, .ply or USD.")]
+    head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
     output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
     part: Annotated[str | None, Option(group=INPUT, help="Part of HEAD that has the face.  [default: the largest]")] = (
         None

@@ -1,4 +1,4 @@
-"""What is asked of `cagemap functions`: one dataclass, with the words of its options."""
+"""Request of `cagemap functions`, annotated with its options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of `cagemap map`: one dataclass, with the words of its options."""
+"""Request of `cagemap map`, annotated with its options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of `cagemap match`: one dataclass, with the words of its options."""
+"""Request of `cagemap match`, annotated with its options."""
 
 from __future__ import annotations
 
@@ -37,10 +37,13 @@ class MatchRequest:
 
     target: Annotated[
         Path,
-        Option("--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM or USD."),
+        Option(
+            "--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."
+        ),
     ]
     source: Annotated[
-        Path, Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM or USD.")
+        Path,
+        Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
     ]
     landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
     output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="RESULT folder to write.")]

@@ -1,4 +1,4 @@
-"""How fields of requests are said as options, and the options that several requests share."""
+"""Annotations that make fields of requests options, and options that several requests share."""
 
 from __future__ import annotations
 
@@ -86,7 +86,9 @@ Space = Annotated[
     str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
 ]
 Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
-MeshFile = Annotated[Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl, glTF, VRM or USD.")]
+MeshFile = Annotated[
+    Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.")
+]
 Force = Annotated[
     bool,
     Option("--force", group=OUTPUT, help="Overwrite files that cagemap did not write, or that were changed since."),

@@ -1,4 +1,4 @@
-"""What is asked of `cagemap rig`: one dataclass, with the words of its options."""
+"""Request of `cagemap rig`, annotated with its options."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, F
 class RigRequest:
     """What the user asked for."""
 
-    body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .obj, .ply or USD.")]
-    like: Annotated[Path, Option("--like", group=INPUT, help="Character to take it all from: .glb, .gltf or .vrm.")]
+    body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
+    like: Annotated[
+        Path, Option("--like", group=INPUT, help="Character to take it all from: .glb, .gltf, .vrm or .fbx.")
+    ]
     output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
     landmarks: Annotated[
         Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
@@ -34,6 +36,9 @@ class RigRequest:
     )
     cloth: Annotated[str | None, Option(group=INPUT, help="Passengers that follow the skin: mask,belt.")] = None
     influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints that move a vertex; 0 for all.")] = 4
+    keep_textures: Annotated[
+        bool, Option("--keep-textures", group=OUTPUT, help="BODY keeps its own materials and textures.")
+    ] = False
     size: Annotated[
         int | None, Option(group=OUTPUT, min=1, help="Side of baked textures.  [default: as the character's]")
     ] = None

@@ -1,4 +1,4 @@
-"""What is asked of `cagemap transfer`: one dataclass, with the words of its options."""
+"""Request of `cagemap transfer`, annotated with its options."""
 
 from __future__ import annotations
 
@@ -72,6 +72,10 @@ class TransferRequest:
         Path | None, Option(help="Skinning weights of the source, a column a joint: .csv, .npz, glTF.")
     ] = None
     influences: Annotated[int, Option(min=0, help="Weights: at most so many joints a vertex; 0 for all.")] = 4
+    only: Annotated[
+        str | None, Option(help="Weights: of these joints, with commas; --base has the target's own of all others.")
+    ] = None
+    mirror: Annotated[bool, Option("--mirror", help="Weights: make both sides alike, by the joints' names.")] = False
     joints: Annotated[Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights its names.")] = None
     blend_shapes: Annotated[
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")

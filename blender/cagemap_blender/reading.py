@@ -1,0 +1,302 @@
+"""What the scene gives: control meshes, landmarks, groups, shapes and images as arrays.
+
+Places are in the frame of an object of the pair: the world's axes and units, from that object's origin. So an object
+that is moved stays matched.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .client import RefusedError
+
+_UV_SMOOTH = {
+    "NONE": "all",
+    "PRESERVE_CORNERS": "corners_only",
+    "PRESERVE_CORNERS_AND_JUNCTIONS": "corners_plus1",
+    "PRESERVE_CORNERS_JUNCTIONS_AND_CONCAVE": "corners_plus2",
+    "PRESERVE_BOUNDARIES": "boundaries",
+    "SMOOTH_ALL": "none",
+}
+_BOUNDARY = {"PRESERVE_CORNERS": "edge_and_corner", "ALL": "edge_only"}
+_CAGE_MODIFIERS = ("SUBSURF", "MULTIRES")
+# Attributes that are no painted colours: the map itself.
+MAP_COLORS = "cagemap"
+
+
+def sides(context):
+    """Target and source, as they stand."""
+    settings = context.scene.cagemap
+    for role in ("source", "target"):
+        thing = getattr(settings, role)
+        if thing is None or thing.name not in context.scene.objects:
+            raise RefusedError(f"Choose a mesh as {role}.")
+        if thing.mode == "EDIT":  # what modifiers make of it is not known there, and groups cannot be written
+            raise RefusedError(f"{thing.name} is in Edit Mode. Leave it (Tab), and press the button again.")
+    if settings.target.data == settings.source.data:
+        raise RefusedError("Target and source are the same mesh. Choose two.")
+    context.view_layer.update()
+    return settings.target, settings.source
+
+
+def world(thing):
+    """(4, 4) from the object's space to the world."""
+    return np.array(thing.matrix_world, dtype=np.float64)
+
+
+def in_frame(thing, places, of):
+    """Places (n, 3) of an object's space in the frame of an object of the pair."""
+    matrix = world(thing)
+    return places @ matrix[:3, :3].T + (matrix[:3, 3] - world(of)[:3, 3])
+
+
+def from_frame(thing, places, of):
+    """Places (n, 3) in the frame of an object of the pair in the space of an object."""
+    matrix = world(thing)
+    return (places - (matrix[:3, 3] - world(of)[:3, 3])) @ np.linalg.inv(matrix[:3, :3]).T
+
+
+def numbers(collection, name, width=1, kind=np.float32):
+    """(n, width) or (n,) values of a property of everything in a collection."""
+    values = np.empty(width * len(collection), dtype=kind)
+    collection.foreach_get(name, values)
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def coordinates(points):
+    """(n, 3) float64 places of vertices or of a shape key's points."""
+    return numbers(points, "co", 3).astype(np.float64)
+
+
+def rest_positions(thing):
+    """(n, 3) control vertices in the object's space, without shape keys and pose."""
+    keys = thing.data.shape_keys
+    return coordinates(keys.reference_key.data if keys else thing.data.vertices)
+
+
+def mesh_arrays(context, thing, of=None):
+    """The control mesh as `worker.control_mesh` takes it, subdivided as its modifier says."""
+    require_control_mesh(context, thing)
+    mesh = thing.data
+    sizes, vertices = (
+        numbers(mesh.polygons, "loop_total", kind=np.int32),
+        numbers(mesh.loops, "vertex_index", kind=np.int32),
+    )
+    loops = np.arange(len(vertices))
+    if np.linalg.det(world(thing)) < 0:  # a mirrored object shows its faces from the other side
+        starts = np.repeat(np.cumsum(sizes) - sizes, sizes)
+        loops = 2 * starts + np.repeat(sizes, sizes) - 1 - loops
+    return {
+        "name": thing.name,
+        "positions": in_frame(thing, rest_positions(thing), of or thing),
+        "sizes": sizes.astype(np.int64),
+        "corners": vertices[loops].astype(np.int64),
+        "loops": loops.astype(np.int64),
+        **_subdivision(thing),
+    }
+
+
+def _subdivision(thing):
+    """Scheme, options and creases as the modifier has them; a mesh without one is its own surface."""
+    modifier = cage_modifier(thing)
+    none = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    if modifier is None:
+        return {"scheme": "none", "options": {}, "creases": none, "sharp_corners": none}
+    simple = getattr(modifier, "subdivision_type", "CATMULL_CLARK") == "SIMPLE"
+    found = {
+        "scheme": "bilinear" if simple else "catmull-clark",
+        "options": {
+            "boundary": _BOUNDARY[modifier.boundary_smooth],
+            "uv_interpolation": _UV_SMOOTH[modifier.uv_smooth],
+        },
+        "creases": none,
+        "sharp_corners": none,
+    }
+    if modifier.use_creases:
+        mesh = thing.data
+        edges = numbers(mesh.edges, "vertices", 2, np.int32).astype(np.int64)
+        creased, sharp = _sharpness(mesh, "crease_edge"), _sharpness(mesh, "crease_vert")
+        found["creases"] = edges[np.flatnonzero(creased)], creased[creased > 0]
+        found["sharp_corners"] = np.flatnonzero(sharp), sharp[sharp > 0]
+    return found
+
+
+def _sharpness(mesh, name):
+    """Sharpness by edge or vertex: 10 c^2 of Blender's crease c."""
+    attribute = mesh.attributes.get(name)
+    return np.zeros(0) if attribute is None else 10.0 * numbers(attribute.data, "value").astype(np.float64) ** 2
+
+
+def cage_modifier(thing):
+    """The modifier that subdivides an object, None where none that is shown does."""
+    return next((m for m in thing.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
+
+
+def require_control_mesh(context, thing):
+    """Refuse an object whose modifiers make another mesh before it is subdivided: numbers would not fit."""
+    stack = list(thing.modifiers)
+    subdivides = cage_modifier(thing)
+    first = len(stack) if subdivides is None else stack.index(subdivides)
+    shown = [m.show_viewport for m in stack]
+    try:
+        for modifier in stack[first:]:
+            modifier.show_viewport = False
+        mesh = thing.evaluated_get(context.evaluated_depsgraph_get()).data
+        same = (len(mesh.vertices), len(mesh.polygons)) == (len(thing.data.vertices), len(thing.data.polygons))
+    finally:
+        for modifier, before in zip(stack, shown, strict=True):
+            modifier.show_viewport = before
+    if not same:
+        names = ", ".join(m.name for m, on in zip(stack, shown, strict=True) if on and m in stack[:first])
+        raise RefusedError(f"{thing.name}: its modifiers ({names}) add or remove vertices. Apply or hide them first.")
+
+
+def plain_name(name):
+    """A name without the number that Blender appends to names that are taken."""
+    return re.sub(r"\.\d{3,}$", "", name)
+
+
+def landmark_points(thing):
+    """Places of an object's landmarks in its frame by name: empties that are its children."""
+    turn, points = world(thing)[:3, :3], {}
+    step = 1e-5 * np.ptp(rest_positions(thing) @ turn.T, axis=0).max()  # moved with its object, it rounds otherwise
+    for child in thing.children:
+        if child.type == "EMPTY":
+            name = plain_name(child.name)
+            if name in points:
+                raise RefusedError(f"{thing.name}: more than one landmark is called {name}. Rename or delete one.")
+            place = np.array(child.matrix_world.translation - thing.matrix_world.translation)
+            points[name] = (step * np.rint(place / step)).tolist()
+    return points
+
+
+def match_arguments(context):
+    """Arguments of `worker.Session.match`."""
+    target, source = sides(context)
+    return {
+        "target": mesh_arrays(context, target),
+        "source": mesh_arrays(context, source),
+        "target_points": landmark_points(target),
+        "source_points": landmark_points(source),
+        "vertices": context.scene.cagemap.vertices,
+    }
+
+
+def digest(value):
+    """A text that differs where arguments do."""
+    found = hashlib.sha256()
+
+    def add(one: Any) -> None:
+        if isinstance(one, dict):
+            for name in sorted(one):
+                found.update(name.encode())
+                add(one[name])
+        elif isinstance(one, tuple):
+            for part in one:
+                add(part)
+        else:
+            found.update(one.tobytes() if isinstance(one, np.ndarray) else repr(one).encode())
+
+    add(value)
+    return found.hexdigest()
+
+
+def vertex_groups(thing):
+    """Weights (n,) of every vertex group, by name."""
+    table = np.zeros((len(thing.vertex_groups), len(thing.data.vertices)))
+    for vertex in thing.data.vertices:
+        for element in vertex.groups:
+            table[element.group, vertex.index] = element.weight
+    return {group.name: table[group.index] for group in thing.vertex_groups}
+
+
+def armature_of(thing):
+    """The first armature that deforms an object, or None."""
+    return next((m.object for m in thing.modifiers if m.type == "ARMATURE" and m.object), None)
+
+
+def bone_names(thing):
+    """Names of the bones that deform an object: their groups are skin weights, all others are plain values."""
+    armatures = [m.object for m in thing.modifiers if m.type == "ARMATURE" and m.object]
+    return {bone.name for armature in armatures for bone in armature.data.bones if bone.use_deform}
+
+
+def shape_offsets(thing):
+    """Offsets (n, 3) of shape keys in the world's axes, by name."""
+    keys, turn = thing.data.shape_keys, world(thing)[:3, :3]
+    return {
+        key.name: (coordinates(key.data) - coordinates(key.relative_key.data)) @ turn.T
+        for key in (keys.key_blocks if keys else ())
+        if key != keys.reference_key
+    }
+
+
+def uv_layers(thing):
+    """UVs (c, 2) of every layer by name."""
+    return {layer.name: numbers(layer.uv, "vector", 2).astype(np.float64) for layer in thing.data.uv_layers}
+
+
+def color_attributes(thing):
+    """Colours (n, 4) of vertices or (c, 4) of face corners by name, with their domain and type."""
+    return {
+        one.name: (numbers(one.data, "color", 4).astype(np.float64), one.domain, one.data_type)
+        for one in thing.data.color_attributes
+        if one.name != MAP_COLORS
+    }
+
+
+def image_nodes(material):
+    """Nodes of a material that show an image."""
+    nodes = material.node_tree.nodes if material and material.node_tree else ()
+    return [node for node in nodes if node.type == "TEX_IMAGE" and node.image]
+
+
+def is_normal_map(node):
+    """Whether an image is read as a normal map in tangent space."""
+    ends = [link.to_node for output in node.outputs for link in output.links]
+    return any(end.type == "NORMAL_MAP" and end.space == "TANGENT" for end in ends)
+
+
+def node_uvs(thing, node):
+    """Name of the UV layer that an image is laid over."""
+    links = node.inputs["Vector"].links
+    asked = links[0].from_node.uv_map if links and links[0].from_node.type == "UVMAP" else ""
+    if asked in thing.data.uv_layers:
+        return asked
+    layer = next((layer for layer in thing.data.uv_layers if layer.active_render), None)
+    if layer is None:
+        raise RefusedError(f"{thing.name} has no UV map, over which its images lie. Unwrap it first.")
+    return layer.name
+
+
+def pixels_of(image):
+    """Pixels (h, w, 4) of an image, row 0 at the top: of 8 bits where it has no more; of tiles by UDIM number."""
+    if image.source == "TILED" and len(image.tiles) > 1:
+        return {tile.number: _tile_pixels(image, tile.number) for tile in image.tiles}
+    width, height = image.size
+    if not width or not height:
+        name = Path(image.filepath).name
+        raise RefusedError(f"{image.name}: its file {name} is missing. Find it, or remove its node.")
+    values = np.empty(width * height * 4, dtype=np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, 4)[::-1]
+    return np.ascontiguousarray(values) if image.is_float else np.rint(255 * values).astype(np.uint8)
+
+
+def _tile_pixels(image, number):
+    """Pixels of one tile, from its file: Blender gives those of the first tile only."""
+    path = Path(bpy.path.abspath(image.filepath).replace("<UDIM>", str(number)))
+    if not path.is_file() or image.is_dirty:
+        raise RefusedError(f"{image.name}: the file of tile {number} is missing. Save the image with its tiles first.")
+    tile = bpy.data.images.load(str(path))
+    try:
+        tile.colorspace_settings.name = image.colorspace_settings.name
+        return pixels_of(tile)
+    finally:
+        bpy.data.images.remove(tile)

@@ -1,0 +1,174 @@
+"""How a button runs: requests to the computing process one after another, in the background, then one undo step."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import bpy
+
+from .client import Message, RefusedError, Worker
+from .reading import digest, match_arguments, sides
+from .writing import show_map
+
+WORKER = Worker()
+Requests = Generator[Message, dict[str, Any], str | None]
+
+
+def matching(context):
+    """Requests that give the computing process the map of the pair as it stands; the sentences about it."""
+    arguments = match_arguments(context)
+    asked = pair_digest(arguments)
+    if WORKER.has_match and WORKER.matched == asked:
+        return context.scene.cagemap.said
+    found = yield "match", arguments
+    WORKER.matched = asked
+    return show_answer(context, found)
+
+
+def pair_digest(arguments):
+    """What tells whether a pair has been matched as it is: of all but the landmarks, and of the landmarks."""
+    marks = ("target_points", "source_points")
+    rest = {name: value for name, value in arguments.items() if name not in marks}
+    return digest(rest), digest({name: arguments[name] for name in marks})
+
+
+def show_answer(context, found):
+    """Show the colours of a map on both objects; the sentences about it."""
+    target, source = sides(context)
+    show_map(target, found["target_colors"])
+    show_map(source, found["source_colors"])
+    return "\n".join(found["said"])
+
+
+def begin(requests):
+    """Send the first request of a button."""
+    WORKER.send(*next(requests))
+
+
+def proceed(requests, message):
+    """Give a reply to a button; True while it asks for more, else its sentence or None.
+
+    Raises
+    ------
+    RefusedError
+    """
+    kind, value = message
+    if kind == "refused":
+        raise RefusedError(value)
+    if kind == "stage":
+        return True
+    try:
+        WORKER.send(*requests.send(value))
+    except StopIteration as end:
+        return end.value
+    return True
+
+
+@bpy.app.handlers.persistent
+def stop(*_):
+    """End what runs: another file that is opened would leave it to nobody."""
+    WORKER.stop()
+    Work.running = False
+
+
+class Work:
+    """A button: `requests` yields what is computed in the background, and writes the results into the scene."""
+
+    bl_options = frozenset({"UNDO"})  # not REGISTER: to adjust the last operation would block Blender
+    running = False
+
+    def requests(self, context) -> Requests:
+        """Requests to the computing process, each of which gives its values; a sentence for the panel, or None."""
+        raise NotImplementedError
+
+    def execute(self, context):
+        """From a script: wait for it."""
+        return self._guarded(context, self._all)
+
+    def invoke(self, context, event):
+        """From a button: Blender goes on meanwhile; Esc stops it."""
+        if Work.running:
+            self.report({"ERROR"}, "cagemap is computing. Wait, or press Esc in the 3D view.")
+            return {"CANCELLED"}
+        return self._guarded(context, self._begin)
+
+    def modal(self, context, event):
+        """Look now and then for replies."""
+        if event.type == "ESC":
+            WORKER.stop()
+            self._end(context)
+            self.report({"WARNING"}, f"{self.bl_label} was stopped; nothing was changed.")
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        answer = {"CANCELLED"}
+        try:
+            answer = self._guarded(context, self._next)
+        finally:  # also after a fault of ours: without it the buttons would stay grey
+            if answer != {"PASS_THROUGH"}:
+                self._end(context)
+        return answer
+
+    def _guarded(self, context, step):
+        try:
+            return step(context)
+        except RefusedError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def _all(self, context):
+        while WORKER.busy:  # a landmark was dragged just now
+            WORKER.receive(timeout=1.0)
+            WORKER.matched = ("", "")
+        answer = self._start(context)
+        while answer is True:
+            message = WORKER.receive(timeout=1.0)
+            answer = True if message is None else proceed(self._requests, message)
+        return self._finish(context, answer)
+
+    def _begin(self, context):
+        self._names = [thing.name for thing in sides(context)]
+        self._requests = None
+        answer = WORKER.busy or self._start(context)
+        if answer is not True:
+            return self._finish(context, answer)
+        Work.running = True
+        self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        context.workspace.status_text_set(f"cagemap, {self.bl_label}: starting. Esc stops it.")
+        return {"RUNNING_MODAL"}
+
+    def _start(self, context):
+        """Send the first request; True, or what is said where there is nothing to compute."""
+        self._requests = self.requests(context)
+        try:
+            begin(self._requests)
+        except StopIteration as end:
+            return end.value
+        return True
+
+    def _next(self, context):
+        if [thing.name for thing in sides(context)] != self._names:
+            raise RefusedError(f"Other objects were chosen than {' and '.join(self._names)}. Choose them again.")
+        if self._requests is None:  # a landmark was dragged just now, `live` takes the reply
+            answer = WORKER.busy or self._start(context)
+        else:
+            message = WORKER.receive()
+            if message is None:
+                return {"PASS_THROUGH"}
+            if message[0] == "stage":
+                context.workspace.status_text_set(f"cagemap, {self.bl_label}: {message[1]}. Esc stops it.")
+            answer = proceed(self._requests, message)
+        return {"PASS_THROUGH"} if answer is True else self._finish(context, answer)
+
+    def _finish(self, context, said):
+        if said is not None:
+            context.scene.cagemap.said = said
+            self.report({"INFO"}, said)
+        return {"FINISHED"}
+
+    def _end(self, context):
+        Work.running = False
+        context.workspace.status_text_set(None)
+        context.window_manager.event_timer_remove(self._timer)

@@ -1,0 +1,280 @@
+"""What the scene gets: colours, groups, shape keys, UVs, materials; what the user made is never replaced."""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+
+import bpy
+import numpy as np
+
+from .client import RefusedError
+from .reading import MAP_COLORS, from_frame, image_nodes, numbers, rest_positions, world
+
+# Weights below this are rounding and are not written.
+_LEAST_WEIGHT = 1e-6
+
+
+def short_name(name):
+    """A name as long as Blender takes it."""
+    return name.encode()[:63].decode(errors="ignore")
+
+
+def require_rows(thing, rows):
+    """Refuse what was computed for another state of the mesh."""
+    if rows != len(thing.data.vertices):
+        raise RefusedError(f"{thing.name} was changed while cagemap computed. Press the button again.")
+
+
+def require_free(thing, kind, names):
+    """Refuse names that the user has given, but for those that an earlier run of ours made."""
+    own, taken = json.loads(thing.get("cagemap_made", "[]")), taken_names(thing, kind)
+    foreign = sorted(name for name in names if name in taken and f"{kind} {name}" not in own)
+    if foreign:
+        raise RefusedError(
+            f"{thing.name} has {kind}s of its own called {', '.join(foreign[:8])}. Rename or delete them."
+        )
+
+
+def claim(thing, kind, names):
+    """Note names that are written now, so that a later run may replace them."""
+    require_free(thing, kind, names)
+    own = set(json.loads(thing.get("cagemap_made", "[]")))
+    thing["cagemap_made"] = json.dumps(sorted(own | {f"{kind} {name}" for name in names}))
+
+
+def taken_names(thing, kind):
+    """Names of the groups, shape keys, UV maps or colour attributes of an object."""
+    keys = thing.data.shape_keys
+    collections = {
+        "vertex group": thing.vertex_groups,
+        "shape key": keys.key_blocks if keys else (),
+        "UV map": thing.data.uv_layers,
+        "colour attribute": thing.data.color_attributes,
+    }
+    return {one.name for one in collections[kind]}
+
+
+def show_map(thing, colors):
+    """Write the map's colours (n, 3) of an object, and show them."""
+    require_rows(thing, len(colors))
+    attributes = thing.data.color_attributes
+    layer = attributes.get(MAP_COLORS) or attributes.new(MAP_COLORS, "FLOAT_COLOR", "POINT")
+    values = np.ones((len(colors), 4), dtype=np.float32)
+    values[:, :3] = np.clip(colors, 0.0, 1.0)
+    layer.data.foreach_set("color", values.ravel())
+    attributes.active_color = layer
+    thing.data.update()
+
+
+def set_groups(thing, groups):
+    """Write vertex groups, weights (n,) by name."""
+    claim(thing, "vertex group", groups)
+    for name, weights in groups.items():
+        require_rows(thing, len(weights))
+        known = thing.vertex_groups.get(name)
+        if known is not None:
+            thing.vertex_groups.remove(known)
+        made = thing.vertex_groups.new(name=name)
+        for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
+            made.add([vertex], float(weights[vertex]), "REPLACE")
+
+
+def set_shapes(thing, offsets):
+    """Write shape keys, offsets (n, 3) in the world's axes by name."""
+    turn = np.linalg.inv(world(thing)[:3, :3])
+    set_positions(thing, {name: rest_positions(thing) + rows @ turn.T for name, rows in offsets.items()})
+
+
+def set_positions(thing, shapes):
+    """Write shape keys, positions (n, 3) in the object's space by name."""
+    for positions in shapes.values():
+        require_rows(thing, len(positions))
+    keys = thing.data.shape_keys
+    claim(thing, "shape key", shapes)
+    if keys is None:
+        thing.shape_key_add(name="Basis", from_mix=False)
+    for name, positions in shapes.items():
+        key = thing.data.shape_keys.key_blocks.get(name) or thing.shape_key_add(name=name, from_mix=False)
+        key.data.foreach_set("co", positions.astype(np.float32).ravel())
+        key.value = 0.0  # Blender 5 shows new ones at once
+    thing.data.update()
+
+
+def set_uvs(thing, layers):
+    """Write UV layers (c, 2) by name; corners without values keep what they have."""
+    claim(thing, "UV map", layers)
+    for name, uvs in layers.items():
+        layer = thing.data.uv_layers.get(name) or thing.data.uv_layers.new(name=name, do_init=False)
+        layer.uv.foreach_set("vector", np.nan_to_num(uvs).astype(np.float32).ravel())
+
+
+def set_colors(thing, colors):
+    """Write colour attributes: values, domain and type by name."""
+    attributes = thing.data.color_attributes
+    claim(thing, "colour attribute", colors)
+    for name, (values, domain, kind) in colors.items():
+        known = attributes.get(name)
+        if known is not None:
+            attributes.remove(known)
+        attributes.new(name, kind, domain).data.foreach_set("color", np.nan_to_num(values).astype(np.float32).ravel())
+
+
+def new_image(name, tiles, like):
+    """An image of pixels (h, w, channels), row 0 at the top, by UDIM number or 0; kept in the .blend file."""
+    name = short_name(name)
+    if list(tiles) == [0]:
+        image = _plain_image(name, tiles[0], like)
+        image.pack()
+        image["cagemap_made"] = name
+        return image
+    stem, suffix = re.sub(r"[^\w-]+", "_", name), "exr" if like.is_float else "png"
+    with tempfile.TemporaryDirectory() as folder:
+        for number, pixels in tiles.items():  # Blender takes pixels of the first tile only, but files of all
+            tile = _plain_image(name, pixels, like)
+            tile.file_format = "OPEN_EXR" if like.is_float else "PNG"
+            tile.filepath_raw = f"{folder}/{stem}.{number}.{suffix}"
+            tile.save()
+            bpy.data.images.remove(tile)
+        image = bpy.data.images.load(f"{folder}/{stem}.{min(tiles)}.{suffix}")
+        image.source, image.name = "TILED", name
+        image.filepath = f"{folder}/{stem}.<UDIM>.{suffix}"
+        there = {tile.number for tile in image.tiles}
+        for number in sorted(set(tiles) - there):
+            image.tiles.new(tile_number=number)
+        for tile in [tile for tile in image.tiles if tile.number not in tiles]:
+            image.tiles.remove(tile)
+        image.colorspace_settings.name, image.alpha_mode = like.colorspace_settings.name, like.alpha_mode
+        image.reload()
+        image.pack()
+    image.filepath_raw = f"//textures/{stem}.<UDIM>.{suffix}"  # where it goes if it is unpacked
+    image["cagemap_made"] = name
+    return image
+
+
+def _plain_image(name, pixels, like):
+    height, width, channels = pixels.shape
+    values = np.ones((height, width, 4), dtype=np.float32)
+    scale = 255.0 if pixels.dtype == np.uint8 else 1.0
+    values[:, :, :channels] = pixels[::-1] / np.float32(scale)
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=like.is_float)
+    image.colorspace_settings.name, image.alpha_mode = like.colorspace_settings.name, like.alpha_mode
+    image.pixels.foreach_set(values.ravel())
+    image.update()
+    return image
+
+
+def set_materials(target, source, faces, images):
+    """Give the target's faces (m,) copies of the source's materials with baked images, by name of the source's."""
+    slots = {}
+    for number, slot in enumerate(source.material_slots):
+        if slot.material is None or number not in faces:
+            continue
+        name = short_name(f"{slot.material.name} on {target.name}")
+        material = slot.material.copy()
+        for node in image_nodes(material):
+            if node.image.name in images:
+                node.image = images[node.image.name]
+                for link in node.inputs["Vector"].links:  # the layout is now the target's own
+                    material.node_tree.links.remove(link)
+        slots[number] = _slot_of(target, name, material)
+    kept = numbers(target.data.polygons, "material_index", kind=np.int32)
+    chosen = [slots.get(number, int(before)) for number, before in zip(faces.tolist(), kept, strict=True)]
+    target.data.polygons.foreach_set("material_index", np.array(chosen, dtype=np.int32))
+    for image in [image for image in bpy.data.images if image.get("cagemap_made") and not image.users]:
+        bpy.data.images.remove(image)  # of the materials that were replaced
+    for image in images.values():
+        image.name = image["cagemap_made"]
+    target.data.update()
+
+
+def _slot_of(target, name, material):
+    """Number of a slot with the material: that of an earlier run, or a new one."""
+    material["cagemap_made"] = name
+    own = [slot.material.get("cagemap_made") if slot.material else None for slot in target.material_slots]
+    if name in own:
+        before = target.material_slots[own.index(name)].material
+        target.material_slots[own.index(name)].material = material
+        if not before.users:
+            bpy.data.materials.remove(before)
+    else:
+        target.data.materials.append(material)
+        own.append(name)
+    material.name = name
+    return own.index(name)
+
+
+def dressed(context, thing, target, source, positions, offsets):
+    """A copy of a mesh that sits on the source, with positions (n, 3) in the target's frame, beside the target."""
+    made = thing.copy()
+    made.data = thing.data.copy()
+    made.name = short_name(f"{thing.name} on {target.name}")
+    for collection in target.users_collection:
+        collection.objects.link(made)
+    made.parent = None
+    made.matrix_world = moved(thing, target, source)
+    context.view_layer.update()
+    places, turn = from_frame(made, positions, target), np.linalg.inv(world(made)[:3, :3])
+    made.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
+    keys = made.data.shape_keys
+    for key in keys.key_blocks if keys else ():
+        shape = places + offsets[key.name] @ turn.T if key.name in offsets else places
+        key.data.foreach_set("co", shape.astype(np.float32).ravel())
+    made.data.update()
+    return made
+
+
+def moved(thing, target, source):
+    """The object's matrix, moved as the target stands from the source."""
+    matrix = thing.matrix_world.copy()
+    matrix.translation += target.matrix_world.translation - source.matrix_world.translation
+    return matrix
+
+
+def rigged(context, armature, target, source, matrices, tails):
+    """A copy of an armature with bones at matrices (j, 4, 4) and tails (j, 3) in the target's frame."""
+    made = armature.copy()
+    made.data = armature.data.copy()
+    made.name = short_name(f"{armature.name} on {target.name}")
+    for collection in target.users_collection:
+        collection.objects.link(made)
+    made.matrix_world = moved(armature, target, source)
+    for bone in made.pose.bones:
+        for constraint in bone.constraints:
+            if getattr(constraint, "target", None) == armature:
+                constraint.target = made
+    context.view_layer.update()
+    heads = from_frame(made, matrices[:, :3, 3], target)
+    ends = from_frame(made, tails, target)
+    turn = np.linalg.inv(world(made)[:3, :3])
+    with context.temp_override(active_object=made, object=made, selected_objects=[made]):
+        context.view_layer.objects.active = made
+        bpy.ops.object.mode_set(mode="EDIT")
+        bones = made.data.edit_bones
+        names = [bone.name for bone in armature.data.bones]
+        connected = [bones[name].use_connect for name in names]
+        for name in names:
+            bones[name].use_connect = False
+        for row, name in enumerate(names):
+            bone = bones[name]
+            along, up = turn @ matrices[row, :3, 1], turn @ matrices[row, :3, 2]
+            length = max(float(np.linalg.norm(ends[row] - heads[row])), 1e-6)
+            bone.head = heads[row]
+            bone.tail = heads[row] + length / np.linalg.norm(along) * along
+            bone.align_roll(up)
+        for name, on in zip(names, connected, strict=True):
+            if on:
+                bones[name].parent.tail = bones[name].head
+                bones[name].use_connect = True
+        bpy.ops.object.mode_set(mode="OBJECT")
+    return made
+
+
+def bind(thing, armature):
+    """Let an armature deform an object, before all that subdivides it."""
+    modifier = next((m for m in thing.modifiers if m.type == "ARMATURE"), None)
+    if modifier is None:
+        modifier = thing.modifiers.new("Armature", "ARMATURE")
+        thing.modifiers.move(len(thing.modifiers) - 1, 0)
+    modifier.object = armature

@@ -1,0 +1,235 @@
+"""An FBX scene as a glTF document; runs in a process of its own (`cagemap.files.fbx.read`)."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ufbx
+
+from cagemap.errors import FormatError
+from cagemap.files.fbx.animations import animation_entry
+from cagemap.files.fbx.held import get, held, items
+from cagemap.files.fbx.materials import Materials
+from cagemap.files.fbx.meshes import FbxMesh, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.read import REFUSED
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.document import glb_bytes
+from cagemap.files.gltf.geometry import mesh_entry
+from cagemap.files.gltf.nodes import decomposed, transform
+from cagemap.files.gltf.skins import invertible
+from cagemap.numerics.arrays import FloatArray
+
+Note = Callable[[str], None]
+
+_AXES = ufbx.CoordinateAxes(
+    ufbx.CoordinateAxis.POSITIVE_X, ufbx.CoordinateAxis.POSITIVE_Y, ufbx.CoordinateAxis.POSITIVE_Z
+)
+# As glTF has it: metres, Y up, right-handed; transforms of nodes are translation, rotation and scale alone.
+_SPACE: dict[str, Any] = {
+    "target_axes": _AXES,
+    "target_unit_meters": 1.0,
+    "space_conversion": ufbx.SpaceConversion.MODIFY_GEOMETRY,
+    "geometry_transform_handling": ufbx.GeometryTransformHandling.MODIFY_GEOMETRY,
+    "inherit_mode_handling": ufbx.InheritModeHandling.COMPENSATE,
+    "pivot_handling": ufbx.PivotHandling.ADJUST_TO_PIVOT,
+    "handedness_conversion_axis": ufbx.MirrorAxis.X,
+}
+# Of the largest number of a transform: joints that differ less from their bind pose are in it.
+_MOVED = 1e-4
+_LEFT_OUT = {
+    "nurbs_surfaces": "NURBS surfaces",
+    "nurbs_curves": "curves",
+    "line_curves": "lines",
+    "lights": "lights",
+    "cameras": "cameras",
+    "cache_deformers": "geometry caches",
+    "constraints": "constraints",
+}
+
+
+def main() -> None:
+    """Read FBX from standard input, write GLB to standard output, notes and errors to standard error."""
+    warnings.simplefilter("ignore")
+    status = 0
+    try:
+        sys.stdout.buffer.write(fbx_glb(sys.stdin.buffer.read(), Path(sys.argv[2]), _note))
+    except (ufbx.UfbxError, FormatError) as error:
+        _note(str(error).replace("\n", " "))
+        status = REFUSED
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)  # without freeing anything, see `cagemap.files.fbx.held`
+
+
+def _note(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+
+
+def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
+    """An FBX file as GLB.
+
+    Parameters
+    ----------
+    content : bytes
+    path : Path
+        Where it lies: textures are found from here.
+    note : callable
+        Called with a line for everything that is left out.
+
+    Raises
+    ------
+    ufbx.UfbxError, FormatError
+        If it is no FBX, or has no polygons.
+    """
+    scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
+    for warning in items(scene, "metadata", "warnings"):
+        note(f"the FBX library says: {get(warning, 'description')} ({get(warning, 'count')} times)")
+    left = [f"{len(found)} {words}" for name, words in _LEFT_OUT.items() if (found := items(scene, name))]
+    if left:
+        note(f"left out: {', '.join(left)}")
+    return _Scene(scene, path, note).glb()
+
+
+class _Scene:
+    """A glTF document that is filled from an FBX scene."""
+
+    def __init__(self, scene: Any, path: Path, note: Note) -> None:
+        self._scene, self._note = scene, note
+        self._nodes = [node for node in items(scene, "nodes") if not get(node, "is_root")]
+        self._number = {get(node, "typed_id"): number for number, node in enumerate(self._nodes)}
+        self._binary = Binary()
+        self._materials = Materials(self._binary, path, note)
+        self._read: dict[int, FbxMesh | None] = {}
+        self._meshes: list[dict[str, Any]] = []
+        self._skins: list[dict[str, Any]] = []
+        self._mesh_of: dict[tuple[int, tuple[int, ...]], int] = {}
+        self._skin_of: dict[int, int] = {}
+
+    def glb(self) -> bytes:
+        """All of it."""
+        entries = [self._node(node) for node in self._nodes]
+        before = self._in_bind_pose(entries)
+        top: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "cagemap"},
+            "scene": 0,
+            "scenes": [{"nodes": [n for n, node in enumerate(self._nodes) if self._parent(node) is None]}],
+            "nodes": entries,
+        }
+        channels = {
+            get(channel, "element_id"): (number, place, len(mesh.channels))
+            for number, node in enumerate(self._nodes)
+            if "mesh" in entries[number] and (mesh := self._mesh(node)) is not None
+            for place, channel in enumerate(mesh.channels)
+        }
+        moving = [
+            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels)
+            for stack in items(self._scene, "anim_stacks")
+        ]
+        for stack, entry in zip(items(self._scene, "anim_stacks"), moving, strict=True):
+            if not entry["channels"]:
+                self._note(f"animation {get(stack, 'name')} moves nothing and is left out")
+        for entry in entries:
+            if "skin" in entry and "children" not in entry:  # moves nothing: joints place the mesh
+                for name in ("translation", "rotation", "scale"):
+                    entry.pop(name)
+        lists = {
+            "meshes": self._meshes,
+            "skins": self._skins,
+            "animations": [entry for entry in moving if entry["channels"]],
+            **self._materials.lists,
+        }
+        document = self._binary.document(top | {name: entries for name, entries in lists.items() if entries})
+        return glb_bytes(document)
+
+    def _parent(self, node: Any) -> int | None:
+        parent = get(node, "parent")
+        return None if parent is None else self._number.get(get(parent, "typed_id"))
+
+    def _node(self, node: Any) -> dict[str, Any]:
+        rest = get(node, "local_transform")
+        entry: dict[str, Any] = {
+            "name": get(node, "name"),
+            "translation": list(rest.translation),
+            "rotation": list(rest.rotation),
+            "scale": list(rest.scale),
+        }
+        children = [self._number[get(child, "typed_id")] for child in items(node, "children")]
+        if children:
+            entry["children"] = children
+        mesh = self._mesh(node)
+        if mesh is None:
+            return entry
+        if not get(node, "visible"):
+            self._note(f"{get(node, 'name')} is hidden and left out")
+            return entry
+        number = get(node, "mesh", "typed_id")
+        materials = tuple(self._materials.number(one) for one in items(node, "materials"))
+        if (number, materials) not in self._mesh_of:
+            self._mesh_of[number, materials] = len(self._meshes)
+            self._meshes.append(self._mesh_entry(mesh, materials))
+        entry["mesh"] = self._mesh_of[number, materials]
+        if mesh.bones:
+            if number not in self._skin_of:
+                self._skin_of[number] = len(self._skins)
+                self._skins.append(self._skin_entry(mesh))
+            entry["skin"] = self._skin_of[number]
+        return entry
+
+    def _in_bind_pose(self, entries: list[dict[str, Any]]) -> dict[int, dict[str, Any]]:
+        """Put the joints into the pose in which meshes were bound; returns what was stated of those that moved."""
+        bind: dict[int, FloatArray] = {}
+        for number, node in enumerate(self._nodes):
+            if "skin" in entries[number] and (mesh := self._mesh(node)) is not None:
+                sound = invertible(mesh.inverse_bind)
+                to_world = row_matrix(get(node, "geometry_to_world"))
+                for bone, inverse in zip(np.array(mesh.bones)[sound].tolist(), mesh.inverse_bind[sound], strict=True):
+                    bind.setdefault(self._number[bone], np.linalg.inv(inverse) @ to_world)
+        world: list[FloatArray] = []
+        before: dict[int, dict[str, Any]] = {}
+        for number, entry in enumerate(entries):
+            local = transform(*(np.array(entry[name]) for name in ("translation", "rotation", "scale")))
+            parent = self._parent(self._nodes[number])
+            above = np.eye(4) if parent is None else world[parent]
+            if number in bind and invertible(above[None]).all():
+                bound = bind[number] @ np.linalg.inv(above)
+                made = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | decomposed(
+                    bound
+                )
+                if "matrix" not in made and np.abs(bound - local).max() > _MOVED * max(np.abs(local).max(), 1e-30):
+                    before[number] = {name: entry[name] for name in made}
+                    entry |= made
+                    local = bound
+            world.append(local @ above)
+        if before and not items(self._scene, "anim_stacks"):
+            self._note(
+                f"{len(before)} joints are posed in the file; they are taken in the pose in which meshes were bound"
+            )
+        return before
+
+    def _mesh(self, node: Any) -> FbxMesh | None:
+        mesh = get(node, "mesh")
+        if mesh is None:
+            return None
+        number = get(mesh, "typed_id")
+        if number not in self._read:
+            self._read[number] = read_fbx_mesh(mesh, get(node, "name"), self._note)
+        return self._read[number]
+
+    def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
+        numbers = [materials[one] if one < len(materials) else None for one in range(len(mesh.control.material_names))]
+        entry = mesh_entry(
+            self._binary, mesh.control, numbers, weights=mesh.weights, shapes=mesh.shapes, normals=mesh.normals
+        )
+        amounts = [float(get(channel, "weight")) for channel in mesh.channels]
+        return entry | ({"weights": amounts} if any(amounts) else {})
+
+    def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:
+        inverse = mesh.inverse_bind.reshape(-1, 16).astype("<f4")
+        joints = [self._number[bone] for bone in mesh.bones]
+        return {"joints": joints, "inverseBindMatrices": self._binary.accessor(np.ascontiguousarray(inverse))}

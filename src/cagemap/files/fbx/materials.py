@@ -1,0 +1,163 @@
+"""Materials and textures of FBX scenes as entries of a glTF document."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.fbx.held import get, held, items
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.entries import image_suffix
+from cagemap.numerics.arrays import FloatArray
+
+# Map of ufbx's materials, and the slot of glTF.
+_SLOTS = {
+    "base_color": "baseColorTexture",
+    "normal_map": "normalTexture",
+    "emission_color": "emissiveTexture",
+    "ambient_occlusion": "occlusionTexture",
+}
+# Of the largest number of a transform.
+_ROUNDING = 1e-5
+
+
+class Materials:
+    """Materials, textures and images that a document gets.
+
+    Parameters
+    ----------
+    binary : Binary
+    path : Path
+        The FBX file: textures lie beside it, or in folders below.
+    note : callable
+    """
+
+    def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
+        self._binary, self._path, self._note = binary, path, note
+        self.lists: dict[str, list[Any]] = {"materials": [], "textures": [], "images": []}
+        self._known: dict[int, int] = {}
+        self._image_of: dict[bytes, int] = {}
+
+    def number(self, material: Any) -> int:
+        """Number in the document of a material."""
+        known = get(material, "typed_id")
+        if known not in self._known:
+            self._known[known] = len(self.lists["materials"])
+            self.lists["materials"].append(self._entry(material))
+        return self._known[known]
+
+    def _entry(self, material: Any) -> dict[str, Any]:
+        name, pbr = get(material, "name"), get(material, "pbr")
+        slots: dict[str, Any] = {}
+        used = []
+        for source, slot in _SLOTS.items():
+            texture = get(pbr, source, "texture")
+            if texture is not None:
+                used.append(get(texture, "element_id"))
+                found = self._texture(texture, f"material {name}: {slot}")
+                slots |= {} if found is None else {slot: found}
+        others = [one for one in items(material, "textures") if get(one, "texture", "element_id") not in used]
+        if others:
+            listed = ", ".join(sorted({get(one, "material_prop") for one in others}))
+            self._note(f"material {name}: textures of {listed} are left out")
+        surface: dict[str, Any] = {
+            "baseColorFactor": [1.0] * 4 if "baseColorTexture" in slots else [*_color(pbr, "base"), 1.0],
+            "metallicFactor": _value(pbr, "metalness", 0.0),
+            "roughnessFactor": _value(pbr, "roughness", 1.0),
+        }
+        glow = [1.0] * 3 if "emissiveTexture" in slots else _color(pbr, "emission")
+        color = {slot: slots.pop(slot) for slot in ("baseColorTexture",) if slot in slots}
+        entry = {"name": name, "pbrMetallicRoughness": surface | color} | slots
+        return entry | ({"emissiveFactor": glow} if any(glow) else {})
+
+    def _texture(self, texture: Any, where: str) -> dict[str, Any] | None:
+        files = [texture, *items(texture, "file_textures")]
+        for one in files:
+            number = self._image(one)
+            if number is not None:
+                self.lists["textures"].append({"source": number})
+                transform = _transform(one) if get(one, "has_uv_transform") else {}
+                if transform is None:
+                    self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
+                elif transform:
+                    self._binary.extensions.add("KHR_texture_transform")
+                return {"index": len(self.lists["textures"]) - 1} | (transform or {})
+        stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
+        self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
+        return None
+
+    def _image(self, texture: Any) -> int | None:
+        """Number of a texture's image; None where there is none."""
+        data = bytes(get(texture, "content")) or self._beside(texture)
+        if not data:
+            return None
+        if data not in self._image_of:
+            suffix = image_suffix(data)
+            kept = data if suffix in (".png", ".jpg") else _as_png(data, PurePosixPath(_stated(texture)).suffix)
+            if kept is None:
+                return None
+            kind = "image/jpeg" if suffix == ".jpg" else "image/png"
+            self._image_of[data] = len(self.lists["images"])
+            self.lists["images"].append({"bufferView": self._binary.view(kept), "mimeType": kind})
+        return self._image_of[data]
+
+    def _beside(self, texture: Any) -> bytes:
+        """The file that a texture names, where it lies in the folder of the FBX; paths of other machines are cut."""
+        stated = PurePosixPath(_stated(texture))
+        folder = self._path.parent
+        for place in (stated, stated.name, f"textures/{stated.name}", f"{self._path.stem}.fbm/{stated.name}"):
+            file = (folder / place).resolve()
+            if stated.name and file.is_relative_to(folder.resolve()) and file.is_file():
+                return held(file.read_bytes())
+        return b""
+
+
+def _stated(texture: Any) -> str:
+    return str(get(texture, "relative_filename") or get(texture, "filename")).replace("\\", "/").replace("\0", "")
+
+
+def _as_png(data: bytes, suffix: str) -> bytes | None:
+    """An image of another format (TGA, TIFF, DDS, ...) as PNG; None where it cannot be read."""
+    from cagemap.files.gltf.material_images import png_bytes
+    from cagemap.files.images.image import read_image
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"image{suffix}"
+        file.write_bytes(data)
+        try:
+            return png_bytes(read_image(file))
+        except FormatError:
+            return None
+
+
+def _value(pbr: Any, name: str, default: float) -> float:
+    stated = get(pbr, name)
+    return float(np.clip(get(stated, "value_vec4").x, 0.0, 1.0)) if get(stated, "has_value") else default
+
+
+def _color(pbr: Any, name: str) -> list[float]:
+    """Colour times its factor."""
+    color = np.array(list(get(pbr, f"{name}_color", "value_vec4")))[:3]
+    return np.clip(color * _value(pbr, f"{name}_factor", 1.0), 0.0, 1.0).tolist()
+
+
+def _transform(texture: Any) -> dict[str, Any] | None:
+    """KHR_texture_transform of a texture whose coordinates are scaled, turned, moved; None where that is not all."""
+    flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 1.0]])  # v down in glTF; for rows
+    stated = np.array(list(get(texture, "uv_to_texture")), dtype=np.float64)
+    rows = np.eye(3)
+    rows[:2, :2], rows[2, :2] = stated[:2, :2], stated[3, :2]
+    down: FloatArray = flip @ rows @ flip
+    across = float(np.hypot(*down[0, :2]))
+    angle = float(np.arctan2(-down[0, 1], down[0, 0]))
+    scale = [across, float(np.linalg.det(down[:2, :2])) / max(across, 1e-30)]
+    c, s = np.cos(angle), np.sin(angle)
+    if np.abs(np.diag(scale) @ [[c, -s], [s, c]] - down[:2, :2]).max() > _ROUNDING * max(map(abs, scale)):
+        return None
+    moved = {"offset": down[2, :2].tolist(), "rotation": angle, "scale": scale}
+    return {"extensions": {"KHR_texture_transform": moved}}

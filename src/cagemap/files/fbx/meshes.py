@@ -1,0 +1,156 @@
+"""Meshes of FBX scenes as control meshes, with weights and blend shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import ufbx
+from numpy.typing import NDArray
+from scipy import sparse
+
+from cagemap.files.fbx.held import floats, get, items, whole
+from cagemap.files.gltf.nodes import distinct
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+
+@dataclass(frozen=True, eq=False)
+class FbxMesh:
+    """A mesh in its own space.
+
+    Attributes
+    ----------
+    control : ControlMesh
+        Vertices are the control points of the file; ``material_names`` has a word for each material slot.
+    weights : (n, j) csr_array or None
+    bones : tuple of int
+        ``typed_id`` of the node of each joint.
+    inverse_bind : (j, 4, 4) float64
+        From the mesh's space to each joint's, for points as rows.
+    shapes : dict of str to (n, 3) float64
+    channels : tuple
+        The blend channel of each shape.
+    normals : (c, 3) float64 or None
+        Of the face corners.
+    """
+
+    control: ControlMesh
+    weights: sparse.csr_array | None = field(default=None, repr=False)
+    bones: tuple[int, ...] = ()
+    inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
+    shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)
+    channels: tuple[Any, ...] = ()
+    normals: FloatArray | None = field(default=None, repr=False)
+
+
+def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
+    """A mesh of a scene; None where it has no polygons."""
+    faces = floats(mesh, "faces", columns=2).astype(np.int64)
+    kept = faces[:, 1] >= 3
+    if not kept.any():
+        return None
+    begins, sizes = faces[kept].T
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    corners = np.repeat(begins - offsets[:-1], sizes) + np.arange(offsets[-1])
+    points = whole(mesh, "vertex_indices")
+    control = ControlMesh(
+        floats(mesh, "vertices", columns=3),
+        offsets,
+        points[corners],
+        scheme=Plain(),
+        name=name,
+        **_materials(mesh, kept),
+    )
+    sets = [_uv_set(one, corners) for one in items(mesh, "uv_sets")]
+    if sets:
+        control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
+        control = replace(control, uv_sets=tuple(sets[1:]))
+    control = _colored(mesh, control, corners, note)
+    creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
+    if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
+        note(f"{name}: creases are left out; OBJ and USD files keep them")
+    shapes = _shapes(mesh, control, note)
+    made = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
+    normals = get(mesh, "vertex_normal")
+    stated = (
+        floats(normals, "values", columns=3)[whole(normals, "indices")[corners]] if get(normals, "exists") else None
+    )
+    made = replace(made, channels=tuple(channel for _, channel in shapes.values()), normals=stated)
+    return _skinned(mesh, made, note)
+
+
+def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
+    slots = whole(mesh, "face_material")
+    if not len(slots) or not items(mesh, "materials"):
+        return {}
+    numbers = slots[kept]
+    return {"face_materials": numbers, "material_names": tuple(f"slot {one}" for one in range(int(numbers.max()) + 1))}
+
+
+def _uv_set(uv_set: Any, corners: IndexArray) -> UvSet:
+    uvs = get(uv_set, "vertex_uv")
+    return UvSet(get(uv_set, "name"), floats(uvs, "values", columns=2), whole(uvs, "indices")[corners])
+
+
+def _colored(mesh: Any, control: ControlMesh, corners: IndexArray, note: Callable[[str], None]) -> ControlMesh:
+    """With the colours of the first set; a vertex has that of one of its corners."""
+    colors = get(mesh, "vertex_color")
+    if not get(colors, "exists"):
+        return control
+    of_corner = floats(colors, "values", columns=4)[whole(colors, "indices")[corners]][:, :3]
+    of_vertex = np.ones((control.n_vertices, 3))
+    of_vertex[control.face_indices] = of_corner
+    if np.abs(of_vertex[control.face_indices] - of_corner).max(initial=0.0) > 1e-3:
+        note(f"{control.name}: vertex colours that differ from face to face became one for each vertex")
+    return replace(control, vertex_colors=np.clip(of_vertex, 0.0, 1.0))
+
+
+def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dict[str, tuple[FloatArray, Any]]:
+    """Offsets at full weight, and the channel, of every blend shape by its name."""
+    channels = [one for deformer in items(mesh, "blend_deformers") for one in items(deformer, "channels")]
+    channels = [one for one in channels if items(one, "keyframes")]
+    found = {}
+    for name, channel in zip(distinct([get(one, "name") or "shape" for one in channels]), channels, strict=True):
+        *between, full = items(channel, "keyframes")
+        if between:
+            note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
+        shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
+        offsets = np.zeros((control.n_vertices, 3))
+        offsets[whole(shape, "offset_vertices")] = floats(shape, "position_offsets", columns=3) / amount
+        found[name] = offsets, channel
+    return found
+
+
+def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
+    skins = items(mesh, "skin_deformers")
+    if not skins:
+        return made
+    name = made.control.name
+    if len(skins) > 1:
+        note(f"{name}: has {len(skins)} skins, the first is used")
+    if get(skins[0], "skinning_method") >= ufbx.SkinningMethod.DUAL_QUATERNION:
+        note(f"{name}: is skinned by dual quaternions, which become linear")
+    clusters = [one for one in items(skins[0], "clusters") if get(one, "bone_node") is not None]
+    if not clusters:
+        return made
+    stated = [get(one, "bone_node", "typed_id") for one in clusters]
+    bones = tuple(dict.fromkeys(stated))
+    matrices = {bone: row_matrix(get(one, "geometry_to_bone")) for bone, one in zip(stated, clusters, strict=True)}
+    vertices = [whole(one, "vertices") for one in clusters]
+    columns = np.repeat([bones.index(bone) for bone in stated], [len(own) for own in vertices])
+    values = np.concatenate([np.array(get(one, "weights"), dtype=np.float64) for one in clusters])
+    shape = made.control.n_vertices, len(bones)
+    weights = sparse.csr_array((np.maximum(values, 0.0), (np.concatenate(vertices), columns)), shape=shape)
+    weights.sum_duplicates()
+    weights.eliminate_zeros()
+    inverse = np.array([matrices[bone] for bone in bones])
+    return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
+
+
+def row_matrix(matrix: Any) -> FloatArray:
+    """(4, 4) for points as rows."""
+    return np.column_stack([np.array(list(matrix), dtype=np.float64), [0.0, 0.0, 0.0, 1.0]])

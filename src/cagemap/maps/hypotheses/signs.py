@@ -1,0 +1,149 @@
+"""Signs of a wrong map, measured without the true one, each with the bound of a map that is 'sure' (`SIGNS`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.deform.prepared import PreparedPair
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import distortion, stretches, weighted_percentiles
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
+
+
+@dataclass(frozen=True)
+class Sign:
+    """One sign of a wrong map.
+
+    Attributes
+    ----------
+    bound : float
+        Largest value of a map that is sure.
+    finding : str
+        What a user reads beyond the bound; ``{value}`` and ``{percent}`` stand for the value.
+    """
+
+    bound: float
+    finding: str
+
+
+# In the order in which a message names them. Where each bound was chosen and judged: docs/lab/judge.md.
+SIGNS: dict[str, Sign] = {
+    # Cost of the target on the source, of its cost on the source's mirror image.
+    "mirrored": Sign(
+        1.2,
+        "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
+        "and right exchanged. If so, mirror one of the files",
+    ),
+    # Share of the target's area.
+    "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    # Median `distortion`, by the target's area.
+    "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    # Share of the target's area that another map, which costs hardly more, turns by `TURN` degrees or more.
+    "limb_turned": Sign(0.05, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
+    # Cost x 1e4 of an alignment that turns the files' axes; 0 of others.
+    "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
+    # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
+    "cost": Sign(7.0, "the shapes differ much"),
+    # Cost, of that of the best different alignment; 0 where there is none.
+    "runner_up": Sign(1 / 1.3, "another alignment fits almost as well"),
+}
+# `runner_up` from which on there are two answers.
+TIE = 1 / 1.12
+# Two places of the target are this much farther apart along one of the surfaces, of sqrt(area), than twice along the
+# other, where the map jumps.
+JUMP = 0.2
+# Images are compared with this many others, within so many mean distances of vertices; normals that are opposite are
+# twice as far apart.
+NEIGHBORS, NEAR = 24, 1.4
+# Length, of sqrt(area), by which opposite normals keep an image from the other side of a thin part.
+FACING = 0.05
+# Degrees between the normals of two maps.
+TURN = 60.0
+# How the warning begins.
+JUMPING = "the map jumps between parts that only touch"
+
+
+def findings(signs: Mapping[str, float]) -> list[str]:
+    """What a user should know of the signs that are beyond their bounds."""
+    beyond = [(sign, signs[name]) for name, sign in SIGNS.items() if signs.get(name, 0.0) > sign.bound]
+    return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
+
+
+def median_distortion(found: PointMap) -> float:
+    """Median `distortion` of a map, by the target's area; 1 for an isometry."""
+    sigma = stretches(found.target.positions, found.images.positions, found.target.triangles)
+    return float(weighted_percentiles(distortion(sigma), found.target.areas, [50.0])[0])
+
+
+def jumps(prepared: PreparedPair, found: PointMap) -> FloatArray:
+    """(n,) how far a map jumps at the vertices of the level that is deformed, of sqrt(area); 0 where it does not.
+
+    It jumps where neighbours map to places that are far from each other along the source, and where places that are far
+    from each other along the target map to one. All costs are Euclidean: a jump across a contact costs nothing.
+    """
+    target, source = prepared.graphs
+    images = found.images.at(prepared.vertices)
+    places, normals = images.positions, images.normals
+    once = target.heads < target.tails
+    edges = np.column_stack([target.heads[once], target.tails[once]])
+    tree = cKDTree(np.hstack([source.positions, FACING * source.normals]))
+    at = tree.query(np.hstack([places, FACING * normals]))[1]
+    pairs = np.concatenate([edges, image_pairs(places, normals)])
+    pairs = pairs[(prepared.rest.masks.of_target(target.n) > 0)[pairs].all(axis=1)]
+    on_target = distances_apart(target.station_distances, pairs)
+    on_source = distances_apart(source.station_distances[:, at], pairs)
+    beyond = np.maximum(on_target, on_source) - 2 * np.minimum(on_target, on_source)
+    farthest = np.zeros(target.n)
+    np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
+    return farthest
+
+
+def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
+    """Share of the target's area at which a map jumps, of how far (n,)."""
+    return float(prepared.rest.graph.areas[farthest > 0].sum())
+
+
+def jump_warnings(prepared: PreparedPair, found: PointMap) -> tuple[str, ...]:
+    """A sentence for a user where a map jumps beyond the bound; none where it does not."""
+    farthest = jumps(prepared, found)
+    share = jump_share(prepared, farthest)
+    if share <= SIGNS["jumps"].bound:
+        return ()
+    mesh = prepared.mesh
+    place = ", ".join(f"{x:.4g}" for x in mesh.positions[farthest.argmax()] / mesh.scale)
+    return (
+        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at ({place}) of the target's file. Add "
+        "landmarks on these parts",
+    )
+
+
+def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
+    """Share of a mesh's area whose normals differ by `TURN` or more between two placements (n, 3)."""
+    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
+    areas = mesh.vertex_areas
+    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURN))].sum() / areas.sum())
+
+
+def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
+    """(m, 2) vertices whose images (n, 3) are near each other and face the same way."""
+    radius = NEAR / np.sqrt(len(places))
+    facing = np.hstack([places, radius * normals])
+    count = min(NEIGHBORS, len(places))
+    distance, others = cKDTree(facing).query(facing, k=count, distance_upper_bound=radius)
+    first = np.repeat(np.arange(len(places)), count)
+    pairs = np.column_stack([first, np.ravel(others)])
+    return pairs[np.isfinite(np.ravel(distance)) & (pairs[:, 0] != pairs[:, 1])]
+
+
+def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
+    """(m,) least distance along the surface that distances (s, n) from some places allow pairs (m, 2); 0 if unknown."""
+    apart = np.zeros(len(pairs))
+    for row in np.where(np.isfinite(distances), distances, np.nan):
+        apart = np.fmax(apart, np.abs(row[pairs[:, 0]] - row[pairs[:, 1]]))
+    return apart

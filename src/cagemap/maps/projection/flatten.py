@@ -1,0 +1,325 @@
+"""Flatten whole parts that a map folds: target and source around them become discs, matched one-to-one.
+
+A part that the source lacks or has much smaller (a fin, a tail) collapses onto it with one side upside down; relaxation
+does not remove such folds. But the part of the target whose image lies in a ball around the fold is a disc, and so is
+the source in that ball. The source's disc is flattened with its rim on a circle. In this plane every vertex of the
+target's disc becomes a convex combination of its neighbours while its rim stays, which is one-to-one (Tutte 1963;
+Floater 2003). Around vertices that are not folded the weights are mean value coordinates, so that the map stays there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import Delaunay
+
+from cagemap.errors import SolverError
+from cagemap.maps.projection.config import FlattenConfig
+from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
+from cagemap.maps.quality import flipped_triangles
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import factor_general
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import row_lengths
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """A piece of a surface that is topologically a disc.
+
+    Attributes
+    ----------
+    vertices : (n,) int64
+        Of the surface.
+    chosen : (t,) int64
+        Triangles of the surface.
+    triangles : (t, 3) int64
+        The same, numbered within the piece.
+    rim : (r,) int64
+        Vertices on its border in counter-clockwise order, numbered within the piece.
+    """
+
+    vertices: IndexArray
+    chosen: IndexArray
+    triangles: IndexArray
+    rim: IndexArray
+
+    @property
+    def inside(self) -> BoolArray:
+        """(n,) which vertices are not on the rim."""
+        inside = np.ones(len(self.vertices), dtype=bool)
+        inside[self.rim] = False
+        return inside
+
+
+def flatten_folded_parts(
+    images: SurfacePoints,
+    flipped: BoolArray,
+    target: TriangleSurface,
+    held: IndexArray,
+    config: FlattenConfig = FlattenConfig(),
+) -> SurfacePoints:
+    """Unfold the parts with the largest folds, each within a disc, where that removes at least half of the fold.
+
+    A limb beyond a ring of folds is a tiny place of the disc, where small changes move it far: a result that displaces
+    much more area than is folded is discarded.
+
+    Parameters
+    ----------
+    images : SurfacePoints
+        Of all target vertices.
+    flipped : (t1,) bool
+        Target triangles that lie upside down.
+    target : TriangleSurface
+    held : (p,) int64
+        Target vertices that may not move (landmarks).
+    """
+    for part in folded_parts(target, flipped, config):
+        for growth in config.growths:
+            found = _flattened(images, part, growth, target, held, config)
+            if found is None:
+                continue
+            chosen, new = found
+            still = flipped_triangles(new, target.triangles[chosen])
+            areas = target.areas[chosen]
+            folded = areas @ flipped[chosen]
+            far = row_lengths(new.positions - images.positions) > config.max_move
+            moved_too_far = target.vertex_areas[far].sum() > config.max_displaced * folded
+            if areas @ still < (1.0 - config.min_unfolded) * folded and not moved_too_far:
+                images, flipped = new, flipped.copy()
+                flipped[chosen] = still
+                break
+    return images
+
+
+def folded_parts(
+    target: TriangleSurface, flipped: BoolArray, config: FlattenConfig = FlattenConfig()
+) -> list[IndexArray]:
+    """Vertices of flipped triangles (t,), by part, the largest first; none if more than ``max_folded`` is folded.
+
+    Parameters
+    ----------
+    target : TriangleSurface
+    flipped : (t,) bool
+        Pieces closer than ``part_distance`` are one part.
+    """
+    triangles, areas = target.triangles, target.areas[flipped]
+    if not config.min_part <= areas.sum() <= config.max_folded:
+        return []
+    n = target.n
+    part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * config.part_distance * np.sqrt(n))), n))
+    share = np.bincount(part[triangles[flipped, 0]], areas)
+    vertices = np.unique(triangles[flipped])
+    large = np.flatnonzero(share >= config.min_part)
+    return [vertices[part[vertices] == k] for k in large[np.argsort(-share[large])]]
+
+
+def _flattened(
+    images: SurfacePoints,
+    part: IndexArray,
+    growth: float,
+    target: TriangleSurface,
+    held: IndexArray,
+    config: FlattenConfig,
+) -> tuple[IndexArray, SurfacePoints] | None:
+    """The target triangles of the disc around a part, and new images; None where either surface has no disc there."""
+    centre = images.positions[part].mean(axis=0)
+    away = row_lengths(images.positions - centre)
+    radius = growth * away[part].max()
+    ball = away < radius
+    ball[part] = True
+    disc = _disc_in(ball, target.triangles, part, touched_triangles, config.max_disc)
+    if disc is None:
+        return None
+    now, source = images.at(disc.vertices), images.surface
+    needed = now.corners.ravel()
+    distance = row_lengths(source.positions - centre)
+    around_it = distance <= max(config.margin * radius, distance[needed].max())
+    below = _disc_in(around_it, source.triangles, needed[:1], _whole_triangles, config.max_disc)
+    if below is None:
+        return None
+    number = np.full(len(source.triangles), -1)
+    number[below.chosen] = np.arange(len(below.chosen))
+    at = number[now.triangle]
+    if np.any(at < 0):
+        return None
+    plane = flat_disc(below)
+    before = np.einsum("nk,nkd->nd", now.barycentric, plane[below.triangles[at]])
+    try:
+        after = combined(convex_weights(before, disc), before, disc.inside)
+    except SolverError:  # points of the map coincide to rounding
+        return None
+    fixed = disc.inside & np.isin(disc.vertices, held)
+    chosen = np.flatnonzero(fixed)
+    moved = moved_to(after, disc.rim, chosen, before[fixed], config.landmark_steps) if len(chosen) else after
+    if moved is None:
+        return None
+    free = disc.inside & ~fixed
+    triangle, barycentric = _located(moved[free], plane, below.triangles)
+    new = SurfacePoints(source, below.chosen[triangle], barycentric)
+    return disc.chosen, images.replaced(disc.vertices[free], new)
+
+
+def flat_disc(disc: Disc) -> FloatArray:
+    """(n, 2) places of a disc in the unit circle: its rim evenly on it, others at the mean of their neighbours."""
+    angles = 2.0 * np.pi * np.arange(len(disc.rim)) / len(disc.rim)
+    plane = np.zeros((len(disc.vertices), 2))
+    plane[disc.rim] = np.column_stack([np.cos(angles), np.sin(angles)])
+    return combined(neighbour_means(disc.triangles, disc.inside), plane, disc.inside)
+
+
+def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
+    """(v, n) convex combinations of their neighbours for the v vertices inside a flat disc, perhaps folded.
+
+    Mean value coordinates (Floater 2003), which reproduce a vertex's place, where the disc is not folded around it and
+    from there to the rim; equal weights elsewhere.
+
+    Parameters
+    ----------
+    places : (n, 2) float64
+    disc : Disc
+    """
+    triangles, inside = disc.triangles, disc.inside
+    n = len(places)
+    rows, columns, weights = [], [], []
+    whole, upright = np.zeros(n), np.ones(n, dtype=bool)
+    for corner in range(3):
+        first, second, third = (triangles[:, (corner + k) % 3] for k in range(3))
+        to_second, to_third = places[second] - places[first], places[third] - places[first]
+        angle = np.arctan2(_cross(to_second, to_third), np.einsum("td,td->t", to_second, to_third))
+        whole += np.bincount(first, angle, minlength=n)
+        upright[first[angle <= 0]] = False
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            weights += [np.tan(angle / 2) / row_lengths(to_second), np.tan(angle / 2) / row_lengths(to_third)]
+        rows += [first, first]
+        columns += [second, third]
+    # All angles may be positive and still go around twice.
+    upright &= np.abs(whole - 2.0 * np.pi) < 1e-3
+    upright |= ~inside
+    patch = patches(triangles, upright)
+    kept = upright & np.isin(patch, patch[~inside])
+    row, value = np.concatenate(rows), np.concatenate(weights)
+    return convex_rows(row, np.concatenate(columns), np.where(kept[row] & np.isfinite(value), value, 1.0), inside)
+
+
+def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
+    """(n, 2) places where every vertex inside is the given combination (v, n) of all, and the others stay.
+
+    Raises
+    ------
+    SolverError
+        If some vertices are combinations of each other alone.
+    """
+    if not inside.any():  # a disc so small that all its vertices are on the rim
+        return places
+    held = np.where(inside[:, None], 0.0, places)
+    matrix = sparse.csc_array(sparse.eye_array(weights.shape[0]) - weights[:, np.flatnonzero(inside)])
+    result = places.copy()
+    result[inside] = factor_general(matrix).solve(weights @ held)
+    return result
+
+
+def moved_to(
+    places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: FloatArray, steps: int
+) -> FloatArray | None:
+    """Places (n, 2) after some of them moved to their goals, the others with them, one-to-one; the rim stays.
+
+    The rim and the chosen points are triangulated. In each step they move as far as no triangle flips, and all other
+    points move affinely with their triangle. None if the goals are not reached in some ``steps``.
+    """
+    corners = np.concatenate([rim, chosen])
+    wanted = np.concatenate([places[rim], goals])
+    for _ in range(steps):
+        mesh = Delaunay(places[corners])
+        ends, share = wanted, 1.0
+        while not _upright(mesh, ends):
+            share /= 2.0
+            if share <= 1e-3:
+                return None
+            ends = mesh.points + share * (wanted - mesh.points)
+        triangle = mesh.find_simplex(places)
+        known = triangle >= 0
+        frame = mesh.transform[triangle[known]]
+        first = np.einsum("nij,nj->ni", frame[:, :2], places[known] - frame[:, 2])
+        barycentric = np.column_stack([first, 1.0 - first.sum(axis=1)])
+        places = places.copy()
+        places[known] = np.einsum("nk,nkd->nd", barycentric, ends[mesh.simplices[triangle[known]]])
+        places[corners] = ends
+        if share == 1.0:
+            # A sliver of the triangulation has no barycentric coordinates.
+            return places if np.isfinite(places).all() else None
+    return None
+
+
+def _upright(mesh: Delaunay, ends: FloatArray) -> bool:
+    """Whether a triangulation keeps the orientation, and a tenth of the area, of all its triangles."""
+
+    def areas(points: FloatArray) -> FloatArray:
+        first, second, third = (points[mesh.simplices[:, k]] for k in range(3))
+        return _cross(second - first, third - first)
+
+    start = areas(mesh.points)
+    return bool(np.all(areas(ends) * np.sign(start) >= 0.1 * np.abs(start)))
+
+
+def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tuple[IndexArray, FloatArray]:
+    """Triangles (m,) of a flat mesh that hold points (m, 2), and barycentric coordinates (m, 3) in them."""
+    flat, queries = (np.column_stack([p, np.zeros(len(p))]) for p in (plane, points))
+    found = SurfacePoints.nearest(TriangleSurface(flat, triangles), queries)
+    return found.triangle, found.barycentric
+
+
+def _disc_in(
+    ball: BoolArray,
+    triangles: IndexArray,
+    seeds: IndexArray,
+    choose: Callable[[IndexArray, BoolArray], BoolArray],
+    max_share: float,
+) -> Disc | None:
+    """The disc of triangles chosen by their corners, in that part of a ball that is connected with the seeds."""
+    patch = patches(triangles, ball)
+    inside = ball & np.isin(patch, patch[seeds])
+
+    def disc(inside: BoolArray) -> Disc | None:
+        return _disc(triangles, np.flatnonzero(choose(triangles, inside)), max_share * len(inside))
+
+    return disc(inside) or disc(_filled(triangles, inside))
+
+
+def _whole_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
+    """(t,) triangles with all corners inside."""
+    return np.asarray(inside[triangles].all(axis=1))
+
+
+def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:
+    """Some triangles as a disc; None if they are not one, or have too many vertices."""
+    vertices, corners = np.unique(triangles[chosen], return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    n = len(vertices)
+    edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    directed = sparse.csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    border = sparse.coo_array((directed - directed.T).maximum(0.0))
+    border.eliminate_zeros()
+    euler = n - (len(edges) + border.nnz) // 2 + len(chosen)
+    if euler != 1 or border.nnz == 0 or n > max_vertices:
+        return None
+    rim = csgraph.depth_first_order(border.tocsr(), int(border.row[0]), return_predecessors=False).astype(np.int64)
+    return Disc(vertices, chosen, corners, rim) if len(rim) == border.nnz else None
+
+
+def _filled(triangles: IndexArray, inside: BoolArray) -> BoolArray:
+    """Vertices inside and those that they surround: all that is not connected with most of the others."""
+    if inside.all():
+        return inside
+    patch = patches(triangles, ~inside)
+    return np.asarray(patch != np.bincount(patch[~inside]).argmax())
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(t,) of vectors (t, 2)."""
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -1,0 +1,85 @@
+// Shaders, and binary glTF files (see skins.py for their attributes) as geometries and textures.
+export const VERTEX = `
+  attribute vec3 place, placeNormal, shown, plain; attribute vec2 own; attribute float trust;
+  uniform float morph;
+  varying vec3 vNormal, vPlace, vShown, vPlain; varying vec2 vUv, vOwn; varying float vTrust;
+  void main() {
+    vNormal = mat3(viewMatrix) * mix(normal, placeNormal, morph);
+    vPlace = place; vShown = shown; vPlain = plain; vUv = uv; vOwn = own; vTrust = trust;
+    gl_Position = projectionMatrix * viewMatrix * vec4(mix(position, place, morph), 1.0);
+  }`;
+export const FRAGMENT = `
+  uniform int look, other; uniform float split, opacity; uniform bool pictured, doubts; uniform sampler2D picture, baked;
+  varying vec3 vNormal, vPlace, vShown, vPlain; varying vec2 vUv, vOwn; varying float vTrust;
+  float checker(vec3 at) {
+    vec3 wave = abs(fract(at * 0.5) - 0.5) * 2.0 - 0.5, s = clamp(wave / max(fwidth(at) * 0.7, 1e-5), -1.0, 1.0);
+    return 0.5 + 0.5 * s.x * s.y * s.z;
+  }
+  vec3 color(int at) {
+    if (at == 0) return pictured ? texture2D(picture, vUv).rgb : vShown;
+    if (at == 1) return (0.5 + 0.62 * vPlace) * mix(0.86, 1.0, checker(vPlace * 12.0));
+    if (at == 2) return mix(vec3(0.93, 0.90, 0.84), vec3(0.20, 0.45, 0.55), checker(vPlace * 12.0));
+    return at == 4 ? texture2D(baked, vOwn).rgb : vPlain;
+  }
+  void main() {
+    int at = other >= 0 && gl_FragCoord.x > split ? other : look;
+    vec3 c = color(at);
+    if (doubts && at < 3 && vTrust < 0.5) c = mix(c, vec3(0.9, 0.1, 0.1), 0.55);
+    vec3 n = normalize(gl_FrontFacing ? vNormal : -vNormal);
+    float light = 0.36 + 0.14 * n.y + 0.60 * max(dot(n, normalize(vec3(-0.45, 0.65, 0.75))), 0.0)
+      + 0.16 * max(dot(n, normalize(vec3(0.8, 0.1, 0.5))), 0.0);
+    gl_FragColor = vec4(pow(min(pow(max(c, 0.0), vec3(2.2)) * light, 1.0), vec3(1.0 / 2.2)), opacity);
+  }`;
+export const LINES = [`attribute vec3 plain; varying vec3 vPlain;
+  void main() { vPlain = plain; gl_Position = projectionMatrix * (viewMatrix * vec4(position, 1.0) + vec4(0.0, 0.0, 0.004, 0.0)); }`,
+  'varying vec3 vPlain; void main() { gl_FragColor = vec4(vPlain, 1.0); }'];
+// Marks whose surface looks away are not drawn.
+export const MARKS = [`attribute vec3 place, placeNormal; attribute vec2 cell; uniform float morph, size; varying vec2 vCell;
+  void main() {
+    vec3 p = mix(position, place, morph), n = mix(normal, placeNormal, morph);
+    vCell = cell; gl_PointSize = dot(n, normalize(cameraPosition - p)) < -0.4 ? 0.0 : size;
+    gl_Position = projectionMatrix * (viewMatrix * vec4(p, 1.0) + vec4(0.0, 0.0, 0.05, 0.0));
+    if (gl_PointSize == 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  }`,
+  `uniform sampler2D atlas; uniform float cells; varying vec2 vCell;
+  void main() {
+    vec4 c = texture2D(atlas, (vCell + gl_PointCoord) / cells);
+    if (c.a < 0.05) discard;
+    gl_FragColor = c;
+  }`];
+const NAMES = {POSITION: 'position', NORMAL: 'normal', TEXCOORD_0: 'uv', TEXCOORD_1: 'own', COLOR_0: 'shown', COLOR_1: 'plain',
+  _PLACE: 'place', _PLACE_NORMAL: 'placeNormal', _TRUST: 'trust'};
+const ARRAYS = {5126: Float32Array, 5125: Uint32Array, 5123: Uint16Array}, COLUMNS = {SCALAR: 1, VEC2: 2, VEC3: 3};
+
+export async function parsed(buffer) {
+  const length = new DataView(buffer).getUint32(12, true), start = 28 + length;
+  const json = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 20, length)));
+  const array = number => {
+    const {componentType, type, count, bufferView} = json.accessors[number], columns = COLUMNS[type];
+    const offset = start + json.bufferViews[bufferView].byteOffset;
+    return new THREE.BufferAttribute(new ARRAYS[componentType](buffer, offset, count * columns), columns);
+  };
+  const meshes = (json.meshes ?? []).map(({name, primitives: [part]}) => {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setIndex(array(part.indices));
+    for (const [key, number] of Object.entries(part.attributes)) geometry.setAttribute(NAMES[key], array(number));
+    return {name, geometry};
+  });
+  const images = Object.fromEntries(await Promise.all((json.images ?? []).map(async ({name, bufferView, mimeType}) => {
+    const {byteOffset, byteLength} = json.bufferViews[bufferView];
+    return [name, await createImageBitmap(new Blob([new Uint8Array(buffer, start + byteOffset, byteLength)], {type: mimeType}))];
+  })));
+  return {meshes, images};
+}
+
+export function texture(image, small = false) {
+  const made = new THREE.Texture(image);
+  Object.assign(made, {flipY: false, colorSpace: THREE.NoColorSpace, generateMipmaps: !small, anisotropy: small ? 1 : 8});
+  if (small) made.minFilter = made.magFilter;
+  else {
+    made.minFilter = THREE.LinearMipmapLinearFilter;
+    made.wrapS = made.wrapT = THREE.RepeatWrapping;
+  }
+  made.needsUpdate = true;
+  return made;
+}

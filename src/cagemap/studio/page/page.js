@@ -1,0 +1,283 @@
+// The page: shows the state that the server tells, and sends what the user does. See actions.py for the messages.
+import {buildForm, element, fill, matching, showFiles} from './form.js';
+import {Views} from './view.js';
+
+const $ = id => document.getElementById(id);
+const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
+let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', typed = null;
+
+$('empty').textContent = 'This browser draws no 3D. Turn WebGL on, or open the page in another browser.';
+const views = new Views($('views'), {
+  click: ray => send('click', ray), probe: ray => send('probe', ray), move: ray => send('move', ray),
+  select: number => send('select', {number}), hint: text => { $('status').textContent = text; },
+});
+$('empty').textContent = 'Drop two models here, or press Open.';
+window.studio = {views, get state() { return state; }};
+
+// The server
+
+function connect() {
+  const one = socket = new WebSocket(`${location.protocol.replace('http', 'ws')}//${location.host}/socket`);
+  one.binaryType = 'arraybuffer';
+  one.onopen = () => { views.forget(); };
+  one.onmessage = ({data}) => {
+    const said = JSON.parse(data);
+    if (said.fixed && !fixed) options = buildForm(said.form, $('first'), $('folds'));  // what is typed stays on a reconnect
+    fixed = said.fixed ?? fixed;
+    if (said.listing) showFiles(listing = said.listing);
+    if (said.status) state = said;
+    if (state) show();
+  };
+  one.onclose = () => {
+    $('status').textContent = 'The studio has ended or cannot be reached. Start it again with the same command: '
+      + 'this page comes back by itself, and nothing is lost.';
+    document.querySelector('footer').dataset.kind = 'gone';
+    $('progress').hidden = $('cancel').hidden = true;
+    setTimeout(connect, AGAIN);
+  };
+}
+function send(what, fields = {}) {
+  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify({do: what, ...fields}));
+}
+async function add(file, role) {
+  const head = new TextEncoder().encode(`${JSON.stringify({name: file.name, role})}\n`);
+  socket.send(new Blob([head, file]));
+}
+
+// What is shown
+
+function show() {
+  const {status, view, models} = state;
+  document.querySelector('footer').dataset.kind = status.kind;
+  text('status', status.text);
+  $('progress').hidden = status.kind !== 'busy';
+  if (status.fraction === null) $('progress').removeAttribute('value');
+  else $('progress').value = status.fraction;
+  $('cancel').hidden = !status.cancel;
+  text('verdict', state.verdict);
+  showMessages();
+  showViews();
+  showMap();
+  showLandmarks();
+  showBake();
+  showModels();
+  for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric']) $(name).checked = view[name];
+  $('rest-line').hidden = !state.rest;
+  $('symmetric').disabled = !state.symmetric;
+}
+function text(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
+
+function showMessages() {
+  const lines = [...state.messages].reverse().map(one => element('li', {className: one.kind, textContent: one.text}));
+  $('log').querySelector('ol').replaceChildren(...lines);
+  $('log').hidden = !lines.length;
+}
+
+function showViews() {
+  const {drawn, models, view} = state;
+  $('empty').hidden = !!models;
+  const modes = fixed.modes.filter(one => one !== 'baked' || state.images.length);
+  fill($('mode'), modes.map(one => [one, one[0].toUpperCase() + one.slice(1)]), view.mode);
+  fill($('other'), [['', '–'], ...modes.map(one => [one, one[0].toUpperCase() + one.slice(1)])], $('other').value);
+  for (const side of SIDES) {
+    const head = $(side).querySelector('h2'), name = models?.[side].name ?? '';
+    head.replaceChildren(side === 'target' ? 'Target ' : 'Source ', element('b', {textContent: name}));
+    for (const kind of ['skin', 'curves', ...(view.cages ? ['cage'] : [])]) {
+      const key = drawn[`${side}/${kind}`];
+      if (key) views.load(side, kind, key);
+    }
+    const other = SIDES.find(one => one !== side);
+    const marks = state.landmarks.filter(one => one[side]).map(one => ({
+      number: one.number, name: one.name, color: one.color, at: one[side], place: side === 'target' ? one[other] : null,
+      solid: one.proposed !== side, selected: one.number === state.selected, wrong: !!one.wrong}));
+    const asked = state.probe?.[side];
+    if (asked) marks.push({number: 0, name: '', color: '#fff', at: [...asked, 0, 0, 0], place: null, solid: true, selected: true});
+    views.setMarks(side, marks);
+  }
+  views.set({look: view.mode, doubts: view.doubts, cages: view.cages, linked: view.linked, rest: view.rest});
+  $('morph').disabled = $('overlay').disabled = !state.revision;
+}
+
+function showMap() {
+  const {answers, chosen} = state;
+  $('answers').replaceChildren(...answers.map((name, index) => {
+    const button = element('button', {textContent: `${index + 1} · ${name}`, onclick: () => send('answer', {index})});
+    button.setAttribute('aria-pressed', index === chosen);
+    return button;
+  }));
+  $('said').replaceChildren(...state.said.map(line => element('p', {textContent: line})));
+  $('why').hidden = !state.said.length;
+  $('again').disabled = !state.models;
+}
+
+function showLandmarks() {
+  const {landmarks, count, curves, selected, saved} = state;
+  $('list').hidden = !landmarks.length;
+  text('count', !landmarks.length && state.models ? 'No landmarks. Where the map is wrong, click that place on one model, then on the other.'
+    : `${count} landmark${count === 1 ? '' : 's'}${curves ? `, ${curves} curves` : ''}${saved ? '' : ' · not saved yet'}`);
+  const rows = [...landmarks].reverse().sort((a, b) => !!b.wrong - !!a.wrong).map(one => {
+    const off = !one.complete ? '…' : one.strain === null ? '' : `${(100 * one.strain).toFixed(1)} %`;
+    const dot = element('i');
+    dot.style.background = one.color;
+    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong},
+      element('td', {}, dot, String(one.number)), element('td', {textContent: one.name + (one.wrong ? ' ⚠' : '')}),
+      element('td', {textContent: off}));
+    row.setAttribute('aria-selected', one.number === selected);
+    row.dataset.number = one.number;
+    row.onclick = () => send('select', {number: one.number});
+    return row;
+  });
+  $('list').querySelector('tbody').replaceChildren(...rows);
+  const item = landmarks.find(one => one.number === selected);
+  $('selected').hidden = !item;
+  if (item && (document.activeElement !== $('name') || typed?.number !== item.number)) $('name').value = item.name;
+  $('undo').disabled = !state.undo;
+  $('redo').disabled = !state.redo;
+  $('accept').disabled = !state.proposal;
+  $('next').disabled = !state.suggests;
+  $('mirror').disabled = !item?.complete || !state.symmetric;
+}
+
+function showBake() {
+  $('start').disabled = !state.models || state.baking;
+  const links = state.outputs.map(({what, name, page}) => {
+    const link = element('a', {href: `files/${encodeURIComponent(name)}`, textContent: name});
+    if (page) Object.assign(link, {target: '_blank', rel: 'noopener'});
+    return element('div', {}, `${what}: `, link);
+  });
+  if ($('outputs').dataset.names !== JSON.stringify(state.outputs)) {
+    $('outputs').replaceChildren(...links);
+    $('outputs').dataset.names = JSON.stringify(state.outputs);
+    if (state.outputs.length) send('list');
+  }
+  $('baked-line').hidden = !state.images.length;
+  fill($('baked'), [['', 'the map, as chosen under Show'], ...state.images], state.view.mode === 'baked' ? state.baked : '');
+}
+
+function showModels() {
+  const {files, models} = state, dialog = $('models').querySelector('form');
+  for (const side of SIDES) {
+    const model = models?.[side], parts = model?.parts ?? [];
+    fill($(`part-${side}`), [...(model?.whole ? [['', 'the whole file']] : []), ...parts.map(([name, faces]) => [name, `${name} (${faces.toLocaleString('en')} faces)`])], model?.opened ?? '');
+    $(`part-${side}`).parentElement.hidden = !parts.length;
+    $(`plain-${side}`).hidden = !model?.dense;
+  }
+  const {meshes, images, landmarks} = fixed.kinds, none = [['', '–']], fields = dialog.elements;
+  const opened = shownFiles !== JSON.stringify(files);  // what is chosen or typed meanwhile stays otherwise
+  shownFiles = JSON.stringify(files);
+  for (const [name, suffixes] of [['target', meshes], ['source', meshes], ['texture', images]]) {
+    const known = opened ? files?.[name] ?? '' : fields[name].value, found = matching(listing, suffixes);
+    fill(fields[name], [...none, ...new Set(known ? [known, ...found] : found)], known);
+  }
+  for (const id of ['pairs', 'points']) fill($(id), [...none, ...matching(listing, landmarks)], $(id).value);
+  if (!opened) return;
+  SIDES.forEach((side, i) => {
+    fill($(`scheme-${side}`), [...AS_FILED, ...fixed.schemes], files?.schemes[i] ?? '');
+    fill($(`up-${side}`), [...AS_FILED, 'y', 'z'], files?.ups[i] ?? '');
+  });
+  fill($('file-form'), fixed.forms.map(([name, ending]) => [ending, name]), fixed.forms[0][1]);
+  $('file').value = files?.landmarks ?? '';
+}
+
+// What the user does
+
+const on = (id, what, done) => $(id).addEventListener(what, done);
+for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
+for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric'])
+  on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
+on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
+on('other', 'change', () => { $('split').hidden = !$('other').value; views.set({other: $('other').value}); });
+on('split', 'input', () => views.set({split: Number($('split').value)}));
+on('morph', 'input', () => views.set({morph: Number($('morph').value)}));
+on('overlay', 'change', () => views.set({overlay: $('overlay').checked}));
+on('numbers', 'change', () => { views.set({numbers: $('numbers').checked}); showViews(); });
+on('frame', 'click', () => views.frame());
+on('theme', 'click', () => {
+  const dark = document.documentElement.dataset.theme ?? (matchMedia('(prefers-color-scheme: dark)').matches ? 'dark' : 'light');
+  theme(dark === 'dark' ? 'light' : 'dark');
+});
+function theme(name) {
+  document.documentElement.dataset.theme = name;
+  localStorage.setItem('theme', name);
+}
+if (localStorage.getItem('theme')) theme(localStorage.getItem('theme'));
+
+on('name', 'input', () => {
+  typed = {number: state.selected};
+  send('rename', {number: state.selected, name: $('name').value});
+});
+on('name', 'blur', () => { typed = null; });
+on('mirror', 'click', () => send('mirror', {number: state.selected}));
+on('delete', 'click', () => send('remove', {number: state.selected}));
+on('save', 'click', () => { send('save', {name: $('file').value}); send('list'); });
+on('load', 'click', () => send('load', {pairs: $('pairs').value, points: $('points').value}));
+on('file-form', 'change', () => {
+  const name = $('file').value, ends = fixed.forms.map(one => one[1]).sort((a, b) => b.length - a.length);
+  const old = ends.find(end => name.toLowerCase().endsWith(end)) ?? '';
+  $('file').value = name.slice(0, name.length - old.length) + $('file-form').value;
+});
+on('start', 'click', () => send('bake', {options: options()}));
+on('baked', 'change', () => send('baked', {name: $('baked').value}));
+
+for (const tab of document.querySelectorAll('[role=tab]')) {
+  tab.addEventListener('click', () => {
+    for (const one of document.querySelectorAll('[role=tab]')) {
+      one.setAttribute('aria-selected', one === tab);
+      $(one.getAttribute('aria-controls')).hidden = one !== tab;
+    }
+  });
+}
+
+const form = $('models').querySelector('form');
+on('open', 'click', () => { send('list'); $('models').showModal(); });
+form.elements.source.addEventListener('change', () => {  // an image named after the source is most likely its texture
+  const stem = form.elements.source.value.replace(/^.*\//, '').replace(/\.[^.]*$/, '');
+  const named = [...form.elements.texture.options].find(one => one.value.replace(/^.*\//, '').startsWith(stem) && one.value);
+  form.elements.texture.value = named?.value ?? '';
+});
+SIDES.forEach((side, i) => {  // how the open model is taken is not said of another one
+  form.elements[side].addEventListener('change', () => {
+    for (const [id, stated] of [[`scheme-${side}`, state.files?.schemes], [`up-${side}`, state.files?.ups]])
+      if ($(id).value === (stated?.[i] ?? '')) $(id).value = '';
+  });
+  on(`part-${side}`, 'change', () => send('part', {side, part: $(`part-${side}`).value || null}));
+  on(`plain-${side}`, 'click', () => send('as_it_is', {side}));
+});
+on('models', 'close', () => {
+  if ($('models').returnValue === 'open') send('open', {
+    ...Object.fromEntries(['target', 'source', 'texture'].map(name => [name, form.elements[name].value])),
+    schemes: SIDES.map(side => $(`scheme-${side}`).value), ups: SIDES.map(side => $(`up-${side}`).value)});
+  $('models').returnValue = '';
+});
+on('add', 'change', () => { for (const file of $('add').files) add(file, null); $('add').value = ''; });
+
+const drop = $('views'), half = event => event.clientX < $('source').getBoundingClientRect().left ? 'target' : 'source';
+drop.addEventListener('dragover', event => {
+  event.preventDefault();
+  drop.classList.add('dropping');
+  drop.dataset.drop = half(event) === 'target' ? 'Open here as the target, which receives' : 'Open here as the source, which gives';
+});
+drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
+drop.addEventListener('drop', event => {
+  event.preventDefault();
+  drop.classList.remove('dropping');
+  for (const file of event.dataTransfer.files) add(file, half(event));
+});
+
+document.addEventListener('keydown', event => {
+  if (event.target.matches('input:not([type=checkbox]):not([type=range]), select, textarea') || $('models').open) return;
+  const command = event.ctrlKey || event.metaKey;
+  const key = event.key.toLowerCase();
+  if (command && key === 'z') send(event.shiftKey ? 'redo' : 'undo');
+  else if (command && key === 'y') send('redo');
+  else if (command) return;
+  else if ((key === 'delete' || key === 'backspace') && state?.selected) send('remove', {number: state.selected});
+  else if (key === 'enter' && state?.proposal && !event.target.matches('button, summary, a')) send('accept');
+  else if (key === 'escape') send('select', {number: null});
+  else if (key === 'f') views.frame();
+  else if ('137'.includes(key)) views.seen(key);
+  else return;
+  event.preventDefault();
+});
+
+connect();

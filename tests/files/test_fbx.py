@@ -1,0 +1,307 @@
+"""FBX files: read in a process of their own, as what they hold in metres with Y up."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from examples.shapes import cube
+
+from cagemap.character.poses import pose_at, to_parents
+from cagemap.character.values import Character, posed
+from cagemap.errors import FormatError
+from cagemap.files.fbx import read as fbx_read
+from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.document import image_bytes, read_document
+from cagemap.files.gltf.material_images import material_images
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.rigs import read_shapes, read_skeleton
+from cagemap.mesh import Plain
+from cagemap.tasks.mesh_commands import check_files, refine_file
+
+from fbx_scenes import Fbx, fbx_arm, geometry, properties
+from gltf_scenes import arm
+
+pytest.importorskip("ufbx")
+PNG = b"\x89PNG" + bytes(60)
+
+
+def _file(folder: Path, made: Fbx, name: str = "arm.fbx") -> Path:
+    path = folder / name
+    path.write_bytes(made.bytes())
+    return path
+
+
+def _at_half_a_second(character: Character) -> np.ndarray:
+    assert character.rig is not None
+    return posed(character.parts[0], character.rig, pose_at(character.rig, character.animations[0], 0.5))
+
+
+def test_a_made_file_holds_what_its_gltf_twin_holds(tmp_path: Path) -> None:
+    character = read_character(_file(tmp_path, fbx_arm()))
+    (strip,), twin = character.parts, character_of(arm()).parts[1]
+    assert isinstance(strip.mesh.scheme, Plain)
+    np.testing.assert_allclose(strip.mesh.positions, twin.mesh.positions, atol=1e-6)
+    np.testing.assert_array_equal(strip.mesh.face_indices, [0, 2, 3, 1, 2, 4, 5, 3])
+    np.testing.assert_array_equal(strip.mesh.face_sizes, [4, 4])
+    assert strip.mesh.uvs is not None
+    np.testing.assert_allclose(
+        strip.mesh.uvs[strip.mesh.uv_indices], strip.mesh.positions[strip.mesh.face_indices, :2] / 2, atol=1e-6
+    )
+    assert strip.weights is not None
+    assert twin.weights is not None
+    np.testing.assert_allclose(strip.weights.toarray(), twin.weights.toarray(), atol=1e-6)
+    np.testing.assert_allclose(strip.shapes["raise"], twin.shapes["raise"], atol=1e-6)
+    assert strip.mesh.material_names == ("skin",)
+    np.testing.assert_allclose(strip.mesh.material_colors, [[0.5, 0.25, 1.0]], atol=1e-6)
+    assert character.rig is not None
+    assert character.rig.names == ("upper", "lower")
+    np.testing.assert_allclose(character.rig.heads, [[0, 0, 0], [1, 0, 0]], atol=1e-6)
+
+
+def test_an_animation_moves_joints_and_shapes(tmp_path: Path) -> None:
+    path = _file(tmp_path, fbx_arm())
+    character = read_character(path)
+    assert [one.name for one in character.animations] == ["bend"]
+    np.testing.assert_allclose(_at_half_a_second(character)[4:], [[1, 1, 0], [0, 1, 0]], atol=1e-5)
+    document = read_document(path)
+    paths = [channel["target"]["path"] for channel in document.json["animations"][0]["channels"]]
+    assert paths == ["rotation", "weights"]
+
+
+def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) -> None:
+    """Also the animation is what it is with an unposed file, where it moves the joint and where it does not."""
+    plain, turned = (read_character(_file(tmp_path, fbx_arm(posed=posed))) for posed in (False, True))
+    for one in (plain, turned):
+        assert one.rig is not None
+        np.testing.assert_allclose(one.rig.local, to_parents(one.rig.bind, one.rig.parents), atol=1e-6)
+    np.testing.assert_allclose(_at_half_a_second(turned), _at_half_a_second(plain), atol=1e-6)
+    made = fbx_arm(posed=True)
+    made.connections = [one for one in made.connections if "Lcl Rotation" not in one.properties]
+    still = _at_half_a_second(read_character(_file(tmp_path, made)))
+    turn = np.radians(30.0)
+    np.testing.assert_allclose(still[4], [1 + np.cos(turn), np.sin(turn), 0.0], atol=1e-5)
+
+
+def test_leaf_bones_that_move_nothing_are_no_joints(tmp_path: Path) -> None:
+    path = _file(tmp_path, fbx_arm(leaf=True))
+    rig = read_character(path).rig
+    assert rig is not None
+    assert rig.names == ("upper", "lower")
+    assert "lower_end" in [node["name"] for node in read_document(path).json["nodes"]]
+
+
+@pytest.mark.parametrize("where", ["inside", "below"])
+def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> None:
+    made = fbx_arm(image=PNG if where == "inside" else b"")
+    if where != "inside":
+        material = next(one.properties[0] for one in made.objects if one.name == "Material")
+        named = fbx_arm(image=PNG).objects
+        texture = next(one for one in named if one.name == "Texture")
+        made.add("Texture", "skin", "", *texture.inside, to=material, by="DiffuseColor")
+        folder = tmp_path / "textures"
+        folder.mkdir()
+        (folder / "skin.png").write_bytes(PNG)
+    document = read_document(_file(tmp_path, made))
+    assert image_bytes(document, 0) == (PNG, ".png")
+    assert document.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+
+
+@pytest.mark.parametrize(("angle", "across"), [(30.0, 4.0), (0.0, 2.0), (30.0, 2.0)])
+def test_a_texture_that_is_moved_turned_and_scaled(
+    angle: float, across: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say."""
+    made = fbx_arm(image=PNG)
+    texture = next(one for one in made.objects if one.name == "Texture")
+    moved = {"Translation": (0.25, 0.5, 0.0), "Rotation": (0.0, 0.0, angle), "Scaling": (across, 4.0, 1.0)}
+    texture.inside.append(properties(**moved))
+    (image,) = material_images(read_document(_file(tmp_path, made)), "skin")
+    on_image = np.random.default_rng(2).uniform(size=(5, 2))
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    uvs = on_image * [across, 4.0] @ np.array([[c, s], [-s, c]]) + [0.25, 0.5]
+    if angle and across != 4.0:
+        assert "is turned and stretched" in caplog.text
+        on_image = uvs
+    np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)
+
+
+def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (tmp_path / "skin.png").write_bytes(PNG)  # outside the folder of the file
+    made = fbx_arm(image=b"gone")
+    made.objects = [one for one in made.objects if one.name != "Video"]
+    document = read_document(_file(folder, made))
+    assert "images" not in document.json
+    assert "skin.png' is not found and left out" in caplog.text
+
+
+def test_units(tmp_path: Path) -> None:
+    """Inches, moved by 50 of them along Z, which is up."""
+    made = Fbx(UnitScaleFactor=2.54)
+    model = made.add("Model", "box", "Mesh", properties(Lcl_Translation=(0.0, 0.0, 50.0)))
+    made.add("Geometry", "box", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=model)
+    expected = 0.0254 * (cube().positions[:, [0, 2, 1]] * [1.0, 1.0, -1.0] + [0.0, 50.0, 0.0])
+    np.testing.assert_allclose(read_mesh(_file(tmp_path, made)).positions, expected, atol=1e-6)
+
+
+def test_axes(tmp_path: Path) -> None:
+    """With Y up nothing turns."""
+    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
+    model = made.add("Model", "box", "Mesh")
+    made.add("Geometry", "box", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=model)
+    mesh = read_mesh(_file(tmp_path, made))
+    np.testing.assert_allclose(mesh.positions, cube().positions, atol=1e-6)
+    np.testing.assert_array_equal(mesh.face_indices, cube().face_indices)
+
+
+def test_an_instance_has_its_own_place_and_materials(tmp_path: Path) -> None:
+    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
+    models = [
+        made.add("Model", name, "Mesh", properties(Lcl_Translation=(x, 0.0, 0.0)))
+        for name, x in (("a", 0.0), ("b", 9.0))
+    ]
+    shared = made.add(
+        "Geometry", "box", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=models[0]
+    )
+    made.connect(shared, models[1])
+    character = read_character(_file(tmp_path, made))
+    assert [part.name for part in character.parts] == ["a", "b"]
+    one, other = (part.mesh.positions for part in character.parts)
+    np.testing.assert_allclose(other, one + np.array([9.0, 0.0, 0.0]), atol=1e-5)
+
+
+def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
+    """For `transfer --weights`, `--blend-shapes` and `--joints`."""
+    path = _file(tmp_path, fbx_arm())
+    mesh = read_mesh(path)
+    assert read_attributes(path, mesh)[JOINT_WEIGHTS].shape == (6, 2)
+    assert list(read_shapes([path], mesh)) == ["raise"]
+    np.testing.assert_allclose(read_skeleton(path).heads, [[0, 0, 0], [1, 0, 0]], atol=1e-6)
+
+
+def test_what_is_left_out_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    made = fbx_arm()
+    made.add("NodeAttribute", "lamp", "Light", to=made.add("Model", "lamp", "Light"))
+    hidden = made.add("Model", "widget", "Mesh", properties(Visibility=0.0))
+    made.add("Geometry", "widget", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=hidden)
+    with caplog.at_level(logging.WARNING):
+        character = read_character(_file(tmp_path, made))
+    assert [part.name for part in character.parts] == ["strip"]
+    assert "left out: 1 lights" in caplog.text
+    assert "widget is hidden and left out" in caplog.text
+
+
+def test_a_character_becomes_a_glb_with_all_of_it(tmp_path: Path) -> None:
+    path = _file(tmp_path, fbx_arm(image=PNG))
+    refine_file(path, 0, tmp_path / "arm.glb")
+    before, after = read_character(path), read_character(tmp_path / "arm.glb")
+    one, again = before.parts[0], after.parts[0]
+    np.testing.assert_array_equal(again.mesh.face_sizes, one.mesh.face_sizes)
+    np.testing.assert_array_equal(again.mesh.face_indices, one.mesh.face_indices)
+    np.testing.assert_allclose(again.mesh.positions, one.mesh.positions, atol=1e-6)
+    assert list(again.shapes) == ["raise"]
+    np.testing.assert_allclose(_at_half_a_second(after), _at_half_a_second(before), atol=1e-5)
+    assert image_bytes(read_document(tmp_path / "arm.glb"), 0)[0] == PNG
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty file"),
+        (b"no FBX at all" * 9, "cannot be read as FBX"),
+        (fbx_arm().bytes()[:900], "cannot be read as FBX"),
+        (Fbx().bytes(), "expected triangles"),
+    ],
+)
+def test_what_is_no_fbx_is_refused_by_name(content: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "broken.fbx"
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=rf"broken\.fbx.*{message}"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize("child", ["import os; os.abort()", "raise RuntimeError"])
+def test_a_crash_of_the_library_is_an_error_message(
+    child: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fbx_read, "_CHILD", child)
+    with pytest.raises(FormatError, match=r"arm\.fbx: the FBX library stopped.*Export it again"):
+        read_mesh(_file(tmp_path, fbx_arm()))
+
+
+def test_a_file_that_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fbx_read, "_CHILD", "import time; time.sleep(60)")
+    monkeypatch.setattr(fbx_read, "_SECONDS", 0.5)
+    with pytest.raises(FormatError, match="given up"):
+        read_mesh(_file(tmp_path, fbx_arm()))
+
+
+def test_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fbx_read.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(FormatError, match=r"needs the package ufbx. Install cagemap\[fbx\], or export"):
+        read_mesh(_file(tmp_path, fbx_arm()))
+
+
+def test_modules_in_the_working_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder of downloads may hold anything."""
+    (tmp_path / "ufbx.py").write_text("raise SystemExit(9)")
+    monkeypatch.chdir(tmp_path)
+    read_mesh(_file(tmp_path, fbx_arm()))
+
+
+FOREIGN = ("quaternius_Pug.fbx", "quaternius_Female_Dress.fbx", "mh_male_young_blender.fbx")
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_files_as_they_come(name: str, shared_data: Path) -> None:
+    """Counts of `inside.json`; bones that end others move nothing and are no joints."""
+    place = shared_data / "characters" / "foreign"
+    stated: dict[str, Any] = json.loads((place / "inside.json").read_text())[name]
+    character = read_character(place / name)
+    parts = {part.name: part for part in character.parts}
+    assert len(parts) == stated["meshes"]
+    assert len(character.animations) == stated["actions"]
+    influences = max(int(np.diff(part.weights.indptr).max()) for part in parts.values() if part.weights is not None)
+    assert influences == stated["max_influences"]
+    if "faces" in stated:
+        (part,) = parts.values()
+        assert part.mesh.n_vertices == stated["vertices"]
+        sizes, counts = np.unique(part.mesh.face_sizes, return_counts=True)
+        assert dict(zip(map(str, sizes), counts.tolist(), strict=True)) == stated["faces"]
+        assert len(part.mesh.material_names) == stated["materials"]
+    else:
+        assert {name: part.mesh.n_vertices for name, part in parts.items()} == stated["welded"]
+        assert {name: len(part.shapes) for name, part in parts.items()} == stated["shapes"]
+
+
+def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
+    place = shared_data / "characters"
+    fbx = read_character(place / "foreign" / "mh_male_young_blender.fbx")
+    glb = read_character(place / "rigs" / "character_A.glb")
+    assert fbx.rig is not None
+    assert glb.rig is not None
+    joints = [glb.rig.names.index(name) for name in fbx.rig.names]
+    np.testing.assert_allclose(fbx.rig.heads, glb.rig.heads[joints], atol=2e-6)
+    for part in fbx.parts:
+        twin = next(one for one in glb.parts if one.name == part.name)
+        np.testing.assert_allclose(part.mesh.positions, twin.mesh.positions, atol=2e-6)
+        assert part.weights is not None
+        assert twin.weights is not None
+        assert np.abs(part.weights - twin.weights[:, joints]).max() < 1e-6
+        for name, offsets in part.shapes.items():
+            np.testing.assert_allclose(offsets, twin.shapes[name], atol=2e-6)
+
+
+def test_check_says_what_a_file_holds(tmp_path: Path) -> None:
+    text, _ = check_files([_file(tmp_path, fbx_arm(leaf=True))])
+    assert "2 joints" in text
+    assert "1 (raise)" in text
+    assert "1 (bend (2 s))" in text

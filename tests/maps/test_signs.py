@@ -1,0 +1,177 @@
+"""Signs of a wrong map, each on a map that has a known amount of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples.shapes import grid, voxels
+from scipy.spatial.transform import Rotation
+
+from cagemap import pipeline
+from cagemap.deform.prepared import PreparedPair
+from cagemap.files.result.merged_parts import merge_results
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
+from cagemap.maps.hypotheses.signs import (
+    JUMPING,
+    SIGNS,
+    findings,
+    image_pairs,
+    jump_share,
+    jump_warnings,
+    jumps,
+    median_distortion,
+    turned_share,
+)
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.numerics.arrays import FloatArray
+from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
+from cagemap.spectral import Surface
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+
+from example_result import identity_result
+
+LEG, GAP = 7, 0.05
+
+
+def legs() -> Surface:
+    """A hip with two long legs, whose inner sides nearly touch; their feet differ."""
+    cells = [(x, LEG, z) for x in range(3) for z in range(2)] + [(x, y, 0) for x in (0, 2) for y in range(LEG)]
+    mesh = voxels([*cells, (0, 0, 1), (0, 0, 2), (2, 0, 1)])
+    places = mesh.positions.copy()
+    places[:, 0] -= np.where(places[:, 0] > places[:, 0].mean(), 1.0 - GAP, 0.0)  # the gap of one cell closes
+    return prepare_surface(mesh.with_positions(places), 2)
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    return legs()
+
+
+@pytest.fixture(scope="module")
+def prepared(surface: Surface) -> PreparedPair:
+    return prepare_pair(surface, surface)
+
+
+def map_to(surface: Surface, places: FloatArray) -> PointMap:
+    mesh = surface.triangles(surface.finest)
+    found = SurfacePoints.nearest(mesh, places, mesh.vertex_normals, normal_weight=0.05)
+    return PointMap(mesh, found)
+
+
+def across(surface: Surface) -> tuple[PointMap, FloatArray]:
+    """The lower half of one leg on the other leg, as if both were one; and which vertices that is."""
+    mesh = surface.triangles(surface.finest)
+    places = mesh.positions.copy()
+    middle, knee = places[:, 0].mean(), np.quantile(places[:, 1], 0.4)
+    lower = (places[:, 0] > middle) & (places[:, 1] < knee)
+    places[lower, 0] -= 1.02 * mesh.scale
+    return map_to(surface, places), lower
+
+
+@pytest.mark.parametrize("name", SIGNS)
+def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
+    answers = (Reading("as the files stand", 0.0, np.zeros((4, 3))),)
+    assert Confidence.of(answers, 3, {name: SIGNS[name].bound}).verdict == SURE
+    doubt = Confidence.of(answers, 3, {name: 1.1 * SIGNS[name].bound})
+    assert doubt.verdict == LOOK
+    assert findings(doubt.signs)[0] in doubt.message
+
+
+def test_the_distortion_of_a_stretched_grid_is_that_of_most_columns() -> None:
+    """Seven of ten columns keep their height, which is less by the root of how much the area grew."""
+    plane = grid(10, 10)
+    moved, x = plane.positions.copy(), plane.positions[:, 0]
+    moved[:, 0] = np.where(x < 7, 1.25 * x, 8.75 + 5.0 * (x - 7))
+    faces = plane.face_indices.reshape(-1, 4)
+    target, source = (TriangleSurface.from_faces(places, faces) for places in (plane.positions, moved))
+    found = PointMap.from_vertices(target, source, np.arange(target.n))
+    assert median_distortion(found) == pytest.approx(np.sqrt((7 * 1.25 + 3 * 5.0) / 10))
+
+
+def test_a_strip_s_last_third_on_its_first_jumps_on_both_and_at_the_tear() -> None:
+    strip = prepare_surface(grid(30, 10), 1)
+    mesh, pair = strip.triangles(strip.finest), prepare_pair(strip, strip)
+    places = mesh.positions.copy()
+    x = places[:, 0] - places[:, 0].min()
+    third = x.max() / 3
+    places[x > 2 * third + 1e-9, 0] -= 2 * third
+    found = PointMap(mesh, SurfacePoints.nearest(mesh, places))
+    column = third / 20
+    # Both thirds, and the column this side of the tear; images compare within 1.4 mean distances of vertices.
+    assert jump_share(pair, jumps(pair, found)) == pytest.approx((2 * third + column) / (3 * third), abs=0.04)
+    little = mesh.positions.copy()
+    little[x > 2 * third + 1e-9, 0] -= 2 * column  # slides by less than `JUMP`
+    assert not jumps(pair, PointMap(mesh, SurfacePoints.nearest(mesh, little))).any()
+
+
+def test_half_a_bar_turned_about_its_axis_is_its_sides() -> None:
+    """Twelve cells of a square bar; the sides of the last half have 24 of all 50 faces, the end has one."""
+    bar = voxels([(0, 0, z) for z in range(12)])
+    mesh = TriangleSurface.from_faces(bar.positions, bar.face_indices.reshape(-1, 4))
+    middle = 0.5 * (mesh.positions.min(axis=0) + mesh.positions.max(axis=0))
+    last = mesh.positions[:, 2] > middle[2] + 1e-9
+
+    def share(degrees: float) -> float:
+        turn = Rotation.from_euler("z", degrees, degrees=True)
+        turned = np.where(last[:, None], turn.apply(mesh.positions - middle) + middle, mesh.positions)
+        return turned_share(mesh, mesh.positions, turned)
+
+    assert share(90.0) == pytest.approx(24 / 50, abs=4 / 50)  # one ring
+    assert share(45.0) == 0.0
+
+
+def test_the_identity_has_no_jumps(surface: Surface, prepared: PreparedPair) -> None:
+    mesh = surface.triangles(surface.finest)
+    same = PointMap.from_vertices(mesh, mesh, np.arange(mesh.n))
+    assert not jumps(prepared, same).any()
+    assert jump_warnings(prepared, same) == ()
+
+
+def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepared: PreparedPair) -> None:
+    mesh = surface.triangles(surface.finest)
+    wrong, lower = across(surface)
+    farthest = jumps(prepared, wrong)
+    share = jump_share(prepared, farthest)
+    assert share > 0.05
+    (sentence,) = jump_warnings(prepared, wrong)
+    place = np.array([float(x) for x in sentence.split("(")[1].split(")")[0].split(",")])
+    assert np.linalg.norm(mesh.positions / mesh.scale - place, axis=1).min() < 0.01
+    low = mesh.positions[:, 1] < mesh.positions[lower, 1].max()
+    assert low[farthest.argmax()]
+    # Not sure, whatever else speaks for it.
+    best = Reading("as the files stand", 1e-4, mesh.positions)
+    assert Confidence.of((best,), 3).verdict == SURE
+    doubt = Confidence.of((best,), 3, {"jumps": share})
+    assert doubt.verdict == LOOK
+    assert "jumps between parts that only touch" in doubt.message
+
+
+def test_maps_that_landmarks_decide_are_asked_too(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong, _ = across(surface)
+    monkeypatch.setattr(pipeline, "elastic_map", lambda problem, progress: (wrong, ()))
+    given = Landmarks(("a", "b", "c"), np.array([0, 10, 20]), np.array([1, 10, 20]))  # not the identity
+    result = match(surface, surface, given, MatchConfig(check_landmarks=False))
+    assert result.quality.warnings[0].startswith(JUMPING)
+
+
+def test_parts_of_one_result_keep_what_was_said_of_them() -> None:
+    part = identity_result()
+    said = f"{JUMPING} at 5.0 % of the target's area"
+    jumping = replace(part, quality=replace(part.quality, warnings=("little", said)))
+    assert merge_results([part, jumping], {}).quality.warnings[0] == said
+
+
+def test_what_is_masked_does_not_jump(surface: Surface) -> None:
+    wrong, lower = across(surface)
+    counts = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
+    assert not jumps(prepare_pair(surface, surface, MatchConfig(masks=Masks(target=counts))), wrong).any()
+
+
+def test_a_map_of_one_point_stays_within_its_memory() -> None:
+    places = np.zeros((4000, 3))
+    assert len(image_pairs(places, np.tile([0.0, 0.0, 1.0], (4000, 1)))) < 25 * 4000

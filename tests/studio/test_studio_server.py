@@ -1,0 +1,156 @@
+"""What answers on the network: who may ask, the files that are given out, and the web socket of a page."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import socket
+from typing import Any
+
+import pytest
+import websockets.asyncio.client
+import websockets.exceptions
+from websockets.datastructures import Headers
+from websockets.http11 import Request
+
+from cagemap.studio.page.server import COOKIE, Server, admits
+
+
+def request(path: str = "/", **headers: str) -> Request:
+    return Request(
+        path, Headers({"Host": "127.0.0.1:8765"} | {name.replace("_", "-"): v for name, v in headers.items()})
+    )
+
+
+def test_the_server_refuses_pages_of_other_sites() -> None:
+    assert admits(request(), None)
+    assert admits(request(Origin="http://127.0.0.1:8765"), None)
+    assert not admits(request(Origin="http://elsewhere.example"), None)
+    assert not admits(request(Origin="http://127.0.0.1:9999"), None)
+    # A name of someone else's that resolves to this machine.
+    assert not admits(Request("/", Headers({"Host": "rebound.example:8765"})), None)
+    # An image in another site's page names no origin; a link there may lead here.
+    for site in ("cross-site", "same-site"):
+        assert not admits(request("/files/all.zip", Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors"), None)
+        assert admits(request(Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate"), None)
+    assert admits(request(Sec_Fetch_Site="same-origin", Sec_Fetch_Mode="cors"), None)
+    # The page's own web socket, whatever a browser takes ws:// beside http:// for.
+    own = {"Origin": "http://127.0.0.1:8765", "Upgrade": "websocket", "Sec_Fetch_Mode": "websocket"}
+    assert admits(request("/socket", Sec_Fetch_Site="cross-site", **own), None)
+
+
+def test_the_server_asks_for_the_token() -> None:
+    token = "right"
+    assert admits(request("/?token=right"), token)
+    assert admits(request(Cookie=f"{COOKIE}=right"), token)
+    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE}=wrong")):
+        assert not admits(refused, token)
+
+
+def answer(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    return connection.getresponse()
+
+
+def server(host: str = "127.0.0.1", token: str | None = None, **asked: Any) -> Server:
+    usual = {
+        "given_out": {}.get,
+        "drawn": {}.get,
+        "hello": lambda: ("hello",),
+        "heard": lambda said, reply: reply(said),
+    }
+    return Server(host, 0, token, **(usual | asked))
+
+
+def test_broken_requests_are_refused_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    served = server()
+    try:
+        assert answer(served.port, "//[").status == 403
+        for broken in (b"POST / HTTP/1.1\r\n\r\n", b"\0" * 99 + b"\r\n", b"GET / HT", b"G" * 20_000):
+            with socket.create_connection(("127.0.0.1", served.port), timeout=10) as stranger:
+                stranger.sendall(broken)
+                stranger.shutdown(socket.SHUT_WR)
+                with contextlib.suppress(ConnectionError):
+                    assert b"200" not in stranger.recv(100)
+        assert answer(served.port, "/").status == 200
+    finally:
+        served.close()
+    assert "handshake failed" not in caplog.text
+
+
+def test_the_server_gives_out_only_what_is_offered() -> None:
+    offered = {"cow.png": (b"png", "image/png"), "RESULT.html": (b"<b>", "text/html")}
+    served = server(given_out=offered.get, drawn={"source/skin/1": b"glb"}.get)
+    try:
+        got = answer(served.port, "/files/cow.png")
+        assert (got.status, got.read()) == (200, b"png")
+        assert got.headers["Content-Disposition"].startswith("attachment")
+        assert "sandbox" in answer(served.port, "/files/RESULT.html").headers["Content-Security-Policy"]
+        assert answer(served.port, "/drawn/source/skin/1").read() == b"glb"
+        for path in ("/", "/page.js", "/three.min.js"):
+            assert answer(served.port, path).status == 200
+        for path in (
+            "/drawn/source/skin/0",
+            "/page.py",
+            "/files/../cow.png",
+            "/files/%2e%2e%2fcow.png",
+            "/../etc/passwd",
+            "//etc/passwd",
+            "/files/",
+            "/x",
+        ):
+            assert answer(served.port, path).status == 404
+        odd = ({"Host": "["}, {"Origin": "http://["})
+        for stranger in ({"Host": "rebound.example"}, {"Origin": "http://elsewhere.example"}, *odd):
+            assert answer(served.port, "/files/cow.png", **stranger).status == 403
+    finally:
+        served.close()
+
+
+def test_web_sockets_of_other_machines_need_the_token() -> None:
+    async def said_back(address: str, **headers: str) -> object:
+        try:
+            async with websockets.asyncio.client.connect(address, additional_headers=headers) as page:
+                await page.send("said")
+                return [await page.recv() for _ in range(2)]
+        except websockets.exceptions.InvalidStatus as error:
+            return error.response.status_code
+
+    async def all_of_them() -> list[object]:
+        served = await asyncio.to_thread(server, "0.0.0.0", "right")
+        address, cookie = f"ws://127.0.0.1:{served.port}/socket", {"Cookie": f"{COOKIE}=right"}
+        strangers = ({}, {"Cookie": f"{COOKIE}=wrong"}, cookie | {"Origin": "http://elsewhere.example"})
+        found = [await said_back(address, **headers) for headers in (cookie, *strangers)]
+        found.append(await said_back(address.replace("socket", "other"), **cookie))
+        await asyncio.to_thread(served.close)
+        return found
+
+    assert asyncio.run(all_of_them()) == [["hello", "said"], 403, 403, 403, 404]
+
+
+def test_every_page_is_told_and_a_fault_ends_one_page_alone(caplog: pytest.LogCaptureFixture) -> None:
+    def heard(said: object, _: object) -> None:
+        raise ZeroDivisionError(said)
+
+    async def all_of_them() -> None:
+        served = await asyncio.to_thread(server, heard=heard)
+        connect = websockets.asyncio.client.connect
+        async with (
+            connect(f"ws://127.0.0.1:{served.port}/socket") as one,
+            connect(f"ws://127.0.0.1:{served.port}/socket") as other,
+        ):
+            assert [await page.recv() for page in (one, other)] == ["hello"] * 2
+            await asyncio.sleep(0.1)
+            served.tell("news")
+            assert [await page.recv() for page in (one, other)] == ["news"] * 2
+            await one.send("bad")
+            with pytest.raises(websockets.exceptions.ConnectionClosed):
+                await one.recv()
+            served.tell("more")
+            assert await other.recv() == "more"
+        await asyncio.to_thread(served.close)
+
+    asyncio.run(all_of_them())
+    assert "a page was not answered" in caplog.text
