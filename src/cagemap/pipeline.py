@@ -14,6 +14,7 @@ from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
+from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic import elastic_map, updated_map
 from cagemap.maps.hypotheses.confidence import at_finest
@@ -236,17 +237,22 @@ def match_pair(
             known = known_map(prepared, pair)
             if known is not None:
                 point_map, confidence = known
+                places = confidence.readings[0].positions
             elif len(landmarks) < FEWEST_LANDMARKS:
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
+                places = confidence.readings[0].positions
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
+                places = ends[0].answer
                 confidence = turned_limbs(ends, prepared)
                 if MIRRORED_NOTE in check.notes:
                     mirrored, check = mirrored_readings(prepared, pair, ends[0], check, progress)
                     confidence = mirrored or confidence
             else:
-                point_map = elastic_map(Problem(prepared, pair), progress)[0]
-        judged = _judged(prepared, point_map, landmarks, check, timings, progress)
+                point_map, ends = elastic_map(Problem(prepared, pair), progress)
+                places = ends[0].answer
+        shared = SharedArea.of_fit(prepared, places)
+        judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
     found = replace(judged, confidence=None if confidence is None else at_finest(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
@@ -344,7 +350,8 @@ def other_answer(
         with _timed(timings, "map"):
             places = readings[index].positions[prepared.vertices]
             point_map = map_of_places(prepared, places, met)
-        judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress)
+        shared = SharedArea.of_fit(prepared, readings[index].positions)
+        judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress, shared)
     return replace(judged, confidence=before.confidence)
 
 
@@ -431,16 +438,31 @@ def _judged(
     check: LandmarkCheck,
     timings: dict[str, float],
     progress: Progress,
+    shared: SharedArea | None = None,
 ) -> MatchResult:
-    """The result of an elastic match, with its quality."""
+    """The result of an elastic match, with its quality; what the target does not share counts for no figure."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
     with _timed(timings, "quality"):
-        quality = judge(target, point_map, points, trusted.names, masks)
+        counted = masks
+        if shared is not None and shared.target.any():
+            counted = replace(masks, target=masks.of_target(len(target.vertices)) * shared.target)
+        quality = judge(target, point_map, points, trusted.names, counted)
         quality = replace(quality, warnings=(*jump_warnings(prepared, point_map), *quality.warnings))
     check = check.with_folds(quality.flipped_area, len(landmarks))
-    return MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
+    return MatchResult(
+        target,
+        source,
+        landmarks,
+        point_map,
+        quality,
+        timings,
+        check,
+        prepared=prepared,
+        masks=masks,
+        shared=shared,
+    )
 
 
 @contextmanager

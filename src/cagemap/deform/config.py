@@ -135,6 +135,7 @@ class DataConfig:
     outside_trips: float = 6.0  #: the same outside, of sqrt(alpha): the target may not have reached it yet
     cluster_trip: float = 0.4  #: the same of source samples and clusters: legs may be that much longer
     towards_point: float = 0.3  #: share of a source sample's term on a cluster towards the point, not its plane
+    uncovered: float = 0.02  #: most that the distance from an open surface costs: what is beyond its end is no misfit
     anchor_normal_weight: float = 0.01  #: how far apart opposite normals are where points come to a coarser mesh
     curve_share: int = 6  #: one in so many coarse vertices may be a curve's, all curves together
     min_curve_points: int = 6  #: coarse vertices of a curve, which it needs to bend
@@ -206,6 +207,8 @@ class ElasticConfig(Brief):
         Of a curve, by its length in sqrt(area), against the same.
     cost_stiffness : float
         Stiffness alpha at which placements are compared.
+    stretch_weight : float
+        Of the variance of logarithmic stretches, where placements of open surfaces are compared.
     response : Stage
         What changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`).
     graph, folds, data, search, pose, inverse
@@ -224,6 +227,7 @@ class ElasticConfig(Brief):
     landmark_weight: float = 1e2
     curve_weight: float = 1.0
     cost_stiffness: float = 1e-3
+    stretch_weight: float = 3e-3
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
     graph: GraphConfig = GraphConfig()
     folds: FoldConfig = FoldConfig()

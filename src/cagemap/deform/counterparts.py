@@ -15,13 +15,19 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization
 
 
-def received_weights(smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig()) -> FloatArray:
+def received_weights(
+    smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool = False
+) -> FloatArray:
     """(n,) from 0 (nothing lies there) to 1, by how much of the source's area (n,) vertices receive, of their own.
 
-    Smoothed by `ElasticGraph.smoother`: 1 where received areas are the vertices' own.
+    Smoothed by `ElasticGraph.smoother`: 1 where received areas are the vertices' own. Both surfaces have area 1, which
+    says nothing where one is a part: there densities are compared with what a received piece of area has on average.
     """
     none, full = config.received
-    return np.clip((smoother.solve(received) - none) / (full - none), 0.0, 1.0)
+    density = smoother.solve(received)
+    if of_parts:
+        density = density * (received.sum() / max(float(received @ density), 1e-12))
+    return np.clip((density - none) / (full - none), 0.0, 1.0)
 
 
 def round_trip_weights(

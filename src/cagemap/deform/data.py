@@ -73,10 +73,13 @@ def target_to_source(
     guess: IndexArray | None,
     normal_weight: float,
     masks: Masks = WHOLE,
+    *,
+    beyond: bool = False,
 ) -> DataTerm:
     """Point-to-plane term of the deformed vertices: each should lie in the tangent plane at its closest point.
 
-    Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search.
+    Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search. Beyond
+    the source's boundary a vertex has a term only if asked for: without terms of the source, a target could leave it.
     """
     found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
     corners = found.corners
@@ -84,12 +87,14 @@ def target_to_source(
     plane = normalized(found.interpolate(source.vertex_normals))
     weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
     weights *= masks.of_target(len(areas)) * masks.at_source(found)
+    if not beyond:
+        weights *= ~found.at_boundary
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
     return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, found.triangle, closest)
 
 
 def source_to_target(
-    target_triangles: IndexArray,
+    target: TriangleSurface,
     samples: SourceSamples,
     positions: FloatArray,
     normals: FloatArray,
@@ -107,15 +112,15 @@ def source_to_target(
     current positions, that keeps the blocks apart.
     """
     points, planes = samples.points, samples.planes
-    tree = build_tree(positions, target_triangles)
+    tree = build_tree(positions, target.triangles)
     held_by, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
-    corners = target_triangles[held_by]
+    corners = target.triangles[held_by]
     own_closest = curved_points(positions[corners], normals[corners], barycentric)
     residual = np.einsum("nd,nd->n", planes, points - own_closest)
     facing = tree.normals_of(held_by)
     shares = samples.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     trips = np.einsum("mk,mkd->md", barycentric, closest[corners]) - points
-    shares *= round_trip_weights(trips, residual, alpha, config)
+    shares *= round_trip_weights(trips, residual, alpha, config) * ~target.at_boundary(held_by, barycentric)
     if masks.target is not None:
         shares *= np.einsum("mk,mk->m", barycentric, masks.target[corners])
     # Column j gives the term of source vertex j to the three corners around its closest point.

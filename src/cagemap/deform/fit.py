@@ -54,7 +54,7 @@ class SurfaceTerms:
         normals = deformed_normals(rest.graph.normals, iterate.maps)
         guess, _ = _guesses(iterate)
         term = target_to_source(
-            rest.graph.areas, self.source, positions, normals, guess, config.normal_weight, rest.masks
+            rest.graph.areas, self.source, positions, normals, guess, config.normal_weight, rest.masks, beyond=True
         )
         blocks, right = term.blocks, term.right
         if self.samples is not None:
@@ -69,13 +69,13 @@ class SurfaceTerms:
         assert rest.mesh is not None
         assert rest.received is not None
         assert self.samples is not None
-        triangles, (guess, guess_back) = rest.mesh.triangles, _guesses(iterate)
-        normals = vertex_normals(positions, triangles)
+        guess, guess_back = _guesses(iterate)
+        normals = vertex_normals(positions, rest.mesh.triangles)
         there = target_to_source(
             rest.graph.areas, self.source, positions, normals, guess, config.fine_normal_weight, rest.masks
         )
         back = source_to_target(
-            triangles,
+            rest.mesh,
             self.samples,
             positions,
             normals,
@@ -87,7 +87,8 @@ class SurfaceTerms:
             config.data,
         )
         distance = there.distance(positions)
-        there = there.scaled(received_weights(rest.received, back.weights, config.data))
+        of_parts = rest.mesh.is_open or self.source.is_open
+        there = there.scaled(received_weights(rest.received, back.weights, config.data, of_parts=of_parts))
         blocks, right = there.blocks + back.blocks, there.right + back.right
         return rest.energy.terms(blocks, right, distance, (there.triangles, back.triangles))
 
@@ -170,15 +171,19 @@ def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, floa
 def with_cost(prepared: PreparedPair, positions: FloatArray) -> Placement:
     """A placement of the mesh with its cost: `vertex_costs`, and the mean squared distance of source samples from it.
 
-    The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
+    The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other. Where a surface
+    is open, `stretch_costs` are added.
     """
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
     samples = prepared.source_samples
     costs = vertex_costs(rest, prepared.source_surface, positions, rest.energy.maps(positions), config)
     tree = build_tree(positions, triangles)
     at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
-    missed = barycentric * (samples.areas * distance**2)[:, None]
+    squared = _capped(distance**2, prepared.mesh, config)
+    missed = barycentric * (samples.areas * squared)[:, None]
     costs = costs + np.bincount(triangles[at].ravel(), missed.ravel(), rest.graph.n)
+    if prepared.mesh.is_open or prepared.source_surface.is_open:
+        costs = costs + stretch_costs(rest, positions, config)
     return Placement(positions, float(costs.sum()), costs)
 
 
@@ -192,8 +197,24 @@ def vertex_costs(
     areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(found)
     squared = ((found.positions - positions) ** 2).sum(axis=1)
     turned = 2.0 - 2.0 * np.einsum("nd,nd->n", found.normals, normals)
-    data = areas * (squared + config.normal_weight**2 * turned)
+    data = areas * _capped(squared + config.normal_weight**2 * turned, source, config)
     return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, config.coarse.smoothing))
+
+
+def _capped(squared: FloatArray, other: TriangleSurface, config: ElasticConfig) -> FloatArray:
+    """(n,) squared distances from another surface, at most `DataConfig.uncovered` squared where that one is open."""
+    return np.minimum(squared, config.data.uncovered**2) if other.is_open else squared
+
+
+def stretch_costs(rest: RestShape, positions: FloatArray, config: ElasticConfig) -> FloatArray:
+    """(n,) how much a placement stretches unlike its mean: the variance of the logarithms of both stretches.
+
+    A part may lie anywhere on a whole that it fits by stretching, which costs no energy where it is affine.
+    """
+    graph = rest.graph
+    stretches = np.linalg.svd(rest.energy.maps(positions), compute_uv=False)[:, :2]
+    logs = np.log(np.maximum(stretches, config.folds.min_stretch**4))
+    return np.asarray(config.stretch_weight * graph.areas * ((logs - (graph.areas @ logs).mean()) ** 2).mean(axis=1))
 
 
 def _guesses(iterate: Iterate) -> tuple[IndexArray | None, IndexArray | None]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.functional_maps import functional_map_of
@@ -74,6 +75,8 @@ class MatchResult:
         What `update_match` and `match_pair` need of the two surfaces, of a match of this process ("elastic" only).
     masks : Masks
         What of both surfaces was matched, and is transferred.
+    shared : SharedArea or None
+        Which area has a counterpart, where one of the surfaces is open.
     known_spectral : SpectralMap or None
         What `spectral` gives, where it was read or follows from other maps.
     provenance : dict
@@ -91,6 +94,7 @@ class MatchResult:
     confidence: Confidence | None = None
     prepared: PreparedPair | None = None
     masks: Masks = WHOLE
+    shared: SharedArea | None = None
     known_spectral: SpectralMap | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -264,6 +268,7 @@ class MatchResult:
             "quality": self.quality.summary(),
             "landmark_check": self.landmark_check.summary(),
             "confidence": None if self.confidence is None else self.confidence.summary(),
+            **({} if self.shared is None else {"shared_area": self.shared.summary()}),
             "curves": [asdict(miss) for miss in self.curve_misses],
             "timings": dict(self.timings),
             "bases": {"target": asdict(self.target.config), "source": asdict(self.source.config)},

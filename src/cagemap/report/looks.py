@@ -89,6 +89,17 @@ def report_models(
         own, joint = result.masks.of_source(len(result.source.vertices)), result.masks.joint(result.point_map)
         shown = [scalar_colors(values, 0.0, 1.0) for values in (own[source.vertices], joint[target.vertices])]
         looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", shown[0], shown[1]))
+    if result.shared is not None:
+        shown = [
+            scalar_colors(values, 0.0, 1.0)
+            for values in (result.shared.source[source.vertices], result.shared.target[target.vertices])
+        ]
+        parts = result.shared
+        legend = (
+            f"Dark parts have no counterpart: {1 - parts.target_share:.0%} of the target, "
+            f"{1 - parts.source_share:.0%} of the source."
+        )
+        looks.append(Look("Shared", legend, shown[0], shown[1]))
     if carried.weights is not None:
         palette = distinct_colors(carried.weights.source.shape[1])
         shown = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.errors import ParameterError
@@ -166,6 +167,11 @@ class SurfacePoints:
     def normals(self) -> FloatArray:
         """(m, 3) unit normals of the triangles that hold the points."""
         return read_only(self.surface.normals.take(self.triangle, axis=0))
+
+    @property
+    def at_boundary(self) -> NDArray[np.bool_]:
+        """(m,) which of them lie on the boundary."""
+        return self.surface.at_boundary(self.triangle, self.barycentric)
 
     def interpolate(self, values: FloatArray) -> FloatArray:
         """Interpolate values (n,) or (n, q) at the vertices linearly: (m,) or (m, q) values at the points.

@@ -22,6 +22,9 @@ from cagemap.surface.triangles import (
     vertex_normals,
 )
 
+# Barycentric coordinates up to this are 0: the point lies on an edge.
+ON_EDGE = 1e-9
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TriangleSurface:
@@ -104,6 +107,31 @@ class TriangleSurface:
     def neighbors(self) -> NDArray[np.int32]:
         """(t, 3) triangle across the edge opposite to every corner, -1 on the boundary."""
         return read_only(triangle_neighbors(self.triangles))
+
+    @kept
+    def boundary_vertices(self) -> NDArray[np.bool_]:
+        """(n,) which vertices lie on the boundary."""
+        on_boundary = np.zeros(self.n, dtype=np.bool_)
+        triangle, corner = np.nonzero(self.neighbors < 0)
+        for step in (1, 2):
+            on_boundary[self.triangles[triangle, (corner + step) % 3]] = True
+        return read_only(on_boundary)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has a boundary."""
+        return bool(self.boundary_vertices.any())
+
+    def at_boundary(self, triangle: IndexArray, barycentric: FloatArray) -> NDArray[np.bool_]:
+        """(m,) which points, by triangle (m,) and barycentric coordinates (m, 3), lie on the boundary.
+
+        A closest point there has no counterpart: the surface ends (Turk and Levoy 1994).
+        """
+        if not self.is_open:
+            return np.zeros(len(triangle), dtype=np.bool_)
+        on_edge = (barycentric <= ON_EDGE) & (self.neighbors[triangle] < 0)
+        at_vertex = (barycentric >= 1.0 - ON_EDGE) & self.boundary_vertices[self.triangles[triangle]]
+        return np.asarray((on_edge | at_vertex).any(axis=1))
 
     @kept
     def vertex_triangles(self) -> IndexArray:

@@ -308,9 +308,18 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
         "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
+        *_shared_summary(result),
         f"wrote {folder}; next: cagemap transfer {typed} --texture IMG -o OUT.png, or cagemap report {typed}",
     ]
     return "\n".join(lines)
+
+
+def _shared_summary(result: MatchResult) -> list[str]:
+    """How much of each surface the other has, where one of them ends somewhere."""
+    if result.shared is None:
+        return []
+    shares = 100 * result.shared.target_share, 100 * result.shared.source_share
+    return [f"  shared: {shares[0]:.0f} % of the target's area, {shares[1]:.0f} % of the source's"]
 
 
 def landmark_summary(result: MatchResult) -> str:

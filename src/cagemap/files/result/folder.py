@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import FormatError
 from cagemap.files.array_specs import ArraySpec, check_arrays, lie_in_triangles
 from cagemap.files.atomic import atomic_folder, require_own_folder
@@ -62,6 +63,7 @@ from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.subdivision import Scheme, refine
 from cagemap.subdivision.refinement import vertex_counts
+from cagemap.surface.triangle_surface import TriangleSurface
 
 __all__ = [
     "ARRAYS",
@@ -90,6 +92,8 @@ _SPECS = {
     "functional_map": ArraySpec(("k1", "k2"), optional=True),
     "trust": ArraySpec(("n1",)),
     "landmark_errors": ArraySpec(("p",)),
+    "target_shared": ArraySpec(("n1",), optional=True),
+    "source_shared": ArraySpec(("n2",), optional=True),
     "runner_up_images": ArraySpec(("r", "c1", 3), optional=True),
 }
 # What stored vertices may differ from those that the control mesh gives, of its size: other libraries round otherwise.
@@ -97,7 +101,7 @@ _DRIFT = 1e-6
 _SPECTRAL_ARRAYS = ("functional_map", "target_eigenvalues", "source_eigenvalues")
 # Entries of a manifest that are fields of a match, or say how the folder was written.
 _TYPED = {"quality", "landmark_check", "confidence", "timings", "bases", "target", "source", "landmark_names", "curves"}
-_TYPED |= {"level_maps", "written_by", "format", "format_version", "versions", "files"}
+_TYPED |= {"level_maps", "shared_area", "written_by", "format", "format_version", "versions", "files"}
 
 
 @kinds_checked
@@ -127,6 +131,8 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
     }
     if len(result.runner_up_images):
         arrays["runner_up_images"] = result.runner_up_images
+    if result.shared is not None:
+        arrays |= {"target_shared": result.shared.target, "source_shared": result.shared.source}
     arrays |= level_arrays(result)
     for prefix, side, points, mask in (
         ("target", result.target, result.landmarks.target_points, result.masks.target),
@@ -218,9 +224,16 @@ def read_result(folder: str | Path) -> MatchResult:
         read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
         stored_confidence(record.confidence, point_map, counts[0], others),
         masks=Masks(read[0].mask, read[1].mask),
+        shared=_shared(finest, arrays),
         known_spectral=_spectral(functional_map, *(side.eigenvalues for side in read)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
+
+
+def _shared(finest: tuple[TriangleSurface, TriangleSurface], arrays: dict[str, Any]) -> SharedArea | None:
+    """What is stored of the shared area; None where it was not asked for."""
+    target, source = arrays.get("target_shared"), arrays.get("source_shared")
+    return None if target is None or source is None else SharedArea.of_vertices(finest, (target, source))
 
 
 def _spectral(

@@ -14,6 +14,7 @@ from cagemap.deform.prepared import CoarseShape, PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.hypotheses.limbs import Assignment, assigned_limbs
+from cagemap.maps.hypotheses.part_starts import in_place
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -82,11 +83,14 @@ def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Pl
         return one, fitted(start_map(rough, shape, one.vertices), shape)
 
     graph, most = rough.shape.rest.graph, problem.prepared.elastic.search.max_cost
-    starts = rigid_starts(graph.positions, problem.prepared.source_surface.positions)
-    starts = starts if rigid else starts[:AS_FILED_STARTS]
+    filed = in_place(problem.prepared, graph.positions)
+    starts = [*filed, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
+    n_filed = len(filed) + AS_FILED_STARTS
+    starts = starts if rigid else starts[:n_filed]
     led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[:MAX_ASSIGNED]
-    own = fit_rigid(starts[:AS_FILED_STARTS] if led else starts)
-    if led and led[0][1].rank > UNLIKELY * own[0].rank:
+    own = fit_rigid(starts[:n_filed] if led else starts)
+    # A part costs little in many places: only the whole fit decides.
+    if led and not filed and led[0][1].rank > UNLIKELY * own[0].rank:
         led, own = [], fit_rigid(starts)
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:

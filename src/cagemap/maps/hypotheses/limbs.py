@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.prepared import CoarseShape
 from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.part_starts import units_of_larger
 from cagemap.maps.hypotheses.tips import Tips
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -20,6 +21,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 LEAST_LIMB = 0.1
 # Limbs and landmarks that an assignment needs, and how many limbs it may have: the most prominent ones.
 FEWEST_POINTS, MOST_LIMBS = 4, 7
+# The same of a part, whose other limbs may be cut off.
+FEWEST_OF_PART = 3
 # How many assignments are fitted; sums of the log ratios of girths weigh this much beside those of lengths.
 ASSIGNED, GIRTH_WEIGHT = 10, 0.5
 # Share of a limb's length, from its tip, of which the girth is taken.
@@ -47,7 +50,7 @@ class Limbs:
     girths: FloatArray
 
     @classmethod
-    def of(cls, graph: ElasticGraph, landmarks: IndexArray, tips: IndexArray) -> Limbs:
+    def of(cls, graph: ElasticGraph, landmarks: IndexArray, tips: IndexArray, unit: float = 1.0) -> Limbs:
         """Measure the limbs that end at some vertices (e,), beside landmarks (p,); three at least, of one piece.
 
         A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
@@ -65,7 +68,7 @@ class Limbs:
         between = apart - own[:, None] - own
         between[every, every] = 0.0
         part, limbs = GIRTH_PART * own[len(landmarks) :], distances[len(landmarks) :]
-        return cls(tips, between, (limbs < part[:, None]) @ graph.areas / part)
+        return cls(tips, unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part))
 
 
 def assignments(target: Limbs, source: Limbs) -> list[tuple[IndexArray, IndexArray]]:
@@ -108,14 +111,17 @@ class Assignment:
 
 def assigned_limbs(problem: Problem) -> list[Assignment]:
     """Likely assignments of a pair's limbs, the likeliest first; none where one of the surfaces has too few."""
-    landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB)
+    units = units_of_larger(problem.prepared)
+    landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB, units)
     ends = tips.vertices[:MOST_LIMBS], tips.source_vertices[:MOST_LIMBS]
     fewest = min(map(len, ends))
-    if fewest < 1 or len(landmarks[0]) + fewest < FEWEST_POINTS:
+    needed = FEWEST_POINTS if units == (1.0, 1.0) else FEWEST_OF_PART
+    if fewest < 1 or len(landmarks[0]) + fewest < needed:
         return []
+    limbs = map(Limbs.of, problem.prepared.graphs, landmarks, ends, units)
     return [
         Assignment(
             (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])), tips.places[j]
         )
-        for i, j in assignments(*map(Limbs.of, problem.prepared.graphs, landmarks, ends))
+        for i, j in assignments(*limbs)
     ]

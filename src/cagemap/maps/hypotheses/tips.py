@@ -51,19 +51,24 @@ class Tips:
     places: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, least: float = LEAST_HEIGHT) -> Tips:
-        """Those of a least height that are neither masked nor at a landmark, highest first."""
+    def of(cls, problem: Problem, least: float = LEAST_HEIGHT, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
+        """Those of a least height that are neither masked, nor at a landmark, nor where a surface ends; highest first.
+
+        The height is that in units of which those of target and source are ``units``.
+        """
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
         prepared, found = problem.prepared, []
         searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
         masks = prepared.masks.at(prepared.vertices, searched)
-        for graph, counts, given in (
-            (target, masks.of_target(target.n), landmarks.target.positions),
-            (source, masks.of_source(source.n), landmarks.source.positions),
+        meshes = prepared.mesh, prepared.source.triangles(prepared.levels[1])
+        for graph, mesh, counts, given, unit in (
+            (target, meshes[0], masks.of_target(target.n), landmarks.target.positions, units[0]),
+            (source, meshes[1], masks.of_source(source.n), landmarks.source.positions, units[1]),
         ):
-            vertices = tip_vertices(graph, least)
+            vertices = tip_vertices(graph, least / unit)
             away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
-            found.append(vertices[(counts[vertices] > 0) & (away > TAKEN)])
+            kept = (counts[vertices] > 0) & (away > TAKEN) & ~mesh.boundary_vertices[vertices]
+            found.append(vertices[kept])
         return cls(found[0], found[1], source.positions[found[1]])
 
     def pairs(self, positions: FloatArray) -> IndexArray:

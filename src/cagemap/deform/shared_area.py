@@ -1,0 +1,79 @@
+"""Which area of two surfaces is shared: where each has a counterpart on the other in a finished fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.deform.prepared import PreparedPair
+from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+
+# Of sqrt(area): what a fit leaves farther from the other surface has no counterpart there.
+MAX_GAP = 0.03
+# Of sqrt(area): what is so near lies on the other surface, also on its boundary.
+ON_SURFACE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class SharedArea:
+    """What each of two surfaces has of the other.
+
+    Attributes
+    ----------
+    target, source : (n1,), (n2,) float64
+        Of every finest vertex, 1 where it has a counterpart, 0 where it has none.
+    target_share, source_share : float
+        Share of each surface's area that has one.
+    """
+
+    target: FloatArray
+    source: FloatArray
+    target_share: float
+    source_share: float
+
+    @classmethod
+    def of_vertices(
+        cls, surfaces: tuple[TriangleSurface, TriangleSurface], values: tuple[FloatArray, FloatArray]
+    ) -> SharedArea:
+        """From values at the vertices of both finest surfaces."""
+        shares = [float(surface.vertex_areas @ own) for surface, own in zip(surfaces, values, strict=True)]
+        return cls(values[0], values[1], shares[0], shares[1])
+
+    @classmethod
+    def of_fit(cls, prepared: PreparedPair, places: FloatArray) -> SharedArea | None:
+        """The shared area of a fit that moves the target's vertices to places (n, 3); None where neither is open.
+
+        A vertex has a counterpart where the closest point that faces the same way is near, and not where the other
+        surface ends. What is squeezed together has none either: it shrank because nothing was there for it.
+        """
+        mesh, source, config = prepared.mesh, prepared.source_surface, prepared.elastic
+        if not (mesh.is_open or source.is_open):
+            return None
+        moved = TriangleSurface(places, mesh.triangles)
+        shrunk = moved.vertex_areas / np.maximum(mesh.vertex_areas, 1e-12)
+        kept = shrunk >= config.data.received[0] * (moved.vertex_areas @ shrunk)
+        mine = _near(moved, source, config.normal_weight) & kept
+        theirs = _near(source, moved, config.normal_weight)
+        target, level = prepared.target, prepared.source.hierarchy.coarsest_level(config.source_vertices)
+        sides = ((target, prepared.levels[0], mine), (prepared.source, level, theirs))
+        values = [
+            np.clip(side.hierarchy.prolong(found.astype(np.float64), at, side.finest), 0.0, 1.0)
+            for side, at, found in sides
+        ]
+        return cls.of_vertices((target.finest_triangles, prepared.source.finest_triangles), (values[0], values[1]))
+
+    def summary(self) -> dict[str, float]:
+        """The shares as plain numbers for a manifest."""
+        return {"target": self.target_share, "source": self.source_share}
+
+
+def _near(surface: TriangleSurface, other: TriangleSurface, normal_weight: float) -> NDArray[np.bool_]:
+    """(n,) which vertices lie on another surface."""
+    at, barycentric, gaps = closest_points(
+        other.tree, surface.positions, surface.vertex_normals, normal_weight=normal_weight
+    )
+    return (gaps <= MAX_GAP) & (~other.at_boundary(at, barycentric) | (gaps <= ON_SURFACE))

@@ -1,0 +1,165 @@
+"""A part on a whole and a whole on a part: what lies beyond the end of the other surface has no counterpart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import icosahedron
+from scipy.spatial.transform import Rotation
+
+from cagemap.deform.counterparts import received_weights
+from cagemap.deform.data import target_to_source
+from cagemap.deform.graph import mesh_graph
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import Plain
+from cagemap.pipeline import MatchResult, match, prepare_surface
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
+
+# Height on the unit sphere where the cap is cut off; the share of the sphere's area above it is 0.6.
+HEIGHT = -0.2
+TURN, SCALE = Rotation.from_euler("xyz", [20, 70, -40], degrees=True).as_matrix(), 3.0
+
+
+def sphere() -> tuple[np.ndarray, np.ndarray]:
+    """Points and triangles of a unit sphere."""
+    refinement = refine(icosahedron(), 4)
+    points = refinement.finest.positions
+    return points / np.linalg.norm(points, axis=1, keepdims=True), level_triangles(refinement, 4)
+
+
+def cap(order: np.random.Generator | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of the sphere above `HEIGHT`, their triangles, and which points of the sphere they are."""
+    points, triangles = sphere()
+    kept = np.flatnonzero(points[:, 2] > HEIGHT)
+    kept = kept if order is None else order.permutation(kept)
+    number = np.full(len(points), -1)
+    number[kept] = np.arange(len(kept))
+    inside = number[triangles]
+    return points[kept], inside[(inside >= 0).all(axis=1)], kept
+
+
+def share_of_cap() -> float:
+    """Area of the cap's triangles, of the sphere's."""
+    return (surface(*sphere()).scale / surface(*cap()[:2]).scale) ** 2
+
+
+def surface(points: np.ndarray, triangles: np.ndarray) -> TriangleSurface:
+    return TriangleSurface.from_faces(points, triangles)
+
+
+def test_points_on_the_boundary_of_a_cap_and_of_a_ball() -> None:
+    points, triangles, _ = cap()
+    part, whole = surface(points, triangles), surface(*sphere())
+    assert not whole.is_open
+    assert part.is_open
+    edges = np.sort(np.vstack([triangles[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    np.testing.assert_array_equal(np.flatnonzero(part.boundary_vertices), np.unique(unique[count == 1]))
+    every = np.arange(len(triangles))
+    assert not part.at_boundary(every, np.full((len(every), 3), 1 / 3)).any()
+    corner = np.tile([1.0, 0.0, 0.0], (len(every), 1))
+    np.testing.assert_array_equal(part.at_boundary(every, corner), part.boundary_vertices[triangles[:, 0]])
+    middle = np.tile([0.0, 0.5, 0.5], (len(every), 1))
+    np.testing.assert_array_equal(part.at_boundary(every, middle), part.neighbors[:, 0] < 0)
+
+
+def test_what_lies_beyond_the_source_has_no_data_term() -> None:
+    points, triangles = sphere()
+    part_points, part_triangles, kept = cap()
+    whole = surface(points, triangles)
+    part = TriangleSurface(whole.scale * part_points, part_triangles, whole.scale)
+    graph, places = mesh_graph(whole, triangles), 1.02 * whole.positions
+    on_part = target_to_source(graph.areas, part, places, whole.vertex_normals, None, 0.01)
+    on_whole = target_to_source(graph.areas, whole, places, whole.vertex_normals, None, 0.01)
+    beyond = np.setdiff1d(np.arange(whole.n), kept)
+    assert np.all(on_part.weights[beyond] == 0)
+    inside = kept[~part.boundary_vertices]
+    near_edge = np.isin(inside, np.unique(triangles[np.isin(triangles, beyond).any(axis=1)]))
+    np.testing.assert_allclose(on_part.weights[inside][~near_edge], on_whole.weights[inside][~near_edge], rtol=0.02)
+
+
+def test_received_area_of_a_part_does_not_know_the_unit() -> None:
+    points, triangles, _ = cap()
+    part = surface(points, triangles)
+    graph = mesh_graph(part, triangles)
+    smoother = graph.smoother(0.005)
+    received = np.where(part.positions[:, 0] > 0, graph.areas, 0.0)
+    for scale in (0.3, 1.0, 3.0):
+        weights = received_weights(smoother, scale * received, of_parts=True)
+        np.testing.assert_allclose(weights, received_weights(smoother, received), atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]:
+    """Matches of a turned, enlarged cap and the sphere, both ways, with the target's points and where they belong."""
+    points, triangles = sphere()
+    made = {}
+    for name, order in (("part", None), ("renumbered", np.random.default_rng(3))):
+        part_points, part_triangles, kept = cap(order)
+        moved = SCALE * part_points @ TURN.T
+        part, whole = (
+            prepare_surface(replace(ControlMesh.from_faces(at, faces, name=label), scheme=Plain()), 0)
+            for label, at, faces in (("part", moved, part_triangles), ("whole", points, triangles))
+        )
+        wanted = [[0, 0, 1], [1, 0, 0.2], [-0.5, 0.8, 0.2], [-0.5, -0.8, 0.2], [0.3, 0.3, 0.6]]
+        marks = np.array([np.argmax(part_points @ direction) for direction in wanted])
+        pairs = np.column_stack([marks, kept[marks]])
+        made[name] = match(part, whole, pairs), part_points, kept
+        if order is None:
+            made["whole"] = match(whole, part, pairs[:, ::-1]), moved, kept
+    return made
+
+
+@pytest.mark.slow
+def test_a_cap_goes_where_it_was_cut_off(found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]) -> None:
+    result, points, _ = found["part"]
+    assert np.linalg.norm(result.image() - points, axis=1).mean() < 0.05
+    assert result.shared is not None
+    assert result.shared.target_share == pytest.approx(1.0, abs=0.05)
+    # A ball has no features: the landmarks alone keep the cap from sliding and stretching.
+    assert result.shared.source_share == pytest.approx(share_of_cap(), abs=0.1)
+    heights, own = result.source.vertices[:, 2], result.shared.source
+    np.testing.assert_allclose(own[heights > HEIGHT + 0.3], 1.0)
+    np.testing.assert_allclose(own[heights < HEIGHT - 0.3], 0.0)
+
+
+@pytest.mark.slow
+def test_a_ball_on_a_cap_keeps_what_the_cap_lacks(found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]) -> None:
+    result, part, kept = found["whole"]
+    away = np.linalg.norm(result.image()[kept] - part, axis=1)
+    # The rest of a featureless ball pulls its rim outwards in the coarse stage.
+    assert away.mean() < 0.08 * SCALE
+    assert result.shared is not None
+    assert result.shared.target_share == pytest.approx(share_of_cap(), abs=0.1)
+    assert result.shared.source_share == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_the_order_of_vertices_does_not_matter(found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]) -> None:
+    first, second = found["part"], found["renumbered"]
+    at = np.full(first[2].max() + 1, -1)
+    at[second[2]] = np.arange(len(second[2]))
+    # Samples of the source are taken along its numbering, the target's clusters are not.
+    assert np.linalg.norm(first[0].image() - second[0].image()[at[first[2]]], axis=1).mean() < 0.01
+    assert first[0].shared is not None
+    assert second[0].shared is not None
+    assert first[0].shared.source_share == pytest.approx(second[0].shared.source_share, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_result_keeps_its_shared_area(
+    found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]], tmp_path: Path
+) -> None:
+    result = found["whole"][0]
+    write_result(tmp_path / "result", result)
+    read = read_result(tmp_path / "result")
+    assert result.shared is not None
+    assert read.shared is not None
+    np.testing.assert_array_equal(read.shared.target, result.shared.target)
+    np.testing.assert_array_equal(read.shared.source, result.shared.source)
+    assert read.manifest["shared_area"] == pytest.approx(result.manifest["shared_area"])
