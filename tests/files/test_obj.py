@@ -270,8 +270,8 @@ def test_missing_file_folder_and_unknown_extension(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="folder"):
         read_mesh(tmp_path / "folder.obj")
     for call in (read_mesh, check_mesh_path):
-        with pytest.raises(FormatError, match=r"\.obj, \.ply, .*, got '\.fbx'"):
-            call(tmp_path / "mesh.fbx")
+        with pytest.raises(FormatError, match=r"\.obj, \.ply, .*, got '\.blend'"):
+            call(tmp_path / "mesh.blend")
     with pytest.raises(FormatError, match=r"\.obj, \.ply"):
         write_mesh(tmp_path / "mesh", cube())
     with pytest.raises(FormatError, match="cannot be read"):

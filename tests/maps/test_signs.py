@@ -10,6 +10,7 @@ from examples.shapes import grid, voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap import pipeline
+from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
@@ -153,7 +154,9 @@ def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepare
 
 def test_maps_that_landmarks_decide_are_asked_too(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     wrong, _ = across(surface)
-    monkeypatch.setattr(pipeline, "elastic_map", lambda problem, progress: (wrong, ()))
+    monkeypatch.setattr(
+        pipeline, "elastic_map", lambda problem, progress: (wrong, (Placement(wrong.images.positions),))
+    )
     given = Landmarks(("a", "b", "c"), np.array([0, 10, 20]), np.array([1, 10, 20]))  # not the identity
     result = match(surface, surface, given, MatchConfig(check_landmarks=False))
     assert result.quality.warnings[0].startswith(JUMPING)
