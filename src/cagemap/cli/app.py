@@ -33,12 +33,10 @@ _Verbose = Annotated[
         "-v",
         count=True,
         show_default=False,
-        help="Say every step, and what was fallen back to; -vv: more.  [default: off]",
+        help="Print every step and every fallback; -vv: more.  [default: off]",
     ),
 ]
-_Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", show_default=False, help="Say nothing but errors.  [default: off]")
-]
+_Quiet = Annotated[bool, typer.Option("--quiet", "-q", show_default=False, help="Print only errors.  [default: off]")]
 
 app = typer.Typer(
     name="cagemap",

@@ -27,10 +27,9 @@ from cagemap.tasks.requests.wrap import WrapRequest
 def match(request: MatchRequest, stages: Stages) -> Outcome:
     """Find for every point of the target its place on the source.
 
-    Writes a folder with manifest.json (what was done, how long it took, how good the map is) and map.npz (the map
-    itself). Without landmarks every way in which one shape may lie on the other is tried, and the answer says how sure
-    it is. Landmarks make it better: six to thirty, spread over the whole surface, are a good number; tips of limbs,
-    nose and tail first.
+    Writes a folder with manifest.json (settings, timings, quality) and map.npz (the map). Without landmarks several
+    alignments are tried, and the verdict says how sure the best one is. Landmarks improve the map: six to thirty,
+    spread over the whole surface; tips of limbs, nose and tail first.
     """
     from cagemap.tasks.match import run_match
 
@@ -71,8 +70,7 @@ def transfer(request: TransferRequest, stages: Stages) -> Outcome:
 def wrap(request: WrapRequest, stages: Stages) -> Outcome:
     """Give the target's cage the source's shape.
 
-    Your topology, that shape: the refined surface comes to lie on the source. Vertices, faces, UVs, groups and
-    materials stay those of the target.
+    The refined surface is fitted to the source. Vertices, faces, UVs, groups and materials stay those of the target.
     """
     from cagemap.tasks.wrap import run_wrap
 
@@ -111,8 +109,8 @@ def face(request: FaceRequest, stages: Stages) -> Outcome:
 def report(request: ReportRequest, stages: Stages) -> Outcome:
     """Write one HTML page: a verdict, and both models turning.
 
-    Models coloured by the map, marks where to look, what was made with it. The page needs no other file or network:
-    mail it, print it.
+    Shows both models coloured by the map, marks of doubtful places, and what was transferred. The page is one file and
+    needs no network.
     """
     from cagemap.tasks.report import run_report
 
@@ -123,9 +121,8 @@ def report(request: ReportRequest, stages: Stages) -> Outcome:
 def run(request: RunRequest) -> None:
     """Match and transfer many pairs, as a job file says.
 
-    Each surface is prepared once, what is done is kept. Writes a folder with a RESULT for every pair, what the job asks
-    for beside it, index.html and figures.csv. Run it again after a failure or a change: only what is missing is done.
-    Exit code 1 if anything failed.
+    Writes a folder with a RESULT for every pair, the outputs of the job, index.html and figures.csv. Finished tasks are
+    kept: after a failure or a change, run it again and only missing tasks are done. Exit code 1 if anything failed.
     """
     from cagemap.tasks.run_job import run_job
 
@@ -153,7 +150,7 @@ def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     """Write eigenfunctions and descriptors of one mesh.
 
     Row i belongs to vertex i of the mesh that `cagemap refine` writes at the same level. The surface has unit area:
-    eigenfunctions are those of the hierarchical basis, eigenvalues and times are free of the file's unit.
+    eigenvalues and times do not depend on the file's unit.
     """
     from cagemap.tasks.functions import run_functions
 
@@ -165,9 +162,10 @@ def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
 def map_file(request: MapRequest, stages: Stages) -> Outcome:
     """Take a point map of any method as a RESULT.
 
-    Bake with it, wrap, see it in a report. A list of source vertices, one for each vertex of the target at any level;
-    or triangles of the source's level and barycentric coordinates; or a sparse matrix. `cagemap transfer RESULT
-    --write-map` writes them. With --weld the numbers are those of what `cagemap refine --weld` writes.
+    The RESULT can be used for baking, wrapping and reports. A map is a list of source vertices, one for each vertex of
+    the target at any level; or triangles of the source's level and barycentric coordinates; or a sparse matrix.
+    `cagemap transfer RESULT --write-map` writes them. With --weld the numbers are those of what `cagemap refine --weld`
+    writes.
     """
     from cagemap.tasks.import_map import run_map
 

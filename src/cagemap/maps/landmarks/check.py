@@ -1,8 +1,8 @@
-"""A map that does not follow a slip: a pair on the wrong limb is left out, one that only strains is kept and named.
+"""Reject landmark outliers; report landmarks that merely strain the map.
 
-Landmarks are a person's word. Distances between them accuse a pair before the map; it is left out only if a coarse fit
-without it is much cheaper than one with it, and if the map without it leads elsewhere. After the map, strain tells
-which pair holds it where it does not want to be: it is kept, because it may say what shape alone cannot, and named.
+Distances between landmarks find suspects before the map. A suspect is left out only if a coarse fit without it is much
+cheaper than one with it, and if the map without it leads elsewhere. After the map, strain shows which landmarks pull it
+away from where shape alone would place them: these are kept, since they may be right, and reported.
 """
 
 from __future__ import annotations

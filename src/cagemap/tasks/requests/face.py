@@ -28,5 +28,5 @@ class FaceRequest:
             help="Points file of HEAD: nose_tip, chin, mouth_left and others.",
         ),
     ] = None
-    sheet: Annotated[Path | None, Option(group=OUTPUT, help="Pictures of all shapes in one image to write.")] = None
+    sheet: Annotated[Path | None, Option(group=OUTPUT, help="Image to write, with pictures of all shapes.")] = None
     force: Force = False

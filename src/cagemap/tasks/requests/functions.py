@@ -37,13 +37,11 @@ class FunctionsRequest:
     ] = None
     k: Annotated[int, Option("-k", min=1, help="Basis functions.")] = 100
     schedule: Annotated[str | None, Option(help="Basis functions per level, such as 100,50,50,50; replaces -k.")] = None
-    laplacian: Annotated[
-        str, Option(help="mean, alexa-wardetzky or de-goes-butts-desbrun, these with :LAMBDA or not.")
-    ] = "mean"
+    laplacian: Annotated[str, Option(help="mean, alexa-wardetzky[:LAMBDA] or de-goes-butts-desbrun[:LAMBDA].")] = "mean"
     accuracy: Annotated[float, Option(help="Convergence of the eigensolver.")] = 1e-5
-    literal: Annotated[bool, Option("--literal", help="With --schedule: the paper's Definition 2 to the letter.")] = (
-        False
-    )
+    literal: Annotated[
+        bool, Option("--literal", help="With --schedule: the paper's Definition 2 exactly as printed.")
+    ] = False
     heat: Annotated[int, Option(min=1, help="Heat signatures or kernels: diffusion times.")] = 10
     wave: Annotated[int, Option(min=1, help="Wave signatures or kernels: energies.")] = 20
     points: Annotated[str | None, Option(help="Kernels: control vertices that they start from, such as 0,12,40.")] = (
@@ -51,7 +49,7 @@ class FunctionsRequest:
     )
     column: Annotated[
         int | None,
-        Option(min=0, help="In colours: which one of the functions.  [default: the first that is not constant]"),
+        Option(min=0, help="Function that a .ply shows as colours.  [default: the first that is not constant]"),
     ] = None
     scheme: SchemeOption = None
     weld: WeldOption = None

@@ -105,7 +105,10 @@ class MatchRequest:
     literal: Annotated[
         bool,
         Option(
-            "--literal", group=RESEARCH, setting=True, help="With schedule: the paper's Definition 2 to the letter."
+            "--literal",
+            group=RESEARCH,
+            setting=True,
+            help="With schedule: the paper's Definition 2 exactly as printed.",
         ),
     ] = False
     target_laplacian: Annotated[
@@ -128,7 +131,7 @@ class MatchRequest:
     ] = False
     method: Annotated[
         Method,
-        Option(group=RESEARCH, help="elastic meets landmarks exactly; hfm and paper are functional maps."),
+        Option(group=RESEARCH, help="elastic maps landmarks exactly; hfm and paper compute functional maps."),
     ] = Method.ELASTIC
     parameter: Annotated[
         tuple[str, ...],
@@ -166,7 +169,7 @@ class MatchRequest:
         Option(
             "--trust-landmarks",
             group=LANDMARKS,
-            help="Meet every landmark; otherwise pairs that look wrong are left out.",
+            help="Keep every landmark; by default, outliers are left out.",
         ),
     ] = False
     answer: Annotated[
@@ -174,7 +177,7 @@ class MatchRequest:
         Option(
             group=OUTPUT,
             min=0,
-            help="Take another of the answers that a match named: 1, 2, ...",
+            help="Use another of the reported alignments: 1, 2, ...",
         ),
     ] = 0
     target_points: Annotated[
@@ -199,7 +202,7 @@ class MatchRequest:
         str | None,
         Option(
             group=INPUT,
-            help="Match only this object, group, material or component; or largest, each.  [default: whole file]",
+            help="An object, group, material or component by name; largest, each or material.  [default: whole file]",
         ),
     ] = None
     target_part: TargetPartOption = None

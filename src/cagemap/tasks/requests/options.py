@@ -83,7 +83,7 @@ MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 Space = Annotated[
-    str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
+    str, Option(help="Space of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
 ]
 Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
 MeshFile = Annotated[
@@ -91,7 +91,7 @@ MeshFile = Annotated[
 ]
 Force = Annotated[
     bool,
-    Option("--force", group=OUTPUT, help="Overwrite files that cagemap did not write, or that were changed since."),
+    Option("--force", group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
 ]
 ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
 
@@ -99,7 +99,8 @@ SchemeOption = Annotated[
     SchemeName | None,
     Option(
         group=INPUT,
-        help="Subdivision scheme; none takes the mesh as it is.  [default: as the file says, else loop for triangles]",
+        help="Subdivision scheme; none uses the mesh without subdivision.  "
+        "[default: as the file says, else loop for triangles]",
     ),
 ]
 TargetSchemeOption = Annotated[
@@ -129,14 +130,22 @@ BoundaryOption = Annotated[
     BoundaryName | None,
     Option(
         group=INPUT,
-        help="Whether boundary vertices with a single face stay.  [default: as the file says, else edge-and-corner]",
+        help="Boundary corners: edge-and-corner keeps them sharp, edge-only rounds them.  "
+        "[default: as the file says, else edge-and-corner]",
     ),
 ]
 UvOption = Annotated[
-    UvName | None, Option(group=INPUT, help="Where UVs stay linear.  [default: as the file says, else all]")
+    UvName | None,
+    Option(
+        group=INPUT,
+        help="Where UVs are interpolated linearly, as in OpenSubdiv.  [default: as the file says, else all]",
+    ),
 ]
 CreasingOption = Annotated[
-    CreasingName | None, Option(group=INPUT, help="How creases soften.  [default: as the file says, else uniform]")
+    CreasingName | None,
+    Option(
+        group=INPUT, help="Rule for semi-sharp creases, as in OpenSubdiv.  [default: as the file says, else uniform]"
+    ),
 ]
 
 
@@ -150,7 +159,7 @@ TargetMaskOption = Annotated[
 ]
 SourceMaskOption = Annotated[
     str | None,
-    Option(group=INPUT, help="Only this part of the source, likewise.  [default: all]"),
+    Option(group=INPUT, help="Only this part of the source, see --target-mask.  [default: all]"),
     NameOrFile(MASK_FILES),
 ]
 MaskEdgeOption = Annotated[
@@ -158,8 +167,8 @@ MaskEdgeOption = Annotated[
     Option(
         group=INPUT,
         min=0.0,
-        help="Width of the masks' soft edge, share of the model's size.  [default: 0.02 of sets of faces, 0 "
-        "of values and images]",
+        help="Width of the masks' soft edge, share of the model's size.  [default: 0.02 for sets of faces, 0 "
+        "for values and images]",
     ),
 ]
 

@@ -32,6 +32,7 @@ class ReportRequest:
     up: Annotated[
         UpAxis | None,
         Option(
-            help="Axis of the target that is up in the pictures.  [default: as a USD file says, or its shape shows]"
+            help="Axis of the target that is up in the pictures.  "
+            "[default: from the USD file, or guessed from the shape]"
         ),
     ] = None

@@ -14,9 +14,7 @@ class RigRequest:
     """What the user asked for."""
 
     body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
-    like: Annotated[
-        Path, Option("--like", group=INPUT, help="Character to take it all from: .glb, .gltf, .vrm or .fbx.")
-    ]
+    like: Annotated[Path, Option("--like", group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm or .fbx.")]
     output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
     landmarks: Annotated[
         Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
@@ -35,12 +33,15 @@ class RigRequest:
         None
     )
     cloth: Annotated[str | None, Option(group=INPUT, help="Passengers that follow the skin: mask,belt.")] = None
-    influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints that move a vertex; 0 for all.")] = 4
+    influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints per vertex; 0 for all.")] = 4
     keep_textures: Annotated[
         bool, Option("--keep-textures", group=OUTPUT, help="BODY keeps its own materials and textures.")
     ] = False
     size: Annotated[
-        int | None, Option(group=OUTPUT, min=1, help="Side of baked textures.  [default: as the character's]")
+        int | None,
+        Option(group=OUTPUT, min=1, help="Width and height of baked textures.  [default: as the character's]"),
     ] = None
-    report: Annotated[Path | None, Option(group=OUTPUT, help="Page that shows it dressed and moving: .html.")] = None
+    report: Annotated[
+        Path | None, Option(group=OUTPUT, help="HTML page to write, which shows the animated result.")
+    ] = None
     force: Force = False

@@ -16,12 +16,14 @@ class RunRequest:
     job: Annotated[Path, Argument(help="Job file, .toml.")]
     scheduler: Annotated[
         str | None,
-        Option(help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes here]"),
+        Option(
+            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes on this machine]"
+        ),
     ] = None
-    workers: Annotated[int | None, Option(min=1, help="Processes here.  [default: one for each core]")] = None
-    dry_run: Annotated[bool, Option("--dry-run", help="Only say what would be done, and about how long it takes.")] = (
-        False
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
+        None
     )
+    dry_run: Annotated[bool, Option("--dry-run", help="Only list the tasks and estimate their time.")] = False
     task: Annotated[
         str | None,
         Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),

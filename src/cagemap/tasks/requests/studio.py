@@ -24,11 +24,11 @@ class StudioRequest:
     source: Annotated[Path | None, Option("--source", "-s", help="Control mesh that gives.")] = None
     landmarks: Annotated[Path | None, Option(help="Landmark file to open and save.")] = None
     texture: Annotated[Path | None, Option(help="Image over the source's UVs.")] = None
-    result: Annotated[Path | None, Option(help="RESULT folder of the finish; alone, the one to open.")] = None
+    result: Annotated[Path | None, Option(help="RESULT folder to write; without models, the one to open.")] = None
     folder: Annotated[tuple[Path, ...], Option(help="Folder that the page may open and write; may be repeated.")] = ()
-    host: Annotated[str, Option(help="Address to serve; others than loopback need the token.")] = "127.0.0.1"
-    port: Annotated[int, Option(min=0, max=65535, help="The next free one is taken.")] = 8765
-    vertices: Annotated[int, Option(min=1, help="About this many a model, in the page.")] = 25_000
+    host: Annotated[str, Option(help="Address to serve; other machines need the printed token.")] = "127.0.0.1"
+    port: Annotated[int, Option(min=0, max=65535, help="Port; if it is in use, the next free one.")] = 8765
+    vertices: Annotated[int, Option(min=1, help="About this many displayed vertices per model.")] = 25_000
     no_browser: Annotated[bool, Option("--no-browser", help="Do not open the page.")] = False
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None

@@ -31,17 +31,19 @@ class TransferRequest:
     ]
     texture: Annotated[
         Path | None,
-        Option(help="Source texture: any image; several as NAME=IMAGE, once each."),
+        Option(help="Source texture, any image; for several, repeat it with NAME=IMAGE."),
     ] = None
     maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
     usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
     displacement: Annotated[Path | None, Option(help="Source displacement along the normal.")] = None
-    normal_map: Annotated[Path | None, Option(help="Source normal map, turned with the map.")] = None
+    normal_map: Annotated[
+        Path | None, Option(help="Source normal map; its directions are converted for the target.")
+    ] = None
     vector_displacement: Annotated[Path | None, Option(help="Source vector displacement.")] = None
     space: Space = "tangent"
     green: Green = "up"
     as_color: Annotated[
-        bool, Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
+        bool, Option("--as-color", help="Texture: treat an image that looks like a normal map as colours.")
     ] = False
     filter: Annotated[
         str,
@@ -55,35 +57,38 @@ class TransferRequest:
     material_colors: Annotated[bool, Option("--material-colors", help="Bake the source's material colours.")] = False
     bake: Annotated[
         tuple[str, ...],
-        Option(
-            help="From a detailed mesh, with commas: normal, displacement, vector-displacement, ao, colors, texture."
-        ),
+        Option(help="Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture."),
         SomeOf(("normal", "displacement", "vector-displacement", "ao", "colors", "texture")),
     ] = ()
     detail: Annotated[
-        Path | None, Option(help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]")
+        Path | None,
+        Option(
+            help="Detailed mesh for --bake, at the same place as the source.  [default: the source, for ao and colors]"
+        ),
     ] = None
-    detail_texture: Annotated[Path | None, Option(help="Bake texture: the detailed mesh's own image.")] = None
-    rays: Annotated[int, Option(min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128
-    source_uvs: Annotated[bool, Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh.")] = (
-        False
-    )
+    detail_texture: Annotated[Path | None, Option(help="Image of the detailed mesh, for --bake texture.")] = None
+    rays: Annotated[int, Option(min=1, help="Rays per vertex, for --bake ao.")] = 128
+    source_uvs: Annotated[
+        bool, Option("--source-uvs", help="Give the target the source's UVs; -o is the mesh to write.")
+    ] = False
     weights: Annotated[
-        Path | None, Option(help="Skinning weights of the source, a column a joint: .csv, .npz, glTF.")
+        Path | None, Option(help="Skinning weights of the source, a column per joint: .csv, .npz, glTF.")
     ] = None
-    influences: Annotated[int, Option(min=0, help="Weights: at most so many joints a vertex; 0 for all.")] = 4
-    only: Annotated[
-        str | None, Option(help="Weights: of these joints, with commas; --base has the target's own of all others.")
+    influences: Annotated[int, Option(min=0, help="Weights: most joints per vertex; 0 for all.")] = 4
+    only: Annotated[str | None, Option(help="Weights: only these joints, with commas; --base has the others.")] = None
+    mirror: Annotated[
+        bool, Option("--mirror", help="Weights: make left and right symmetric, by the joints' names.")
+    ] = False
+    joints: Annotated[
+        Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights, names the columns.")
     ] = None
-    mirror: Annotated[bool, Option("--mirror", help="Weights: make both sides alike, by the joints' names.")] = False
-    joints: Annotated[Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights its names.")] = None
     blend_shapes: Annotated[
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
     ] = ()
     passenger: Annotated[Path | None, Option(help="Mesh on the source to carry: clothes, eyes, hair, a prop.")] = None
     kind: Annotated[
         str | None,
-        Option("--as", help="Passenger: cloth, rigid or similarity.  [default: as its pieces look]"),
+        Option("--as", help="Passenger: cloth, rigid or similarity.  [default: chosen for each piece]"),
         OneOf(("cloth", "rigid", "similarity")),
     ] = None
     write_map: Annotated[
@@ -99,17 +104,20 @@ class TransferRequest:
         Option(min=1, max=65_536, help="Width and height in texels.  [default: the source image's, or 2048]"),
     ] = None
     bits: Annotated[
-        int | None, Option(help="8, 16 or 32 (float) a channel.  [default: as the source image]"), OneOf((8, 16, 32))
+        int | None,
+        Option(help="Bits per channel: 8, 16 or 32 (float).  [default: as the source image]"),
+        OneOf((8, 16, 32)),
     ] = None
     scale: Annotated[float, Option(help="Displacement: source height between the values 0 and 1.")] = 1.0
     midlevel: Annotated[
-        float | None, Option(help="Displacement: value that means none.  [default: 0.5 for integers, 0 for floats]")
+        float | None,
+        Option(help="Displacement: value of zero displacement.  [default: 0.5 for integers, 0 for floats]"),
     ] = None
     bases: Annotated[
         tuple[tuple[str, Path], ...],
         Option(
             "--base",
-            help="The target's own image or values outside the masks; [NAME=]IMAGE.  [default: alpha]",
+            help="The target's own image or values outside the masks; [NAME=]IMAGE.  [default: transparent]",
         ),
     ] = ()
     target_mask: TargetMaskOption = None
