@@ -77,7 +77,7 @@ def test_correct_landmarks_do_not_make_the_rest_worse(shared_data: Path, count: 
     animals = shared_data / "animals"
     cow, horse = (prepare_surface(read_mesh(animals / f"{name}.obj"), 2) for name in ("cow", "horse"))
     named = read_landmarks(animals / "landmarks" / "horse__cow.json", "cow.obj", "horse.obj")[0]
-    feet = ["nose_tip", "fore_hoof_L", "hind_hoof_R", "tail_tip", "fore_hoof_R", "hind_hoof_L"]
+    feet = ["nose_tip", "fore_hoof_left", "hind_hoof_right", "tail_tip", "fore_hoof_right", "hind_hoof_left"]
     rest = named.without([named.names.index(name) for name in feet])
 
     def error(landmarks: Landmarks) -> float:

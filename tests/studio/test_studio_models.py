@@ -173,10 +173,10 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     )
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, speck)
-    opening = Opening(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, ("none", "none"))
+    opening = Opening(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, ("none", "none"))
     bench, opened = perform(Bench(), OpenModels(opening), lambda _: None)
     assert isinstance(opened, Opened)
-    assert any("set aside" in note for note in opened.notes)
+    assert any("set aside" in note for note in opened.target.notes)
     shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
     files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)

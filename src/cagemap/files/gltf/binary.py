@@ -77,7 +77,8 @@ class Binary:
         data = b"".join(self._chunks)
         if data:
             buffers.append({"byteLength": len(data)})
-        used = sorted({*top.get("extensionsUsed", ()), *self.extensions})
+        given = top.get("extensionsUsed", ())
+        used = sorted({*(name for name in given if isinstance(name, str)), *self.extensions})
         lists = {"accessors": self._accessors, "bufferViews": self._views, "buffers": buffers, "extensionsUsed": used}
         blobs = (*self._given.buffers, data) if data else self._given.buffers
         return Document(top | {name: values for name, values in lists.items() if values}, blobs, self._given.file)
