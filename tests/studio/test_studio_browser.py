@@ -168,6 +168,46 @@ def save(page: Page, files: Files, count: int) -> None:
     page.until(lambda: len(saved(files)) == count, f"{count} landmarks in the file")
 
 
+def test_views_change_what_is_shown(page: Page) -> None:
+    page.keys("f")
+    first = {side: page.look(side) for side in ("target", "source")}
+    seen = first["target"]
+    for mode in ("colours", "checker", "plain"):
+        page.set("mode", mode)
+        page.until(lambda seen=seen: other(page.look("target"), seen), f"{mode} on the target")
+        seen = page.look("target")
+    page.set("mode", "texture")
+    page.until(lambda: not other(page.look("target"), first["target"]), "the texture again")
+
+    # Compared: one look left of a border, another one right of it.
+    page.set("other", "plain")
+    for split, same in ((1.0, True), (0.0, False), (0.5, False)):
+        page.set("split", split)
+        page.until(lambda same=same: other(page.look("target"), first["target"]) != same, f"the border at {split}")
+    page.set("other", "")
+    page.until(lambda: not other(page.look("target"), first["target"]), "one look")
+
+    # The target takes the source's shape; the source lies over it.
+    page.set("morph", 1.0)
+    page.until(lambda: other(page.look("target"), first["target"]), "the wrapped target")
+    assert np.abs(page.look("target") - page.look("source")).mean() < OTHER
+    page.click("target", FLANK)
+    page.until(lambda: "Set Wrap back" in page.text("status"), "why no landmark is placed")
+    assert not page.state("asks")
+    page.set("morph", 0.0)
+    page.set("overlay", True)
+    page.until(lambda: other(page.look("target"), first["target"]), "both over each other")
+    page.set("overlay", False)
+    page.until(lambda: np.array_equal(page.look("target"), page.look("target")), "a picture that stays")
+    still = page.look("target")
+
+    for name in ("cages", "numbers"):
+        page.set(name, name == "cages")
+        page.until(lambda: np.abs(page.look("target") - still).max() > 30, name)
+        page.set(name, name != "cages")
+        page.until(lambda: not other(page.look("target"), still), f"no {name}")
+
+
 def test_nothing_is_asked_of_other_machines(page: Page) -> None:
     asked = page.run("return performance.getEntries().map(e => [e.entryType, e.name])")
     named = [name for kind, name in asked if kind in ("resource", "navigation")]
@@ -268,44 +308,6 @@ def test_a_wrong_landmark_is_marked(page: Page) -> None:
     back_to(page, count)
     page.until(lambda: not any("\u26a0" in row for row in page.rows()), "no mark")
     page.set("symmetric", True)
-
-
-def test_views_change_what_is_shown(page: Page) -> None:
-    page.keys("f")
-    first = {side: page.look(side) for side in ("target", "source")}
-    seen = first["target"]
-    for mode in ("colours", "checker", "plain"):
-        page.set("mode", mode)
-        page.until(lambda seen=seen: other(page.look("target"), seen), f"{mode} on the target")
-        seen = page.look("target")
-    page.set("mode", "texture")
-    page.until(lambda: not other(page.look("target"), first["target"]), "the texture again")
-
-    # Compared: one look left of a border, another one right of it.
-    page.set("other", "plain")
-    for split, same in ((1.0, True), (0.0, False), (0.5, False)):
-        page.set("split", split)
-        page.until(lambda same=same: other(page.look("target"), first["target"]) != same, f"the border at {split}")
-    page.set("other", "")
-    page.until(lambda: not other(page.look("target"), first["target"]), "one look")
-
-    # The target takes the source's shape; the source lies over it.
-    page.set("morph", 1.0)
-    page.until(lambda: other(page.look("target"), first["target"]), "the wrapped target")
-    assert np.abs(page.look("target") - page.look("source")).mean() < OTHER
-    page.click("target", FLANK)
-    page.until(lambda: "Set Wrap back" in page.text("status"), "why no landmark is placed")
-    assert not page.state("asks")
-    page.set("morph", 0.0)
-    page.set("overlay", True)
-    page.until(lambda: other(page.look("target"), first["target"]), "both over each other")
-    page.set("overlay", False)
-
-    for name in ("cages", "numbers"):
-        page.set(name, name == "cages")
-        page.until(lambda: np.abs(page.look("target") - first["target"]).max() > 30, name)
-        page.set(name, name != "cages")
-        page.until(lambda: not other(page.look("target"), first["target"]), f"no {name}")
 
 
 def test_the_name_of_a_landmark_is_shown_under_the_pointer_and_the_theme_is_kept(page: Page) -> None:
