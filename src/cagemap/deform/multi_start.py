@@ -138,5 +138,5 @@ def refine(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
 
 
 def cheapest_first(placements: Iterable[Placement]) -> list[Placement]:
-    """Placements in the order of their costs."""
+    """Placements sorted by cost, ascending."""
     return sorted(placements, key=lambda placed: placed.cost)

@@ -41,7 +41,7 @@ MAX_FIN_ROUNDS = 20
 class Repairs(Brief):
     """What was done to a mesh before it was matched as it is; zero where nothing was."""
 
-    #: vertices at the very place of another, on borders (files that repeat vertices face by face) or on edges of length
+    #: vertices at the position of another, on borders (files that repeat vertices face by face) or on edges of length
     #: zero, which became one with it
     joined_vertices: int = 0
     split_faces: int = 0  #: faces of other sizes than the rest, split into triangles with all others

@@ -22,7 +22,7 @@ from cagemap.spectral.zoomout import Embedding
 TARGET_BLOCK = 1024
 # Weight of S_1^l from which a coarse vertex counts as a parent of a refined one, relative to the row's largest.
 PARENT_SHARE = 0.5
-# A triangle whose squared area is below this share of its squared sides has no inside.
+# Triangles with a squared area below this share of their squared sides are degenerate.
 MIN_DETERMINANT = 1e-12
 
 # Rows (q, k) of an embedding at some vertices (q,).

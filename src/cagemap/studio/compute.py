@@ -191,7 +191,7 @@ def open_models(opening: Opening, progress: Progress) -> tuple[OpenedModel, Open
 
 
 def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Found]:
-    """Map the models with the landmarks there are.
+    """Match the models with the current landmarks.
 
     Raises
     ------

@@ -213,7 +213,7 @@ class Session(Held):
             self.show(baked_view(self._state, image))
 
     def match_again(self) -> None:
-        """Compute the map from the start, with the landmarks there are."""
+        """Match from the start with the current landmarks."""
         with self._lock:
             self._find(fresh=True)
 
@@ -225,7 +225,7 @@ class Session(Held):
                 self._preview.choose(index)
 
     def cancel(self) -> None:
-        """End the finish, whose whole files stay, or else the preview's computation, whose map stays as it was."""
+        """Cancel the bake (complete files are kept), or else the preview (the last map is kept)."""
         with self._lock:
             finish = self._state.finish_job is not None
             self._cancelled = running = self._state.preview_job is not None and not finish

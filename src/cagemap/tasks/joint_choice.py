@@ -1,4 +1,4 @@
-"""`cagemap transfer --weights` with `--only` and `--mirror`: the weights of some joints, and both sides alike."""
+"""`cagemap transfer --weights` with `--only` and `--mirror`: weights of chosen joints, symmetric weights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cagemap.transfer.skin import chosen_joints, mirrored_skin, normalised, prun
 def with_choice(
     request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
 ) -> FloatArray:
-    """Carried weights (n, j) with both sides alike and the joints not chosen as the target has them.
+    """Carried weights (n, j), made symmetric if asked; joints that are not chosen keep the target's own weights.
 
     Parameters
     ----------

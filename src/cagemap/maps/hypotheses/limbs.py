@@ -21,7 +21,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 LEAST_LIMB = 0.1
 # Limbs and landmarks that an assignment needs, and how many limbs it may have: the most prominent ones.
 FEWEST_POINTS, MOST_LIMBS = 4, 7
-# The same of a part, whose other limbs may be cut off.
+# `FEWEST_POINTS` where a surface is a part: its other limbs may be cut off.
 FEWEST_OF_PART = 3
 # How many assignments are fitted; sums of the log ratios of girths weigh this much beside those of lengths.
 ASSIGNED, GIRTH_WEIGHT = 10, 0.5

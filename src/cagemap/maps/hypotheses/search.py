@@ -1,4 +1,4 @@
-"""The search for the cheapest placement: from landmarks, from limbs assigned to limbs, from how the files stand."""
+"""Search for the cheapest placement: from landmarks, from assigned limbs, from the files' own alignment."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads
 
-# Suffix of an answer's name where a better answer has the same rotation, with other limbs on each other.
+# Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
 ANOTHER_WAY = " in another way"
 
 
@@ -72,7 +72,7 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
 
 
 def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
-    """Different ways in which the target lies on the source, best first, by `search`.
+    """Different alignments of the target with the source, best first, by `search`.
 
     Positions are those of the vertices of the level that is deformed.
     """
