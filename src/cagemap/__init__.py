@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from cagemap.maps.projection.project import project as project
     from cagemap.maps.projection.project import unfold as unfold
     from cagemap.maps.quality import QualityFigures as QualityFigures
+    from cagemap.maps.regions import RegionFigures as RegionFigures
+    from cagemap.maps.regions import region_figures as region_figures
     from cagemap.maps.result import MatchResult as MatchResult
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh import Plain as Plain
@@ -107,6 +109,7 @@ _PACKAGES = {
     "maps.point_map": ("PointMap",),
     "maps.projection.project": ("project", "unfold"),
     "maps.quality": ("QualityFigures",),
+    "maps.regions": ("RegionFigures", "region_figures"),
     "maps.result": ("MatchResult",),
     "mesh": ("ControlMesh", "Plain"),
     "mesh.checks": ("check_mesh",),

@@ -283,3 +283,12 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     edges = _edges(refinement.control)
     assert len(segments) == len(edges) * 2**refinement.n_levels
     assert draw_carried(result, CarriedData(), SIZE) == ()
+
+
+def test_the_table_of_landmarks_says_how_large_the_target_is_around_them(result: MatchResult, gallery: Gallery) -> None:
+    table = build_page(result, gallery).split("<th>size around it</th>")[1].split("</table>")[0]
+    # The same surface at another scale: of equal size everywhere.
+    assert table.count("<td>1.00</td>") == len(result.landmarks)
+    outwards = result.target.control.positions * [1.0, 1.0, 3.0]
+    wide = identity_result(controls=(result.target.control.with_positions(outwards), result.source.control))
+    assert "stretched" in build_page(wide, gallery).split("<th>size around it</th>")[1].split("</table>")[0]

@@ -94,7 +94,7 @@ def test_arrays_come_back_to_the_last_of_16_bits(result: MatchResult) -> None:
 
 def test_first_look_is_the_texture_else_materials_else_the_checker(result: MatchResult) -> None:
     models = report_models(result, seen(result))
-    assert [look.name for look in models.looks] == ["Materials", "Checker", "Places", "Problems"]
+    assert [look.name for look in models.looks] == ["Materials", "Checker", "Places", "Problems", "Sizes"]
     described, content = opened(models, result)
     colors = unpacked(described["sides"][SOURCE]["key_colors"], content)
     assert len(np.unique(colors.round(2), axis=0)) == 2  # red and grey, and nothing between them

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cagemap.maps.regions import local_size
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures import distinct_colors, position_colors, sample_texture, scalar_colors, to_display
+from cagemap.pictures import BALANCE, distinct_colors, position_colors, sample_texture, scalar_colors, to_display
 from cagemap.report.figures import Pixels, for_display, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
@@ -74,6 +75,13 @@ def report_models(
             "Problems",
             "Red: folded or stretched strongly; on the source: nothing from here arrives.",
             kind="doubt",
+        ),
+        Look(
+            "Sizes",
+            "Red: larger on the target than on the source; blue: smaller. The darkest are twice or half as long. Both "
+            "models are compared at equal area.",
+            np.broadcast_to(CLAY, (len(source.vertices), 3)),
+            scalar_colors(np.log2(local_size(result)[target.vertices]), -1.0, 1.0, BALANCE),
         ),
     ]
     other = runner_up_image(result)

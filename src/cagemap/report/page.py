@@ -17,6 +17,7 @@ from cagemap.errors import FormatError, in_options
 from cagemap.files.ownership import mark
 from cagemap.files.result.folder import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
+from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import Image, distinct_colors
@@ -31,6 +32,7 @@ MAX_TEXTURE_BYTES = 700_000
 
 _STYLE, _SCRIPTS = "style.css", ("three/three.min.js", "arrays.js", "viewer.js")
 _QUALITY = 90  # of JPEG pictures
+NOTABLE_ASPECT = 1.5  # from this median ratio on, a region is said to be stretched
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,12 @@ def build_page(
         _textures(textures),
         *made,
         _fold("Numbers", "how good the map is, measured without knowing the true one", _numbers(result, ratings)),
-        _fold("Landmarks", "how far each is missed, as a share of the model's size", _landmarks(result))
+        _fold(
+            "Landmarks",
+            "how far each is missed, as a share of the model's size; how long the target is around it where the source "
+            "has length 1, both models at equal area",
+            _landmarks(result),
+        )
         if len(result.landmarks)
         else "",
         _fold("Curves", "distance between a curve and its counterpart, both ways", _curves(result))
@@ -330,6 +337,7 @@ def _ratings(ratings: list[Any]) -> str:
 def _landmarks(result: MatchResult) -> str:
     names = result.landmark_names
     left_out = {suspect.pair for suspect in result.suspects}
+    regions = {region.landmark: region for region in region_figures(result)} if len(result.trusted) else {}
     rows = []
     for number, color in enumerate(distinct_colors(len(names))):
         red, green, blue = np.round(color * 255).astype(int)
@@ -337,11 +345,24 @@ def _landmarks(result: MatchResult) -> str:
         rows.append(
             f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>{name}</td>'
             f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td>"
+            f"<td>{_size(regions.get(names[number]))}</td>"
             f'<td><button type="button" data-landmark="{number}" aria-label="Show {name}">Show</button>'
             "</td></tr>"
         )
-    head = "<tr><th>landmark</th><th>miss</th><td></td></tr>"
+    head = "<tr><th>landmark</th><th>miss</th><th>size around it</th><td></td></tr>"
     return f'<table class="columns">{head}{"".join(rows)}</table>'
+
+
+def _size(region: RegionFigures | None) -> str:
+    """How the target differs from the source around a landmark."""
+    if region is None:
+        return ""
+    said = f"{region.size:.2f}"
+    if region.aspect_ratio > NOTABLE_ASPECT:
+        said += f", stretched {region.aspect_ratio:.1f} : 1"
+    if region.folded >= 0.001:
+        said += f", {100 * region.folded:.1f} % folded"
+    return said
 
 
 def _curves(result: MatchResult) -> str:

@@ -1,0 +1,109 @@
+"""How two surfaces differ in size and shape, told for the region around each landmark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from cagemap.errors import ParameterError
+from cagemap.maps.quality import flipped_triangles, stretches, weighted_percentiles
+from cagemap.maps.result import MatchResult
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangle_surface import TriangleSurface
+
+
+@dataclass(frozen=True)
+class RegionFigures:
+    """Median stretch of a map over the part of the target that is nearest to one landmark.
+
+    Attributes
+    ----------
+    landmark : str
+        Its name.
+    area : float
+        Share of the target's area that counts, from 0 to 1.
+    size : float
+        How long the target is there for a source of length 1, both surfaces at equal area: square root of the
+        median ratio of areas. 2 where the target's ear is twice as long and twice as wide.
+    aspect_ratio : float
+        Median ratio of the singular values of the map's differential: 1 where it keeps shape.
+    folded : float
+        Share of the region whose image is folded over.
+    """
+
+    landmark: str
+    area: float
+    size: float
+    aspect_ratio: float
+    folded: float
+
+
+def local_size(result: MatchResult) -> FloatArray:
+    """(n1,) how long the target is at its vertices for a source of length 1, both surfaces at equal area."""
+    target, sigma = result.point_map.target, _stretches(result)
+    # Areas are summed before they are divided: a vertex compares its triangles with their images.
+    images = target.areas * sigma[0] * sigma[1]
+    own, image = (
+        np.bincount(target.triangles.ravel(), np.repeat(areas, 3), target.n) for areas in (target.areas, images)
+    )
+    return np.sqrt(np.divide(own, image, out=np.ones(target.n), where=image > 0))
+
+
+def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
+    """Figures of the region around every landmark that the map meets, in the order of the landmarks.
+
+    A target vertex belongs to the landmark nearest to it along edges. Vertices that no landmark is connected with, and
+    what is masked, are left out.
+
+    Parameters
+    ----------
+    result : MatchResult
+
+    Raises
+    ------
+    ParameterError
+        If the result has no landmarks.
+    """
+    landmarks = result.trusted
+    if not len(landmarks):
+        raise ParameterError("region_figures: expected a result with landmarks, which name the regions; it has none")
+    target, (largest, smallest) = result.point_map.target, _stretches(result)
+    places = landmarks.target_points.nearest_vertices
+    nearest = _nearest_along_edges(target, np.unique(places))
+    areas = target.areas * result.masks.joint(result.point_map)[target.triangles].mean(axis=1)
+    folded = flipped_triangles(result.point_map.images, target.triangles)
+    ratio, aspect = 1.0 / np.maximum(largest * smallest, 1e-12), largest / np.maximum(smallest, 1e-9)
+    found = []
+    for name, place in zip(landmarks.names, places, strict=True):
+        inside = np.flatnonzero((nearest[target.triangles[:, 0]] == place) & (areas > 0))
+        if not len(inside):
+            continue
+        weight = areas[inside]
+        found.append(
+            RegionFigures(
+                name,
+                float(weight.sum() / areas.sum()),
+                float(np.sqrt(weighted_percentiles(ratio[inside], weight, [50.0])[0])),
+                float(weighted_percentiles(aspect[inside], weight, [50.0])[0]),
+                float(weight[folded[inside]].sum() / weight.sum()),
+            )
+        )
+    return tuple(found)
+
+
+def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:
+    point_map = result.point_map
+    return stretches(point_map.target.positions, point_map.images.positions, point_map.target.triangles)
+
+
+def _nearest_along_edges(surface: TriangleSurface, seeds: IndexArray) -> IndexArray:
+    """(n,) the nearest of some vertices along edges, -9999 where none is connected."""
+    triangles = surface.triangles
+    heads, tails = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    lengths = np.linalg.norm(surface.positions[heads] - surface.positions[tails], axis=1)
+    edges = sparse.csr_array((lengths, (heads, tails)), shape=(surface.n, surface.n))
+    found = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True)
+    return np.asarray(found[2], dtype=np.int64)
