@@ -11,6 +11,7 @@ from examples.shapes import torus, voxels
 from scipy import sparse
 
 from cagemap import BasisConfig, Landmarks, MatchResult, Surface, match, prepare_surface, update_match
+from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
@@ -195,7 +196,7 @@ def test_a_small_handle_is_none_that_parts_have_grown_together_by() -> None:
 
     for spans, large in (((), 0), ((2,), 0), ((2, 3, 2), 0), ((20,), 1), ((2, 20, 3), 1)):
         mesh = cube_with(*spans)
-        assert (handle_count(mesh), large_handles(mesh)) == (len(spans), large)
+        assert (handle_count(mesh), large_handles(mesh, LandmarkConfig())) == (len(spans), large)
 
 
 def test_cells_cut_handles_open() -> None:

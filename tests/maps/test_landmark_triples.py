@@ -6,25 +6,23 @@ import tracemalloc
 
 import numpy as np
 
+from cagemap.deform.config import LandmarkConfig
 from cagemap.maps.landmarks import distances
-from cagemap.maps.landmarks.check import MIRRORED
 from cagemap.maps.landmarks.distances import (
-    LARGEST,
-    LEAST_EXCHANGE_GAIN,
-    SHORT,
     LandmarkDistances,
     best_exchanges,
     misplaced_pairs,
     typical_misfit,
 )
 from cagemap.maps.landmarks.sides import (
-    FLAT,
-    POSED,
     Marks,
     agreement_around,
     exchanged_sides,
     orientation_agreement,
 )
+
+CONFIG = LandmarkConfig()
+SHORT, MIRRORED = CONFIG.short, CONFIG.mirrored
 
 
 def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:
@@ -43,13 +41,15 @@ def plain_exchange(target: LandmarkDistances, source: LandmarkDistances) -> tupl
     def misfit(i: int, at: int, unasked: int) -> float:
         asked = [k for k in range(p) if k not in (i, unasked)]
         weights = 1.0 / (target.between[i, asked] + SHORT)
-        return float(weights @ np.minimum(np.abs(wanted[i, asked] - shift - found[at, asked]), LARGEST) / weights.sum())
+        return float(
+            weights @ np.minimum(np.abs(wanted[i, asked] - shift - found[at, asked]), CONFIG.max_misfit) / weights.sum()
+        )
 
     best = max(
         (misfit(i, i, j) + misfit(j, j, i) - misfit(i, j, j) - misfit(j, i, i), i, j)
         for i in range(p) for j in range(i + 1, p)
     )  # fmt: skip
-    enough = max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, np.arange(p)))
+    enough = max(CONFIG.min_exchange_gain, typical_misfit(target, source, np.arange(p)))
     return (best[1], best[2]) if best[0] >= enough else None
 
 
@@ -87,14 +87,14 @@ def test_orientation_is_that_of_all_triples() -> None:
     ratios -= np.median(ratios)
     alike = np.zeros((7, 7, 7))
     for i, j, k in np.ndindex(7, 7, 7):
-        alike[i, j, k] = np.exp(-(ratios[i, j] ** 2 + ratios[i, k] ** 2 + ratios[j, k] ** 2) / POSED**2)
-    least = FLAT * 7 * 6 * 5
+        alike[i, j, k] = np.exp(-(ratios[i, j] ** 2 + ratios[i, k] ** 2 + ratios[j, k] ** 2) / CONFIG.posed**2)
+    least = CONFIG.flat * 7 * 6 * 5
     agreed = [(one * product).sum() / max(np.abs(one * product).sum(), least) for one in (np.ones((7, 7, 7)), alike)]
     np.testing.assert_allclose(orientation_agreement(*sides), max(agreed), rtol=1e-10)
     near = rng.random((7, 7))
     weighted = product * near[:, :, None] * near[:, None, :]
     around = np.concatenate([part for i in (2, 5) for part in (weighted[i], weighted[:, i])])
-    found = agreement_around((2, 5), *sides, near)
+    found = agreement_around((2, 5), *sides, near, CONFIG.flat)
     np.testing.assert_allclose(found, around.sum() / np.abs(around).sum(), rtol=1e-10)
 
 

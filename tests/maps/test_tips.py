@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
-from cagemap.deform.config import DataConfig, SearchConfig
+from cagemap.deform.config import DataConfig, HypothesisConfig, SearchConfig
 from cagemap.deform.data import SourceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
@@ -20,10 +20,6 @@ from cagemap.deform.problem import Problem
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses.tips import (
-    LEADING,
-    LED,
-    MET,
-    NEAR,
     Tips,
     led_by_tips,
     mean_distances,
@@ -38,6 +34,8 @@ from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_
 from cagemap.spectral import Surface
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
+
+CONFIG = HypothesisConfig()
 
 # Cells of the creature: feet, tail, ears, nose.
 ENDS = np.array([(x, 0, z) for x in (-1, 1) for z in (0, 5)] + [(0, 3, -2), (-1, 7, 5), (1, 7, 5), (0, 6, 7)])
@@ -121,17 +119,17 @@ def test_a_fit_is_led_to_tips_that_it_missed(
     there = Placement(rest, 1e-4)
     assert led_by_tips(problem, found, there) is there  # nothing is missed
     tail = np.linalg.norm(rest - found.places[ends_of(surface, found.places) == TAIL], axis=1) < 0.12
-    assert 3 * MET < 0.15 < NEAR
+    assert 3 * CONFIG.tips_met < 0.15 < CONFIG.tips_near
     bent = rest + tail[:, None] * np.array([0.15, 0.0, 0.0])
-    pairs = found.pairs(bent)
+    pairs = found.pairs(bent, CONFIG)
     assert np.array_equal(
         ends_of(surface, rest[found.vertices[pairs[:, 0]]]), ends_of(surface, found.places[pairs[:, 1]])
     )
     led = led_by_tips(problem, found, Placement(bent, 1e-2))
-    assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < MET
+    assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < CONFIG.tips_met
     ((tips, places),) = held  # the same shape, so that every tip is held at its own place
     assert len(tips) == len(ENDS)
-    assert np.linalg.norm(tips - places, axis=1).max() < MET
+    assert np.linalg.norm(tips - places, axis=1).max() < CONFIG.tips_met
     cheap = Placement(bent, 0.5 * led.cost / SearchConfig.as_cheap)
     assert led_by_tips(problem, found, cheap) is cheap
 
@@ -153,7 +151,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     height = cage.positions[:, 1:2]
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
-    problem = Problem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none())).staged(LED)
+    problem = Problem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none())).staged(CONFIG.led)
     sheet, shape = prepared.source_surface, problem.shape
     start = shape.rest.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
@@ -165,7 +163,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
         return float((ended.positions[feet, 1] - ground).mean())
 
     assert above_ground(None) > 0.2
-    assert above_ground(SourceSamples.choose(sheet, LEADING)) < 0.05
+    assert above_ground(SourceSamples.choose(sheet, CONFIG.led_samples)) < 0.05
 
 
 def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> None:
@@ -175,7 +173,7 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     ball = TriangleSurface.from_faces(round_, finest.faces)
     graph = cluster_graph(mesh_graph(ball, finest.faces), 100, np.zeros(0, dtype=np.int64))[0]
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
-    around = SourceSamples.choose(ball, LEADING)
+    around = SourceSamples.choose(ball, CONFIG.led_samples)
     pull = source_to_clusters(around, graph.positions, outward, 0.03, graph.positions)
     forces = pull.right - np.einsum("kab,kb->ka", pull.blocks, graph.positions)
     radial = np.einsum("ka,ka->k", forces, outward)

@@ -139,6 +139,8 @@ class DataConfig:
     anchor_normal_weight: float = 0.01  #: how far apart opposite normals are where points come to a coarser mesh
     curve_share: int = 6  #: one in so many coarse vertices may be a curve's, all curves together
     min_curve_points: int = 6  #: coarse vertices of a curve, which it needs to bend
+    shared_gap: float = 0.03  #: what a fit leaves farther from the other surface has no counterpart there
+    at_boundary: float = 1e-4  #: what is so near has one, also on the boundary of the other
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,112 @@ class InverseConfig:
     max_far: float = 0.03  #: share of the area that may be so far; otherwise the placement stays as it is
 
 
+@dataclass(frozen=True)
+class CoincidenceConfig:
+    """Surfaces that lie on each other (`maps.coincidence`); lengths are of sqrt(source area), shares of area.
+
+    Chosen on seven cages of one body and on two other bodies (docs/lab/accuracy.md).
+    """
+
+    mean_gap: float = 0.003  #: mean distance of vertices from the other mesh; of one body to 0.0023, of two from 0.0204
+    max_gap: float = 0.01  #: distance that `share` of them keep; to 0.0085, from 0.048
+    near: float = 0.03  #: a point farther from the other surface is not on it
+    share: float = 0.95  #: share of the target that is on the source
+    clothed: float = 0.6  #: clothes cover less of the source: shirts and trousers 0.34 to 0.5, two bodies 0.81
+    reach: float = 0.1  #: how far closest points that face the same way are looked for
+
+
+@dataclass(frozen=True)
+class SpectralStartConfig:
+    """Starts of the coarse stage by ZoomOut (`deform.starts`)."""
+
+    samples: int = 3000  #: source vertices that a start is sought among: twice as many as there are vertices to start
+    curve_points: int = 40  #: points of a curve on which its coordinate is 1
+    trusted_functions: tuple[int, ...] = (8, 20)  #: basis functions that are trusted of a fit, one start for each
+    growth: float = 1.5  #: factor by which upsampling of its match lets their number grow
+    last_functions: int = 100  #: where it ends
+    places: int = 3000  #: source points that a fit is matched with
+    normal_length: float = 0.1  #: how far apart opposite normals are there, of sqrt(area)
+
+
+@dataclass(frozen=True)
+class LandmarkConfig:
+    """Which landmarks are left out or reported (`maps.landmarks`); lengths are of sqrt(area).
+
+    Gains and misfits are mean |log ratios| of distances between landmarks on the two surfaces.
+    """
+
+    fewest_judged: int = 6  #: fewer pairs cannot outvote one of them
+    distance_vertices: int = 1500  #: of the graphs that distances are measured on; their spacing is 0.026
+    short: float = 0.1  #: added to both distances of a ratio: what strain and sampling may change of short ones
+    max_misfit: float = 0.7  #: |log ratio| that counts as simply wrong: a factor of two
+    min_gain: float = 0.12  #: misfit by which a given place must lose against the best one
+    gain_of_typical: float = 2.2  #: the same, of the pairs' typical misfit
+    min_exchange_gain: float = 0.1  #: gain of two exchanged pairs; correct ones of alike bodies lose 0.05 or more
+    min_distance: float = 0.25  #: shorter corrections are left to the strain of the finished map
+    tip_reach: float = 0.15  #: a tip: nowhere within this is it farther from the other landmarks on average
+    tip_slack: float = 0.03  #: by more than this
+    detour: float = 0.2  #: by how much ways to a given place may be longer through the best one, of the same limb
+    max_suspects: float = 1 / 3  #: share of accused pairs above which it is not known which are right
+    one_of: int = 100  #: of so many pairs one is set aside before the others are judged again
+    unrelated: float = 0.32  #: typical misfit above which it is not known; shuffled pairs 0.36 to 0.53, animals to 0.26
+    slip_by_distances: float = 1.14  #: cost with accused pairs, of that without, of slips; correct ones to 1.09
+    slip_by_sides: float = 1.05  #: the same of pairs that sides accuse; exchanged ears have 1.04 to 1.19
+    confirmed: float = 0.03  #: a pair that the map without it misses by less is taken back
+    side_rise: float = 0.2  #: by how much the agreement around two pairs rises when exchanged ones go back; 0.3 or more
+    side_agreed: float = 0.8  #: what the agreement must be then
+    side_disagreed: float = 0.1  #: what it is at most before: 14 of 1200 correct sets are accused, 95 without this
+    side_min_gain: float = -0.03  #: what an exchange of mirror images gains at least by distances; -0.02 to 0.4
+    side_apart: float = 0.05  #: nearer landmarks turn about each other by how exactly they were put
+    posed: float = 0.5  #: log ratio of distances from which on a triple says little about the sense of all landmarks
+    flat: float = 0.02  #: mean product of turns below which landmarks lie too flat to have a sense; others 0.03 to 0.2
+    mirrored: float = -0.2  #: agreement of all below which landmarks are mirrored; correct ones from 0.45 on
+    mirrored_cost: float = 1.3  #: cost of mirrored ones, of that without landmarks; correct crossed arms 1.02
+    exchange_distance: float = 0.08  #: how far shapes alone may put a landmark from the one it is exchanged with
+    as_good: float = 1.15  #: cost, of the best one's, up to which another placement is as good; turned limbs from 1.06
+    strain_vertices: int = 300  #: graph of the strain of landmarks: one landmark's surroundings are coarse
+    strain_stiffness: float = 1e-4  #: of the energy there
+    strain_smoothing: float = 1e-3  #: of differentials there
+    strain_ridge: float = 1e-7  #: tangential hold of every vertex, so that there is one solution without landmarks
+    fewest_strained: int = 10  #: fewer pairs are not judged by strain
+    strained: float = 0.05  #: displacement of a pair let go from which on it strains the map
+    strained_of_next: float = 1.5  #: the same, of the largest of the others: shapes that differ strain many pairs
+    dissimilar: float = 0.12  #: typical misfit from which on strain of one pair says nothing
+
+
+@dataclass(frozen=True)
+class HypothesisConfig:
+    """Alignments that are tried where landmarks do not decide (`maps.hypotheses`); lengths are of sqrt(area)."""
+
+    rough_vertices: int = 400  #: size of the graph on which all starts are tried
+    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: from stiff, which turns and shifts as a whole, to soft
+    alike: float = 0.03  #: mean distance below which two starts are one
+    different: float = 0.08  #: mean distance from which on two fits are two answers
+    max_coarse: int = 4  #: candidates of the coarse stage, where no limbs are assigned
+    max_assigned: int = 2  #: assignments of limbs of the coarse stage
+    max_finished: int = 3  #: candidates of the fine stage, and as the files stand: boxes cost alike all round
+    hopeless: float = 2.5  #: cost, of the best one's, above which a candidate is not finished
+    unlikely: float = 1.5  #: cost of assigned limbs, of the files' alignment, above which they are dropped: fins
+    mirrored_starts: int = 4  #: starts on the mirror image that are fitted, the nearest ones
+    turned_doubt: float = 1.1  #: factor on the cost of a start turned about the vertical: files mostly agree in front
+    other_doubt: float = 1.3  #: factor on the cost of a start turned otherwise: files nearly always agree in up
+    max_unit_ratio: float = 4.0  #: files of parts whose sizes differ by more are in different units
+    limb_height: float = 0.1  #: height of a limb's tip over its pass: fingers and ears to 0.07, feet from 0.12
+    fewest_points: int = 4  #: limbs and landmarks that an assignment needs
+    fewest_of_part: int = 3  #: the same where a surface is a part: its other limbs may be cut off
+    max_limbs: int = 7  #: the most prominent ones are assigned
+    max_assignments: int = 10  #: how many are fitted
+    girth_weight: float = 0.5  #: sums of log ratios of girths, beside those of lengths
+    girth_part: float = 0.7  #: share of a limb's length, from its tip, of which the girth is taken
+    tip_height: float = 0.01  #: height of a tip over its pass: ears have 0.01 to 0.05, feet 0.1 to 0.3
+    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves so close are the same
+    tips_met: float = 0.02  #: a fit that leaves all of them closer needs no help
+    tip_taken: float = 0.05  #: a tip this near to a landmark is the landmark's
+    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: holds tips; as stiff as for bodies that stand alike
+    led_samples: int = 4000  #: source samples of that stage
+    of_one_kind: float = 1e-4  #: cost below which bodies are of one kind: no later stage gains anything
+
+
 @dataclass(frozen=True, repr=False)
 class ElasticConfig(Brief):
     """Parameters of the fit; the defaults are the measured ones (docs/lab/accuracy.md).
@@ -211,7 +319,7 @@ class ElasticConfig(Brief):
         Of the variance of logarithmic stretches, where placements of open surfaces are compared.
     response : Stage
         What changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`).
-    graph, folds, data, search, pose, inverse
+    graph, folds, data, search, pose, inverse, coincidence, spectral_starts, landmarks, hypotheses
         Numbers of the parts of the method.
     """
 
@@ -235,6 +343,10 @@ class ElasticConfig(Brief):
     search: SearchConfig = SearchConfig()
     pose: PoseConfig = PoseConfig()
     inverse: InverseConfig = InverseConfig()
+    coincidence: CoincidenceConfig = CoincidenceConfig()
+    spectral_starts: SpectralStartConfig = SpectralStartConfig()
+    landmarks: LandmarkConfig = LandmarkConfig()
+    hypotheses: HypothesisConfig = HypothesisConfig()
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -187,7 +187,7 @@ class PreparedPair:
     @kept
     def coincidence(self) -> Coincidence | None:
         """How the target lies on the source, None where it does not; found when first asked for."""
-        return Coincidence.find(self.target, self.source, self.masks)
+        return Coincidence.find(self.target, self.source, self.masks, self.elastic.coincidence)
 
     @kept
     def reversed(self) -> PreparedPair:

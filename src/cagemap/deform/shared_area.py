@@ -7,15 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.deform.config import ElasticConfig
 from cagemap.deform.prepared import PreparedPair
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-
-# Of sqrt(area): what a fit leaves farther from the other surface has no counterpart there.
-MAX_GAP = 0.03
-# Of sqrt(area): what is so near lies on the other surface, also on its boundary.
-ON_SURFACE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +52,8 @@ class SharedArea:
         moved = TriangleSurface(places, mesh.triangles)
         shrunk = moved.vertex_areas / np.maximum(mesh.vertex_areas, 1e-12)
         kept = shrunk >= config.data.received[0] * (moved.vertex_areas @ shrunk)
-        mine = _near(moved, source, config.normal_weight) & kept
-        theirs = _near(source, moved, config.normal_weight)
+        mine = _near(moved, source, config) & kept
+        theirs = _near(source, moved, config)
         target, level = prepared.target, prepared.source.hierarchy.coarsest_level(config.source_vertices)
         sides = ((target, prepared.levels[0], mine), (prepared.source, level, theirs))
         values = [
@@ -71,9 +67,10 @@ class SharedArea:
         return {"target": self.target_share, "source": self.source_share}
 
 
-def _near(surface: TriangleSurface, other: TriangleSurface, normal_weight: float) -> NDArray[np.bool_]:
+def _near(surface: TriangleSurface, other: TriangleSurface, config: ElasticConfig) -> NDArray[np.bool_]:
     """(n,) which vertices lie on another surface."""
     at, barycentric, gaps = closest_points(
-        other.tree, surface.positions, surface.vertex_normals, normal_weight=normal_weight
+        other.tree, surface.positions, surface.vertex_normals, normal_weight=config.normal_weight
     )
-    return (gaps <= MAX_GAP) & (~other.at_boundary(at, barycentric) | (gaps <= ON_SURFACE))
+    near = ~other.at_boundary(at, barycentric) | (gaps <= config.data.at_boundary)
+    return np.asarray((gaps <= config.data.shared_gap) & near)

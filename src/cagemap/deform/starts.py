@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cagemap.deform.config import SpectralStartConfig
 from cagemap.deform.energy import deformed_normals
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import CoarseShape
@@ -16,19 +17,6 @@ from cagemap.numerics.threads import in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced, nearest_coordinates, zoomout
-
-# Source vertices that a start is sought among: twice as many as there are vertices to start.
-START_SAMPLES = 3000
-# What a fit makes of a start: basis functions trusted of it, the factor by which spectral upsampling of its match lets
-# their number grow, and where it ends.
-TRUSTED_FUNCTIONS = (8, 20)
-FURTHER_GROWTH = 1.5
-LAST_FUNCTIONS = 100
-# Source points that it is matched with, and how far apart, of sqrt(area), opposite normals count there.
-PLACES = 3000
-NORMAL_LENGTH = 0.1
-# Points of a curve on which its coordinate is 1.
-CURVE_POINTS = 40
 
 
 def start_map(
@@ -42,7 +30,8 @@ def start_map(
     vertices, held = shape.vertices, held or problem.landmark_vertices
     levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
-    candidates = evenly_spaced(prepared.source.hierarchy.levels[levels[1]].n_vertices, START_SAMPLES)
+    n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
+    candidates = evenly_spaced(n_searched, prepared.elastic.spectral_starts.samples)
     candidates = np.union1d(candidates, held[1])
     of_curves = curve_vertices(problem)
     sides = [
@@ -58,11 +47,12 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
     """Vertices of both levels along every curve, all different; curves that landmarks or others cover are left out."""
     prepared, taken = problem.prepared, list(problem.landmark_vertices)
     found: tuple[list[IndexArray], list[IndexArray]] = ([], [])
+    count = prepared.elastic.spectral_starts.curve_points
     for pair in problem.pair.landmarks.curves:
         own = []
         sides = (prepared.target, prepared.levels[0], pair.target), (prepared.source, prepared.levels[1], pair.source)
         for side, (surface, level, curve) in enumerate(sides):
-            places = curve.points.positions[curve.line.spread(CURVE_POINTS)]
+            places = curve.points.positions[curve.line.spread(count)]
             near = cKDTree(surface.triangles(level).positions).query(places)[1]
             own.append(np.setdiff1d(np.asarray(near, dtype=np.int64), taken[side]))
             taken[side] = np.union1d(taken[side], own[side])
@@ -82,20 +72,23 @@ class SpectralSides:
     places : (m, 3) float64
         Of the source's samples.
     tree : cKDTree
-        Over the places and their normals times `NORMAL_LENGTH`.
+        Over the places and their normals times the config's length.
+    config : SpectralStartConfig
     """
 
     target: Samples
     source: Samples
     places: FloatArray
     tree: cKDTree
+    config: SpectralStartConfig
 
     @classmethod
     def build(cls, problem: Problem, shape: CoarseShape | None = None) -> SpectralSides:
         """Evaluate the bases for a coarse shape, the problem's own if none is given."""
         prepared, shape = problem.prepared, shape or problem.shape
+        config = prepared.elastic.spectral_starts
         level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
-        vertices = evenly_spaced(prepared.source_surface.n, PLACES)
+        vertices = evenly_spaced(prepared.source_surface.n, config.places)
         places, normals = prepared.source_surface.positions[vertices], prepared.source_surface.vertex_normals[vertices]
         sides = (
             (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
@@ -105,7 +98,7 @@ class SpectralSides:
             Samples(basis_rows(surface, level, chosen), areas, np.zeros((len(chosen), 0)))
             for surface, level, chosen, areas in sides
         )
-        return cls(target, source, places, cKDTree(np.hstack([places, NORMAL_LENGTH * normals])))
+        return cls(target, source, places, cKDTree(np.hstack([places, config.normal_length * normals])), config)
 
 
 def spectral_starts(fitted: Placement, sides: SpectralSides) -> list[FloatArray]:
@@ -114,9 +107,10 @@ def spectral_starts(fitted: Placement, sides: SpectralSides) -> list[FloatArray]
     The first number of functions says how much of the fit is trusted.
     """
     assert fitted.graph is not None
-    normals = deformed_normals(fitted.graph.normals, fitted.maps)
-    match = np.asarray(sides.tree.query(np.hstack([fitted.positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
-    schedules = [ZoomOutSchedule(first, LAST_FUNCTIONS, FURTHER_GROWTH) for first in TRUSTED_FUNCTIONS]
+    config, normals = sides.config, deformed_normals(fitted.graph.normals, fitted.maps)
+    wanted = np.hstack([fitted.positions, config.normal_length * normals])
+    match = np.asarray(sides.tree.query(wanted)[1], dtype=np.int64)
+    schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
     return [sides.places[zoomout(sides.target, sides.source, match, schedule)] for schedule in schedules]
 
 

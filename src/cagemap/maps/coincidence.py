@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.deform.config import CoincidenceConfig
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
@@ -23,20 +24,8 @@ from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths, triangle_centres
 
-# Lengths are in units of sqrt(source area), shares are of area. Chosen on seven cages of one body and on two other
-# bodies (docs/lab/accuracy.md).
-
-# Places that differ by less are one: what six digits in a file leave.
+# Places that differ by less, of sqrt(source area), are one: what six digits in a file leave.
 SAME = 1e-5
-# Vertices of one mesh lie on the other: their mean distance (cages of one body: 0.0023 at most, of two bodies: 0.0204
-# at least), and the one that `_SHARE` of them keep (0.0085 at most, 0.048 at least).
-_MEAN_GAP, _MOST_GAP = 0.003, 0.01
-# A point further from the other surface is not on it; of the target this share is on the source.
-_NEAR, _SHARE = 0.03, 0.95
-# Clothes are on the source at some distance, and cover less of it: shirts and trousers 34 to 50 %, two bodies 81 %.
-_CLOTHED = 0.6
-# Closest points that face the same way are looked for this far.
-_REACH = 0.1
 # Vertices, and faces, of either surface that are asked where they are.
 _SAMPLES = 10_000
 
@@ -51,24 +40,33 @@ class Coincidence:
         What lies on each other: the finest levels, or their vertices on the faces of the control meshes.
     gap : float
         Mean distance of the target's area from the source, in units of sqrt(source area).
+    reach : float
+        How far `images` looks, in the same.
     """
 
     target: TriangleSurface
     source: TriangleSurface
     gap: float
+    reach: float
 
     @classmethod
-    def find(cls, target: Surface, source: Surface, masks: Masks = WHOLE) -> Coincidence | None:
+    def find(
+        cls,
+        target: Surface,
+        source: Surface,
+        masks: Masks = WHOLE,
+        config: CoincidenceConfig = CoincidenceConfig(),
+    ) -> Coincidence | None:
         """The shapes of two surfaces that lie on each other, None of others; a mask says what of the target counts."""
         found = []
         for asked, shape in ((_cage, _unsmoothed), (_finest, _finest)):
-            gap = _gap(asked(target), asked(source), masks.target)
+            gap = _gap(asked(target), asked(source), masks.target, config)
             if gap is not None:
                 found.append((gap, shape))
         if not found:
             return None
         gap, shape = min(found, key=lambda one: one[0])
-        return cls(shape(target), shape(source), gap)
+        return cls(shape(target), shape(source), gap, config.reach)
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
         """Closest points that face the same way, of the target's finest vertices.
@@ -81,7 +79,7 @@ class Coincidence:
             What target vertices are moved by before, in the source's unit.
         """
         places = self.source.scale / self.target.scale * self.target.positions + shifts
-        near, _ = nearest_facing(self.source, places, self.target.vertex_normals, _REACH)
+        near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
         return SurfacePoints(source, near.triangle, _snapped(near))
 
 
@@ -138,32 +136,36 @@ class _Samples:
         centres = triangle_centres(surface.positions, corners) / surface.scale
         return cls(centres, surface.normals[rows], counts * surface.areas[rows])
 
-    def distances(self, other: TriangleSurface, unit: float) -> FloatArray:
-        """(k,) to the nearest points of a surface that face alike, in ``1 / unit`` of the file; at most `_NEAR`."""
-        within = _NEAR * other.scale / unit
+    def distances(self, other: TriangleSurface, unit: float, most: float) -> FloatArray:
+        """(k,) to the nearest points of a surface that face alike, in ``1 / unit`` of the file; at most ``most``."""
+        within = most * other.scale / unit
         points = other.scale * self.points
         far = closest_points(other.tree, points, self.normals, minimum_cosine=0.0, within=within)[2]
-        return np.minimum(far * unit / other.scale, _NEAR)
+        return np.minimum(far * unit / other.scale, most)
 
     def share(self, chosen: NDArray[np.bool_]) -> float:
         """Share of the area that some points stand for, 0 where nothing counts."""
         return float(self.areas @ chosen / max(self.areas.sum(), 1e-300))
 
 
-def _gap(target: TriangleSurface, source: TriangleSurface, mask: FloatArray | None) -> float | None:
+def _gap(
+    target: TriangleSurface, source: TriangleSurface, mask: FloatArray | None, config: CoincidenceConfig
+) -> float | None:
     """Mean distance of a target from a source that it lies on, in units of sqrt(source area); None where it does not.
 
     A coarse mesh is made with its vertices on a fine surface, and its faces cut through it: vertices are asked, and of
     faces only that they are near.
     """
     unit, faces = source.scale, _Samples.of_faces(target, mask)
-    apart = faces.distances(source, unit)
-    if faces.share(apart < _NEAR) < _SHARE:
+    apart = faces.distances(source, unit, config.near)
+    if faces.share(apart < config.near) < config.share:
         return None
     gap = float(faces.areas @ apart / faces.areas.sum())
     for samples, other in ((_Samples.of_vertices(target, mask), source), (_Samples.of_vertices(source), target)):
-        between = samples.distances(other, unit)
-        if samples.areas @ between <= _MEAN_GAP * samples.areas.sum() and samples.share(between < _MOST_GAP) >= _SHARE:
+        between = samples.distances(other, unit, config.near)
+        close = samples.areas @ between <= config.mean_gap * samples.areas.sum()
+        if close and samples.share(between < config.max_gap) >= config.share:
             return gap
     clothed = _Samples.of_faces(source)
-    return gap if clothed.share(clothed.distances(target, unit) < _NEAR) < _CLOTHED else None
+    covered = clothed.share(clothed.distances(target, unit, config.near) < config.near)
+    return gap if covered < config.clothed else None

@@ -10,7 +10,6 @@ from cagemap.deform.update import linear_update
 from cagemap.maps.coincidence import SAME
 from cagemap.maps.curves import curve_miss
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
-from cagemap.maps.landmarks.check import CONFIRMED
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
@@ -26,7 +25,7 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
     """The map of surfaces that lie on each other, and how sure it is; None of all others.
 
     Landmarks and curves move closest points a little, and landmarks are met exactly. Where they are missed by more than
-    `CONFIRMED`, or masks keep different parts, they contradict: a map is fitted then.
+    `LandmarkConfig.confirmed`, or masks keep different parts, they contradict: a map is fitted then.
     """
     masks, landmarks = prepared.masks, pair.landmarks
     if same_surface(pair, masks):
@@ -37,7 +36,7 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
     target, source = pair.target.finest_triangles, prepared.source.finest_triangles
     point_map = PointMap(target, found.images(source))
     missed = _missed(point_map, pair)
-    if missed > CONFIRMED or not _joint(point_map, masks):
+    if missed > prepared.elastic.landmarks.confirmed or not _joint(point_map, masks):
         return None
     if missed > SAME:
         moved = linear_update(Problem(prepared, pair), point_map)

@@ -25,6 +25,8 @@ Value = TypeVar("Value")
 Arguments = ParamSpec("Arguments")
 
 THREADS_VARIABLE = "CAGEMAP_THREADS"
+# Rows of a dense block that a thread takes at a time.
+ROWS = 65_536
 
 _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)
 

@@ -27,7 +27,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.levels import start_map
+from cagemap.paper.levels import FEWEST_FUNCTIONS, start_map
 from cagemap.paper.search import functions_at, spectral_rows
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import (
@@ -40,7 +40,6 @@ from cagemap.spectral.zoomout import (
 )
 from cagemap.surface.triangles import vertex_normals
 
-FEWEST_FUNCTIONS = 3
 # Vertices of either surface that the bands are found with.
 ZOOMOUT_SAMPLES = 3000
 # Weights of normals beside positions in closest points: of the first search, and where sides of a thin part differ.

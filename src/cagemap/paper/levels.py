@@ -14,6 +14,8 @@ from cagemap.paper.search import Rows, blocks, nearest_candidates, spectral_rows
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Samples, evenly_spaced, fit_functional_map, nearest_rows
 
+# Of a basis: fewer say nothing about three coordinates.
+FEWEST_FUNCTIONS = 3
 # Levels up to this size serve the refits of C; of larger ones as many vertices do.
 SAMPLE_VERTICES = 30_000
 

@@ -17,9 +17,15 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.levels import basis_sizes, recover_points, refit, search_full, search_level, start_map
-
-FEWEST_FUNCTIONS = 3
+from cagemap.paper.levels import (
+    FEWEST_FUNCTIONS,
+    basis_sizes,
+    recover_points,
+    refit,
+    search_full,
+    search_level,
+    start_map,
+)
 
 
 @dataclass(frozen=True, repr=False)

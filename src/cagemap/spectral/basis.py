@@ -11,12 +11,9 @@ from scipy import linalg
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import parts
+from cagemap.numerics.threads import ROWS, parts
 from cagemap.operators import Operators
 from cagemap.subdivision import Refinement
-
-# Rows that are made at a time of levels whose dense matrix would be too large.
-ROWS = 65_536
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,13 +12,10 @@ from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization, Precision
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import ROWS, in_threads, parts
 from cagemap.spectral.config import SOLVER
 
 Block = NDArray[Any]  # (n, q), float64 or float32
-
-# Rows that a thread takes at a time.
-ROWS = 65_536
 
 
 def orthonormal_block(

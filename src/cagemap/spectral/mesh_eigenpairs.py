@@ -12,11 +12,10 @@ from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import in_threads, one_blas_thread, parts
+from cagemap.numerics.threads import ROWS, in_threads, one_blas_thread, parts
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.config import SOLVER
 from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
-from cagemap.spectral.lanczos import ROWS
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from cagemap.deform.config import Stage
 from cagemap.deform.fit import coarse_fit, with_cost
 from cagemap.deform.multi_start import cheapest_first, refine_best
 from cagemap.deform.placement import Placement, distinct
@@ -27,19 +26,6 @@ from cagemap.maps.masks import WHOLE
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
-# Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.
-ROUGH_VERTICES = 400
-ROUGH = Stage(iterations=14, stiffness=(1.0, 2e-4), smoothing=1e-2, momentum=0.6)
-# Mean distance, in units of sqrt(area): below it two starts are one, and from it on two fits are two answers.
-ALIKE, DIFFERENT = 0.03, 0.08
-# Most candidates of the coarse stage, without assigned limbs and with them, and most that are finished. The pose of the
-# files is added to them: boxy shapes cost the same on every side, so cost alone could drop it.
-MAX_COARSE, MAX_ASSIGNED, MAX_FINISHED = 4, 2, 3
-# A fit that costs this many times the best one is not finished.
-HOPELESS = 2.5
-# Assignments of limbs that cost this many times the pose of the files are dropped, such as those of fins.
-UNLIKELY = 1.5
-
 
 def least_cost(prepared: PreparedPair) -> float:
     """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
@@ -56,7 +42,8 @@ def least_cost(prepared: PreparedPair) -> float:
 
 def rough_problem(problem: Problem) -> Problem:
     """The same on the small graph on which all starts are tried."""
-    return problem.staged(ROUGH, ROUGH_VERTICES)
+    config = problem.prepared.elastic.hypotheses
+    return problem.staged(config.rough, config.rough_vertices)
 
 
 def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
@@ -66,16 +53,16 @@ def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Pl
     stand is enough, unless no assignment is plausible. With landmarks enough it always is: then ``rigid`` is false, and
     rotations are not doubted.
     """
-    rough = rough_problem(problem)
+    rough, config = rough_problem(problem), problem.prepared.elastic.hypotheses
 
     def fitted(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
             found = coarse_fit(rough, start, shape)
         turn = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(found.maps)))
-        return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn) if rigid else 1.0)
+        return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn, config) if rigid else 1.0)
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
-        apart = distinct(starts, graph.areas, ALIKE)
+        apart = distinct(starts, graph.areas, config.alike)
         return sorted(in_threads(lambda start: fitted(start.positions, rough.shape), apart), key=lambda one: one.rank)
 
     def fit_limbs(one: Assignment) -> tuple[Assignment, Placement]:
@@ -87,14 +74,15 @@ def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Pl
     starts = [*filed, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
     n_filed = len(filed) + AS_FILED_STARTS
     starts = starts if rigid else starts[:n_filed]
-    led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[:MAX_ASSIGNED]
+    led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[: config.max_assigned]
     own = fit_rigid(starts[:n_filed] if led else starts)
     # A part costs little in many places: only the whole fit decides.
-    if led and not filed and led[0][1].rank > UNLIKELY * own[0].rank:
+    if led and not filed and led[0][1].rank > config.unlikely * own[0].rank:
         led, own = [], fit_rigid(starts)
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
-        return [], distinct([*distinct(own, graph.areas, DIFFERENT)[:MAX_COARSE], *as_filed], graph.areas, DIFFERENT)
+        kept = distinct(own, graph.areas, config.different)[: config.max_coarse]
+        return [], distinct([*kept, *as_filed], graph.areas, config.different)
     likely = [one for one in led if one[1].rank <= most * led[0][1].rank]
     return likely, [*(one for _, one in likely), *as_filed]
 
@@ -107,6 +95,7 @@ def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placemen
     if not rough:
         return []
     graph, sides = problem.shape.rest.graph, SpectralSides.build(problem)
+    config = problem.prepared.elastic.hypotheses
 
     def improve(one: Placement) -> list[Placement]:
         with thread_limit(1):
@@ -115,12 +104,13 @@ def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placemen
         return [replace(placed, name=one.name, doubt=one.doubt) for placed in coarse]
 
     improved = sorted(in_threads(improve, rough), key=lambda coarse: coarse[0].rank)
-    apart = distinct([coarse[0] for coarse in improved], graph.areas, DIFFERENT)
-    hopeful = [coarse for coarse in improved if coarse[0] in apart and coarse[0].rank <= HOPELESS * improved[0][0].rank]
-    as_filed = [coarse for coarse in hopeful[MAX_FINISHED:] if coarse[0].name == AS_FILED]
+    apart = distinct([coarse[0] for coarse in improved], graph.areas, config.different)
+    most = config.hopeless * improved[0][0].rank
+    hopeful = [coarse for coarse in improved if coarse[0] in apart and coarse[0].rank <= most]
+    as_filed = [coarse for coarse in hopeful[config.max_finished :] if coarse[0].name == AS_FILED]
 
     def finish(coarse: list[Placement]) -> Placement:
         found = refine_best(problem, coarse, None if coarse is improved[0] else 1)[0]
         return replace(found, name=coarse[0].name, doubt=coarse[0].doubt)
 
-    return in_threads(finish, [*hopeful[:MAX_FINISHED], *as_filed[:1]])
+    return in_threads(finish, [*hopeful[: config.max_finished], *as_filed[:1]])

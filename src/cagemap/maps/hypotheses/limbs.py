@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from cagemap.deform.config import HypothesisConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.prepared import CoarseShape
 from cagemap.deform.problem import Problem
@@ -16,17 +17,6 @@ from cagemap.maps.hypotheses.part_starts import units_of_larger
 from cagemap.maps.hypotheses.tips import Tips
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# Height of a limb's tip over the pass to a higher one, of sqrt(area): fingers and ears have 0.03 to 0.07, heads, hands,
-# feet and tails 0.12 or more (docs/lab/poses.md).
-LEAST_LIMB = 0.1
-# Limbs and landmarks that an assignment needs, and how many limbs it may have: the most prominent ones.
-FEWEST_POINTS, MOST_LIMBS = 4, 7
-# `FEWEST_POINTS` where a surface is a part: its other limbs may be cut off.
-FEWEST_OF_PART = 3
-# How many assignments are fitted; sums of the log ratios of girths weigh this much beside those of lengths.
-ASSIGNED, GIRTH_WEIGHT = 10, 0.5
-# Share of a limb's length, from its tip, of which the girth is taken.
-GIRTH_PART = 0.7
 # Least length of a limb, of sqrt(area).
 LEAST_LENGTH = 0.01
 
@@ -50,7 +40,14 @@ class Limbs:
     girths: FloatArray
 
     @classmethod
-    def of(cls, graph: ElasticGraph, landmarks: IndexArray, tips: IndexArray, unit: float = 1.0) -> Limbs:
+    def of(
+        cls,
+        graph: ElasticGraph,
+        landmarks: IndexArray,
+        tips: IndexArray,
+        unit: float = 1.0,
+        girth_part: float = HypothesisConfig.girth_part,
+    ) -> Limbs:
         """Measure the limbs that end at some vertices (e,), beside landmarks (p,); three at least, of one piece.
 
         A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
@@ -67,26 +64,28 @@ class Limbs:
         own = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
         between = apart - own[:, None] - own
         between[every, every] = 0.0
-        part, limbs = GIRTH_PART * own[len(landmarks) :], distances[len(landmarks) :]
+        part, limbs = girth_part * own[len(landmarks) :], distances[len(landmarks) :]
         return cls(tips, unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part))
 
 
-def assignments(target: Limbs, source: Limbs) -> list[tuple[IndexArray, IndexArray]]:
+def assignments(
+    target: Limbs, source: Limbs, config: HypothesisConfig = HypothesisConfig()
+) -> list[tuple[IndexArray, IndexArray]]:
     """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
 
     Ranked by how far the joints' distances differ, and the girths. Lengths of limbs do not count: a hippo has short
     legs and a cougar a long tail.
     """
     if len(target.tips) > len(source.tips):
-        return [(i, j) for j, i in assignments(source, target)]
+        return [(i, j) for j, i in assignments(source, target, config)]
     count, landmarks = len(target.tips), len(target.between) - len(target.tips)
     to = np.array(list(permutations(range(len(source.tips)), count)))
     ends = np.hstack([np.tile(np.arange(landmarks), (len(to), 1)), landmarks + to])
     apart = np.abs(source.between[ends[:, :, None], ends[:, None, :]] - target.between).sum(axis=(1, 2))
     ratios = np.log(source.girths[to] / target.girths)
     ratios -= np.median(ratios, axis=1, keepdims=True)
-    ranked = np.argsort(apart + GIRTH_WEIGHT * np.abs(ratios).sum(axis=1), kind="stable")
-    return [(np.arange(count), to[row]) for row in ranked[:ASSIGNED]]
+    ranked = np.argsort(apart + config.girth_weight * np.abs(ratios).sum(axis=1), kind="stable")
+    return [(np.arange(count), to[row]) for row in ranked[: config.max_assignments]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +110,18 @@ class Assignment:
 
 def assigned_limbs(problem: Problem) -> list[Assignment]:
     """Likely assignments of a pair's limbs, the likeliest first; none where one of the surfaces has too few."""
-    units = units_of_larger(problem.prepared)
-    landmarks, tips = problem.landmark_vertices, Tips.of(problem, LEAST_LIMB, units)
-    ends = tips.vertices[:MOST_LIMBS], tips.source_vertices[:MOST_LIMBS]
+    units, config = units_of_larger(problem.prepared), problem.prepared.elastic.hypotheses
+    landmarks, tips = problem.landmark_vertices, Tips.of(problem, config.limb_height, units)
+    ends = tips.vertices[: config.max_limbs], tips.source_vertices[: config.max_limbs]
     fewest = min(map(len, ends))
-    needed = FEWEST_POINTS if units == (1.0, 1.0) else FEWEST_OF_PART
+    needed = config.fewest_points if units == (1.0, 1.0) else config.fewest_of_part
     if fewest < 1 or len(landmarks[0]) + fewest < needed:
         return []
-    limbs = map(Limbs.of, problem.prepared.graphs, landmarks, ends, units)
+    sides = zip(problem.prepared.graphs, landmarks, ends, units, strict=True)
+    target, source = (Limbs.of(*side, config.girth_part) for side in sides)
     return [
         Assignment(
             (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])), tips.places[j]
         )
-        for i, j in assignments(*limbs)
+        for i, j in assignments(target, source, config)
     ]

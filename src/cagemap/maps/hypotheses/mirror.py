@@ -14,7 +14,7 @@ from cagemap.deform.constraints import Constraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import ALIKE, rough_problem
+from cagemap.maps.hypotheses.candidates import rough_problem
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -22,8 +22,6 @@ from cagemap.surface.closest_points import closest_points
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Starts that are fitted, those that begin nearest to the surface.
-NEAREST_STARTS = 4
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
@@ -35,6 +33,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     """
     rough, source = rough_problem(problem), problem.prepared.source_surface
     graph, constraints = rough.shape.rest.graph, rough.shape.constraints
+    config = problem.prepared.elastic.hypotheses
     mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
     def least(side: TriangleSurface, held: Constraints, *known: FloatArray) -> float:
@@ -49,7 +48,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
                 return coarse_fit(onto, start, shape).cost
 
         nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
-        tried = distinct(nearest, graph.areas, ALIKE)[:NEAREST_STARTS]
+        tried = distinct(nearest, graph.areas, config.alike)[: config.mirrored_starts]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
     given = least(source, constraints, positions[rough.shape.vertices])

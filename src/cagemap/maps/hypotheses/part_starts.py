@@ -8,9 +8,6 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.numerics.arrays import FloatArray
 
-# Files whose sizes differ by a larger factor are in different units.
-LARGEST_RATIO = 4.0
-
 
 def file_ratio(prepared: PreparedPair) -> float:
     """Factor from the target's unit to the source's by the lengths in the files; 1 where they say nothing.
@@ -20,8 +17,8 @@ def file_ratio(prepared: PreparedPair) -> float:
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
     if not (target.is_open or source.is_open):
         return 1.0
-    ratio = source.scale / target.scale
-    return ratio if 1.0 / LARGEST_RATIO <= ratio <= LARGEST_RATIO else 1.0
+    ratio, most = source.scale / target.scale, prepared.elastic.hypotheses.max_unit_ratio
+    return ratio if 1.0 / most <= ratio <= most else 1.0
 
 
 def units_of_larger(prepared: PreparedPair) -> tuple[float, float]:

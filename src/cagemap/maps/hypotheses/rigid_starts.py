@@ -11,15 +11,13 @@ from itertools import permutations, product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cagemap.deform.config import HypothesisConfig
 from cagemap.deform.placement import Placement
 from cagemap.numerics.arrays import FloatArray
 
 AS_FILED = "as the files stand"
 # How many of `rigid_starts`, the first ones, keep the files' axes.
 AS_FILED_STARTS = 2
-# Factors on the cost of a start turned about the vertical, and turned otherwise: files nearly always agree in what is
-# up, and mostly in what is front.
-TURNED_DOUBT, OTHER_DOUBT = 1.1, 1.3
 # A box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
 
@@ -54,9 +52,11 @@ def nearest_axis_rotation(matrix: FloatArray) -> FloatArray:
     return max(axis_rotations(), key=lambda one: float((one * matrix).sum()))
 
 
-def rotation_doubt(matrix: FloatArray) -> float:
+def rotation_doubt(matrix: FloatArray, config: HypothesisConfig) -> float:
     """Factor on the cost of a placement that is turned by one of `axis_rotations`."""
-    return OTHER_DOUBT if matrix[1, 1] < 0.5 else 1.0 if matrix[0, 0] > 0.5 else TURNED_DOUBT
+    if matrix[1, 1] < 0.5:
+        return config.other_doubt
+    return 1.0 if matrix[0, 0] > 0.5 else config.turned_doubt
 
 
 def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, finished
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.candidates import DIFFERENT, least_cost, released_fits, rough_fits
+from cagemap.maps.hypotheses.candidates import least_cost, released_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
+from cagemap.maps.hypotheses.tips import Tips, led_by_tips
 from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads
@@ -52,15 +52,16 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
         best = first if first.agree else first.upsampled(problem)
         found += [*best.refined[: None if decided else 1], *(one.refined[0] for one in others)]
     least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
+    config = problem.prepared.elastic.hypotheses
 
     def best_first(placements: Sequence[Placement]) -> list[Placement]:
         return sorted(placements, key=lambda placed: placed.doubt * max(placed.cost, least))
 
     ranked = best_first(found)
     cheapest = min(placed.cost for placed in ranked)
-    if cheapest > OF_ONE_KIND:
+    if cheapest > config.of_one_kind:
         tips, most = Tips.of(problem), problem.prepared.elastic.search.max_cost * cheapest
-        tried = [placed for placed in distinct(ranked, areas, DIFFERENT) if placed.cost <= most]
+        tried = [placed for placed in distinct(ranked, areas, config.different) if placed.cost <= most]
 
         def led(placed: Placement) -> Placement:
             return led_by_tips(problem, tips, placed) if placed in tried else placed
@@ -76,8 +77,9 @@ def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Readi
 
     Positions are those of the vertices of the level that is deformed.
     """
-    answers: dict[str, Reading] = {}
-    for placed in distinct(search(problem, progress), problem.prepared.rest.graph.areas, DIFFERENT):
+    prepared, answers = problem.prepared, dict[str, Reading]()
+    different = prepared.elastic.hypotheses.different
+    for placed in distinct(search(problem, progress), prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY

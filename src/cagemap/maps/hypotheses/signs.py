@@ -44,7 +44,7 @@ SIGNS: dict[str, Sign] = {
     "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
-    # Share of the target's area that another map, which costs hardly more, turns by `TURN` degrees or more.
+    # Share of the target's area that another map, which costs hardly more, turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": Sign(0.05, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 of others.
     "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
@@ -60,11 +60,11 @@ TIE = 1 / 1.12
 JUMP = 0.2
 # Images are compared with this many others, within so many mean distances of vertices; normals that are opposite are
 # twice as far apart.
-NEIGHBORS, NEAR = 24, 1.4
+NEIGHBORS, NEAR_SPACINGS = 24, 1.4
 # Length, of sqrt(area), by which opposite normals keep an image from the other side of a thin part.
 FACING = 0.05
 # Degrees between the normals of two maps.
-TURN = 60.0
+TURNED_DEGREES = 60.0
 # How the warning begins.
 JUMPING = "the map jumps between parts that only touch"
 
@@ -124,15 +124,15 @@ def jump_warnings(prepared: PreparedPair, found: PointMap) -> tuple[str, ...]:
 
 
 def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
-    """Share of a mesh's area whose normals differ by `TURN` or more between two placements (n, 3)."""
+    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
     normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
     areas = mesh.vertex_areas
-    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURN))].sum() / areas.sum())
+    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
 
 
 def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
     """(m, 2) vertices whose images (n, 3) are near each other and face the same way."""
-    radius = NEAR / np.sqrt(len(places))
+    radius = NEAR_SPACINGS / np.sqrt(len(places))
     facing = np.hstack([places, radius * normals])
     count = min(NEIGHBORS, len(places))
     distance, others = cKDTree(facing).query(facing, k=count, distance_upper_bound=radius)

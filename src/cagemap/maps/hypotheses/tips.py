@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.config import Stage
+from cagemap.deform.config import HypothesisConfig
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.fit import coarse_fit, fine_fit, with_cost
 from cagemap.deform.graph import ElasticGraph
@@ -19,17 +19,6 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import thread_limit
-
-# Height of a tip over the highest pass to a higher one, of sqrt(area): ears have 0.01 to 0.05, feet 0.1 to 0.3.
-LEAST_HEIGHT = 0.01
-# Tips of two surfaces that a fit leaves so close are the same, of sqrt(area); a fit that leaves all of them closer than
-# `MET` needs no help, and a tip this near to a landmark is the landmark's.
-NEAR, MET, TAKEN = 0.2, 0.02, 0.05
-# The coarse stage that holds tips, as stiff as that of bodies that stand alike and twice as long; its source samples.
-LED = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
-LEADING = 4000
-# Bodies of one kind cost less: nothing that either stage after the fit would gain is worth its time there.
-OF_ONE_KIND = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +40,15 @@ class Tips:
     places: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, least: float = LEAST_HEIGHT, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
+    def of(cls, problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
         """Those of a least height that are neither masked, nor at a landmark, nor where a surface ends; highest first.
 
-        The height is that in units of which those of target and source are ``units``.
+        The height, by default the config's, is that in units of which those of target and source are ``units``.
         """
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
         prepared, found = problem.prepared, []
+        config = prepared.elastic.hypotheses
+        least = config.tip_height if least is None else least
         searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
         masks = prepared.masks.at(prepared.vertices, searched)
         meshes = prepared.mesh, prepared.source.triangles(prepared.levels[1])
@@ -67,19 +58,19 @@ class Tips:
         ):
             vertices = tip_vertices(graph, least / unit)
             away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
-            kept = (counts[vertices] > 0) & (away > TAKEN) & ~mesh.boundary_vertices[vertices]
+            kept = (counts[vertices] > 0) & (away > config.tip_taken) & ~mesh.boundary_vertices[vertices]
             found.append(vertices[kept])
         return cls(found[0], found[1], source.positions[found[1]])
 
-    def pairs(self, positions: FloatArray) -> IndexArray:
+    def pairs(self, positions: FloatArray, config: HypothesisConfig) -> IndexArray:
         """(q, 2) tips of target and source that are each other's nearest where a fit puts the target's vertices."""
         images = positions[self.vertices]
         if not len(images) or not len(self.places):
             return np.zeros((0, 2), dtype=np.int64)
         distance, there = (np.asarray(found) for found in cKDTree(self.places).query(images))
         back = np.asarray(cKDTree(images).query(self.places)[1])
-        mutual = (distance < NEAR) & (back[there] == np.arange(len(images)))
-        if not np.any(distance[mutual] > MET):
+        mutual = (distance < config.tips_near) & (back[there] == np.arange(len(images)))
+        if not np.any(distance[mutual] > config.tips_met):
             return np.zeros((0, 2), dtype=np.int64)
         return np.column_stack([np.flatnonzero(mutual), there[mutual]])
 
@@ -90,19 +81,20 @@ def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     That stage is stiff and has data terms of the source as well: trunks and necks follow their ends. The fine stage
     holds landmarks only: tips that are no counterparts slip away.
     """
-    prepared, pairs = problem.prepared, tips.pairs(placed.positions)
+    prepared, config = problem.prepared, problem.prepared.elastic.hypotheses
+    pairs = tips.pairs(placed.positions, config)
     if not len(pairs):
         return placed
-    stiff = problem.staged(LED)
+    stiff = problem.staged(config.led)
     shape = stiff.holding(tips.vertices[pairs[:, 0]], tips.places[pairs[:, 1]])
-    leading = SourceSamples.choose(prepared.source_surface, LEADING, prepared.rest.masks)
+    leading = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
     with thread_limit(1):
         led = coarse_fit(stiff, placed.positions[shape.vertices], shape, leading)
     again = replace(with_cost(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
     return again if again.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
 
 
-def tip_vertices(graph: ElasticGraph, least: float = LEAST_HEIGHT) -> IndexArray:
+def tip_vertices(graph: ElasticGraph, least: float = HypothesisConfig.tip_height) -> IndexArray:
     """(e,) vertices that are farther from the whole surface than all around them, highest first.
 
     Height is the mean geodesic distance to the surface (Hilaga et al. 2001); a tip's own is taken over the highest

@@ -13,20 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.deform.starts import start_map
 from cagemap.maps.elastic import elastic_map
-from cagemap.maps.landmarks.distances import (
-    FEWEST_JUDGED,
-    LEAST_DISTANCE,
-    MOST_SUSPECTS,
-    LandmarkDistances,
-    misplaced_pairs,
-    typical_misfit,
-)
+from cagemap.maps.landmarks.distances import LandmarkDistances, misplaced_pairs, typical_misfit
 from cagemap.maps.landmarks.sides import Marks, exchanged_sides, orientation_agreement
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.maps.pair import Pair, Progress, silent, vertices_at
@@ -39,16 +33,6 @@ from cagemap.mesh.topology import cells, handle_count
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 
-# A pair that the map without it misses by less, of sqrt(area), is taken back.
-CONFIRMED = 0.03
-# Where distances between landmarks typically differ by more (log ratio), shapes differ so much that strain of one pair
-# says nothing.
-DISSIMILAR = 0.12
-# Below this agreement of orientations the landmarks are mirrored as a whole; correct ones measured from 0.45 on.
-MIRRORED = -0.2
-# Where distances typically differ by more, it is not known which pairs are right. Shuffled pairs measured 0.36 to 0.53,
-# the least alike animals 0.26.
-UNRELATED = 0.32
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
     "the landmark file may belong to other meshes or to the other direction"
@@ -72,9 +56,6 @@ NO_BETTER = "the map is hardly better without"
 GROWN = "one surface has handles that the other lacks, as if parts that touch had grown together"
 
 DISTANCES, SIDES = "distances", "sides"
-# Cost of the coarse fit with the accused pairs, of that without them, from which on they are slips. By distances
-# correct ones have at most 1.09, 47 of 48 slips 1.2 or more; exchanged ears, which sides accuse, have 1.04 to 1.19.
-SLIP = {DISTANCES: 1.14, SIDES: 1.05}
 EVIDENCE = {
     DISTANCES: "its distances to the other landmarks do not fit",
     SIDES: "the other landmarks lie around it in the opposite sense, as if two had been exchanged",
@@ -185,9 +166,9 @@ def checked_map(
     ends : list of Placement
         The map's own end, and others that were finished.
     """
-    problem, count = Problem(prepared, pair), len(names)
-    if count < FEWEST_JUDGED:
-        note = f"{count} landmark pairs are too few to tell a wrong one; {FEWEST_JUDGED} or more are checked"
+    problem, count, config = Problem(prepared, pair), len(names), prepared.elastic.landmarks
+    if count < config.fewest_judged:
+        note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
         found, ends = elastic_map(problem, progress)
         return found, LandmarkCheck(notes=(note,)), ends
     progress("compare landmarks")
@@ -196,16 +177,17 @@ def checked_map(
     if accused is None:
         accused, notes = {}, [CONTRADICTION]
     left_out, trusted = set(accused), problem
-    if left_out and grown_together(pair):
+    if left_out and grown_together(pair, config):
         left_out, notes = set(), [kept_note(accused, names, GROWN)]
     if left_out:
         progress("map without doubtful landmarks")
         trusted = problem.without(left_out)
         costs = coarse_map_cost(problem), coarse_map_cost(trusted)
-        if costs[0] < max(SLIP[evidence] for evidence in accused.values()) * costs[1]:
+        slip = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
+        if costs[0] < max(slip[evidence] for evidence in accused.values()) * costs[1]:
             left_out, trusted, notes = set(), problem, [kept_note(accused, names, NO_BETTER)]
     current, ends = elastic_map(trusted, progress)
-    confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
+    confirmed = {i for i in left_out if miss(pair, current, i)[0] < config.confirmed}
     if confirmed:
         left_out -= confirmed
         trusted = problem.without(left_out)
@@ -215,8 +197,8 @@ def checked_map(
     energy, places = strain(trusted, current)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
-    strained = strained_pair(energy, places)
-    if strained is not None and typical_misfit(*distances, np.delete(kept, strained)) <= DISSIMILAR:
+    strained = strained_pair(energy, places, config)
+    if strained is not None and typical_misfit(*distances, np.delete(kept, strained)) <= config.dissimilar:
         notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
     suspects = tuple(_suspect(pair, current, names, i, accused[i]) for i in sorted(left_out))
     notes += orientation_notes(trusted)
@@ -234,11 +216,11 @@ def accused_pairs(problem: Problem, distances: tuple[LandmarkDistances, Landmark
     distances : (LandmarkDistances, LandmarkDistances)
         Of its landmarks on target and source.
     """
-    every = np.arange(len(problem.pair.landmarks))
-    if typical_misfit(*distances, every) > UNRELATED:
+    every, config = np.arange(len(problem.pair.landmarks)), problem.prepared.elastic.landmarks
+    if typical_misfit(*distances, every) > config.unrelated:
         return None
     wrong = misplaced_pairs(*distances).tolist()
-    if len(wrong) > MOST_SUSPECTS * len(every):
+    if len(wrong) > config.max_suspects * len(every):
         return None
     if wrong:
         return dict.fromkeys(wrong, DISTANCES)
@@ -250,19 +232,21 @@ def coarse_map_cost(problem: Problem) -> float:
     return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
 
 
-def grown_together(pair: Pair) -> bool:
+def grown_together(pair: Pair, config: LandmarkConfig) -> bool:
     """Whether one surface has handles that the other lacks, as where a scan joins a hand to the hip that it touches.
 
     Ways along it are too short there, and a map that meets the landmarks has to tear: neither tells a slip. Handles of
     noise, which fit into a cell of half the distance by which distances accuse, shorten none of these ways.
     """
     target, source = pair.target.control, pair.source.control
-    return handle_count(target) != handle_count(source) and large_handles(target) != large_handles(source)
+    return handle_count(target) != handle_count(source) and large_handles(target, config) != large_handles(
+        source, config
+    )
 
 
-def large_handles(mesh: ControlMesh) -> int:
+def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
     """Handles that no cell holds by itself, in that of some lattices whose cells hold most."""
-    size = 0.5 * LEAST_DISTANCE * float(np.sqrt(face_areas(mesh).sum()))
+    size = 0.5 * config.min_distance * float(np.sqrt(face_areas(mesh).sum()))
     return handle_count(mesh) - max(handle_count(mesh, cells(mesh, size, offset)) for offset in OFFSETS)
 
 
@@ -313,7 +297,8 @@ def checked_changes(
         What still holds of the last one.
     before : PointMap
     """
-    if not len(changed) or len(pair.landmarks) < FEWEST_JUDGED:
+    config = prepared.elastic.landmarks
+    if not len(changed) or len(pair.landmarks) < config.fewest_judged:
         return check
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
@@ -322,17 +307,18 @@ def checked_changes(
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
-    if wrong and grown_together(pair):
+    if wrong and grown_together(pair, config):
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
-    found = [i for i in sorted(wrong) if miss(pair, before, i)[0] >= CONFIRMED]
+    found = [i for i in sorted(wrong) if miss(pair, before, i)[0] >= config.confirmed]
     new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in found)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
 def _distances(problem: Problem) -> tuple[LandmarkDistances, LandmarkDistances]:
     """Distances of the landmarks on both surfaces."""
-    sides = list(zip(problem.prepared.graphs, problem.landmark_vertices, strict=True))
-    target, source = in_threads(lambda side: LandmarkDistances.measure(*side), sides)
+    prepared = problem.prepared
+    sides = list(zip(prepared.graphs, problem.landmark_vertices, strict=True))
+    target, source = in_threads(lambda side: LandmarkDistances.measure(*side, prepared.elastic.landmarks), sides)
     return target, source
 
 
@@ -355,13 +341,15 @@ def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatA
     """Energy of the landmarks' places at a map that holds them, and these places."""
     graph = problem.prepared.rest.graph
     found = point_map.images.at(problem.prepared.vertices)
-    energy = reduced_energy(graph, found.positions, found.normals, problem.landmark_vertices[0])
+    config = problem.prepared.elastic.landmarks
+    energy = reduced_energy(graph, found.positions, found.normals, problem.landmark_vertices[0], config)
     return energy, problem.pair.landmarks.source.positions
 
 
 def orientation_notes(problem: Problem) -> tuple[str, ...]:
     """A note if the landmarks as a whole are mirrored, which neither distances nor strain of single ones tell."""
-    return () if orientation_agreement(*_marks(problem)) > MIRRORED else (MIRRORED_NOTE,)
+    config = problem.prepared.elastic.landmarks
+    return () if orientation_agreement(*_marks(problem), config) > config.mirrored else (MIRRORED_NOTE,)
 
 
 def _marks(problem: Problem) -> tuple[Marks, Marks]:

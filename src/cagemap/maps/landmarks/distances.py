@@ -14,39 +14,17 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import parts
 
-# Vertices of the graphs that distances are measured on; their spacing, 0.026 of sqrt(area), bounds what can be told.
-GRAPH_VERTICES = 1500
-# Added to both distances of a ratio: what strain and sampling may change of short ones, of sqrt(area).
-SHORT = 0.1
-# |log ratio| that counts as simply wrong: a factor of two.
-LARGEST = 0.7
-# Misfit by which a given place must lose against the best one, absolutely and against the pairs' typical misfit.
-LEAST_GAIN = 0.12
-GAIN_OF_TYPICAL = 2.2
-# Gain of two exchanged pairs together. Correct ones lose by 0.05 or more where bodies are alike.
-LEAST_EXCHANGE_GAIN = 0.1
-# A tip: nowhere within so much of it, of sqrt(area), is it so much farther from the other landmarks on average.
-TIP_REACH, TIP_SLACK = 0.15, 0.03
-# By how much, of sqrt(area), ways through the best place to the given one may be longer than ways to the given one.
-DETOUR = 0.2
-# Shorter corrections are left to the check of the finished map (`cagemap.maps.landmarks.strain`).
-LEAST_DISTANCE = 0.25
-# If distances accuse a larger share of the pairs, it is not known which are right, and no more are sought.
-MOST_SUSPECTS = 1 / 3
 # Terms of sums over triples of landmarks that are held at a time.
 MOST_TERMS = 4_000_000
-# Of so many pairs one is set aside before the others are judged again: among hundreds one says little of another.
-ONE_OF = 100
-# Fewer pairs cannot outvote one of them.
-FEWEST_JUDGED = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class PlacesByDistance:
     """Where the other landmarks put each one.
 
     Attributes
@@ -77,13 +55,18 @@ class LandmarkDistances:
         To every vertex of the coarse graph; the landmarks are its first p vertices.
     vertices : (m,) int64
         Mesh vertices of those.
+    config : LandmarkConfig
+        By which they are judged.
     """
 
     to_nodes: FloatArray
     vertices: IndexArray
+    config: LandmarkConfig = LandmarkConfig()
 
     @classmethod
-    def measure(cls, graph: ElasticGraph, landmarks: IndexArray, count: int = GRAPH_VERTICES) -> LandmarkDistances:
+    def measure(
+        cls, graph: ElasticGraph, landmarks: IndexArray, config: LandmarkConfig = LandmarkConfig()
+    ) -> LandmarkDistances:
         """Shortest paths on a coarser graph that keeps the landmarks.
 
         Parameters
@@ -91,13 +74,12 @@ class LandmarkDistances:
         graph : ElasticGraph
             Of a mesh at unit area.
         landmarks : (p,) int64
-        count : int
-            About how many vertices the coarser graph has.
+        config : LandmarkConfig
         """
-        coarse, vertices = cluster_graph(graph, min(count, graph.n), landmarks)
+        coarse, vertices = cluster_graph(graph, min(config.distance_vertices, graph.n), landmarks)
         lengths = np.linalg.norm(coarse.edges, axis=1)
         edges = sparse.csr_array((lengths, (coarse.heads, coarse.tails)), shape=(coarse.n, coarse.n))
-        return cls(np.asarray(dijkstra(edges, indices=np.arange(len(landmarks)))), vertices)
+        return cls(np.asarray(dijkstra(edges, indices=np.arange(len(landmarks)))), vertices, config)
 
     @property
     def between(self) -> FloatArray:
@@ -107,55 +89,56 @@ class LandmarkDistances:
     def is_tip(self, landmark: int, others: IndexArray) -> bool:
         """Whether it lies at the end of something: nothing near it is farther from some other landmarks."""
         away = self.to_nodes[others].mean(axis=0)
-        near = self.to_nodes[landmark] < TIP_REACH
-        return bool(away[near].max() <= away[landmark] + TIP_SLACK)
+        near = self.to_nodes[landmark] < self.config.tip_reach
+        return bool(away[near].max() <= away[landmark] + self.config.tip_slack)
 
 
-def place_by_distances(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> Placement:
+def place_by_distances(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> PlacesByDistance:
     """Place every trusted landmark on the source by its distances to the other trusted ones.
 
-    The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, LARGEST)``, weights
-    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs. Near landmarks count most,
-    and a cap keeps a second wrong pair from deciding. Pairs that are not trusted get a misfit of 0.
+    The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, m)``, weights
+    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the `short` and
+    `max_misfit` of `LandmarkConfig`. Near landmarks count most, and a cap keeps a second wrong pair from deciding.
+    Pairs that are not trusted get a misfit of 0.
     """
-    p = len(target.to_nodes)
-    near = target.between + SHORT
-    wanted, found = np.log(near), np.log(source.to_nodes + SHORT)
+    p, short = len(target.to_nodes), target.config.short
+    near = target.between + short
+    wanted, found = np.log(near), np.log(source.to_nodes + short)
     shift = float(np.median((wanted - found[:, :p])[_pairs(trusted)]))
     misfit, least, distance, node = np.zeros(p), np.zeros(p), np.zeros(p), np.arange(p)
     for i in trusted:
         others = trusted[trusted != i]
         weights = 1.0 / near[i, others]
         ratios = np.abs(wanted[i, others, None] - shift - found[others])
-        misfits = (weights / weights.sum()) @ np.minimum(ratios, LARGEST)
+        misfits = (weights / weights.sum()) @ np.minimum(ratios, target.config.max_misfit)
         node[i] = np.argmin(misfits)
         misfit[i], least[i], distance[i] = misfits[i], misfits[node[i]], source.to_nodes[i, node[i]]
-    return Placement(misfit, least, node, distance)
+    return PlacesByDistance(misfit, least, node, distance)
 
 
 def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> float:
     """Median |log ratio| of the distances of all trusted pairs, the common scale taken out."""
-    p = len(target.to_nodes)
-    ratios = (np.log(target.between + SHORT) - np.log(source.to_nodes[:, :p] + SHORT))[_pairs(trusted)]
+    p, short = len(target.to_nodes), target.config.short
+    ratios = (np.log(target.between + short) - np.log(source.to_nodes[:, :p] + short))[_pairs(trusted)]
     return float(np.median(np.abs(ratios - np.median(ratios))))
 
 
 def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> IndexArray:
     """Pairs out of proportion to the others: two that were exchanged, then single ones, worst first.
 
-    What is found is set aside and the others are judged again. At least `FEWEST_JUDGED` - 1 pairs stay; with fewer than
-    `FEWEST_JUDGED` none is judged. A tip that only lies farther out on its limb is none, see `farther_out`.
+    What is found is set aside and the others are judged again. At least `fewest_judged` - 1 pairs stay; with fewer than
+    `fewest_judged` none is judged. A tip that only lies farther out on its limb is none, see `farther_out`.
     """
-    trusted = np.arange(len(target.to_nodes))
+    trusted, config = np.arange(len(target.to_nodes)), target.config
     wrong: list[int] = []
-    most, at_once = MOST_SUSPECTS * len(trusted), max(1, len(trusted) // ONE_OF)
-    while len(trusted) > FEWEST_JUDGED and len(wrong) <= most:
+    most, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
+    while len(trusted) > config.fewest_judged and len(wrong) <= most:
         exchanged = best_exchanges(target, source, trusted, at_once)
         if not exchanged:
             break
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
-    while len(trusted) >= FEWEST_JUDGED and len(wrong) <= most:
+    while len(trusted) >= config.fewest_judged and len(wrong) <= most:
         misplaced = worst_placed(target, source, trusted, at_once)
         if not misplaced:
             break
@@ -166,8 +149,8 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
 
 def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
     """Up to so many trusted pairs whose given place fits much worse than the best one, worst first."""
-    placed = place_by_distances(target, source, trusted)
-    gain = np.where(placed.distance >= LEAST_DISTANCE, placed.misfit - placed.least, 0.0)
+    placed, config = place_by_distances(target, source, trusted), target.config
+    gain = np.where(placed.distance >= config.min_distance, placed.misfit - placed.least, 0.0)
     found: list[int] = []
     while len(found) < count:
         worst = int(np.argmax(gain))
@@ -175,7 +158,7 @@ def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: 
             gain[worst] = 0.0
             continue
         others = trusted[trusted != worst]
-        if gain[worst] < max(LEAST_GAIN, GAIN_OF_TYPICAL * typical_misfit(target, source, others)):
+        if gain[worst] < max(config.min_gain, config.gain_of_typical * typical_misfit(target, source, others)):
             break
         found.append(worst)
         gain[worst], trusted = 0.0, others
@@ -183,7 +166,7 @@ def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: 
 
 
 def farther_out(
-    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, placed: Placement, landmark: int
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, placed: PlacesByDistance, landmark: int
 ) -> bool:
     """Whether a tip's given place lies farther out on the limb that has the best one: limbs of other lengths.
 
@@ -191,14 +174,14 @@ def farther_out(
     """
     others = trusted[trusted != landmark]
     through = source.to_nodes[others, placed.node[landmark]] + placed.distance[landmark]
-    past = float(np.median(through - source.to_nodes[others, landmark])) < DETOUR
+    past = float(np.median(through - source.to_nodes[others, landmark])) < target.config.detour
     return past and target.is_tip(landmark, others) and source.is_tip(landmark, others)
 
 
 def best_exchanges(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
     """Up to so many twos of trusted pairs, one after the other, that fit much better with source vertices exchanged."""
     gain = exchange_gains(target, source, trusted)
-    least = max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted))
+    least = max(target.config.min_exchange_gain, typical_misfit(target, source, trusted))
     found: list[int] = []
     while len(found) < 2 * count:
         both = np.array(np.unravel_index(np.argmax(gain), gain.shape))
@@ -216,28 +199,29 @@ def exchange_gains(target: LandmarkDistances, source: LandmarkDistances, trusted
     misfit of both exchanged. Close mirror images, whose misfit alone says little, are told by it.
     """
     square = np.ix_(trusted, trusted)
-    near = target.between[square] + SHORT
-    wanted, found = np.log(near), np.log(source.between[square] + SHORT)
+    short, most = target.config.short, target.config.max_misfit
+    near = target.between[square] + short
+    wanted, found = np.log(near), np.log(source.between[square] + short)
     different = ~np.eye(len(trusted), dtype=bool)
     wanted = wanted - float(np.median((wanted - found)[different]))
     weights = np.where(different, 1.0 / near, 0.0)
     # Landmark i at the vertex of j: asked about all others, about j itself, and about the own vertex.
-    total = _misfits(wanted, found, weights)
-    at_own = weights * np.minimum(np.abs(wanted - found), LARGEST)
-    at_other = weights * np.minimum(np.abs(wanted - found.diagonal()), LARGEST)
+    total = _misfits(wanted, found, weights, most)
+    at_own = weights * np.minimum(np.abs(wanted - found), most)
+    at_other = weights * np.minimum(np.abs(wanted - found.diagonal()), most)
     rest = weights.sum(axis=1)[:, None] - weights
     own = (total.diagonal()[:, None] - at_own) / rest
     other = (total - at_other) / rest
     return np.asarray(np.where(different, own + own.T - other - other.T, -np.inf))
 
 
-def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray) -> FloatArray:
-    """(p, p) ``sum_k w_ik min(|wanted_ik - found_jk|, LARGEST)`` for landmarks i at the vertices of j."""
+def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray, most: float) -> FloatArray:
+    """(p, p) ``sum_k w_ik min(|wanted_ik - found_jk|, most)`` for landmarks i at the vertices of j."""
     p = len(wanted)
     total = np.empty((p, p))
     for rows in parts(p, max(1, MOST_TERMS // max(p * p, 1))):
         ratios = np.abs(wanted[rows, None] - found[None])
-        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, LARGEST))
+        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, most))
     return total
 
 

@@ -18,12 +18,6 @@ from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# How far, of sqrt(area), shapes alone may put a landmark from the one that it is exchanged with.
-NEAR_ENOUGH = 0.08
-# How many times the cost without landmarks mirrored ones cost at least: correct ones 1.02 where arms are crossed, which
-# seems mirrored (docs/lab/judge.md).
-LEAST_COST = 1.3
-
 
 def mirrored_readings(
     prepared: PreparedPair, pair: Pair, given: Placement, check: LandmarkCheck, progress: Progress = silent
@@ -49,9 +43,10 @@ def mirrored_readings(
     """
     free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
     best = found_readings(Problem(prepared, free), progress)[0]
-    if given.cost < LEAST_COST * best.cost:
+    config = prepared.elastic.landmarks
+    if given.cost < config.mirrored_cost * best.cost:
         return None, replace(check, notes=tuple(note for note in check.notes if note != MIRRORED_NOTE))
-    exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions)
+    exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions, config.exchange_distance)
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     readings = (
@@ -61,15 +56,15 @@ def mirrored_readings(
     return Confidence(TWO, readings, cost_signs(readings)), check
 
 
-def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray) -> IndexArray:
+def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
     """(q, 2) places of landmarks whose target points lie near the source points of others, one to one.
 
-    Where the vertices of the target's mesh have images (n, 3).
+    Where the vertices of the target's mesh have images (n, 3), near is ``within`` a distance.
     """
     near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
     images, wanted = images[near], landmarks.source.positions
     distance, there = cKDTree(wanted).query(images)
     back = np.asarray(cKDTree(images).query(wanted)[1])
     there = np.asarray(there)
-    rows = np.flatnonzero((distance < NEAR_ENOUGH) & (back[there] == np.arange(len(there))))
+    rows = np.flatnonzero((distance < within) & (back[there] == np.arange(len(there))))
     return np.column_stack([rows, there[rows]]).astype(np.int64)

@@ -8,31 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.maps.landmarks.distances import MOST_TERMS, SHORT, LandmarkDistances, exchange_gains
+from cagemap.deform.config import LandmarkConfig
+from cagemap.maps.landmarks.distances import MOST_TERMS, LandmarkDistances, exchange_gains
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalized
 
 # Positions and unit normals (p, 3) of landmarks on one surface.
 Marks = tuple[FloatArray, FloatArray]
 
-# By how much the agreement around two pairs must rise when they are exchanged, and what it must be then. Correct pairs
-# rose by 0.13 at most with one exception, a grazing cow, to 0.63; exchanged ones by 0.3 or more, most to 0.9 or more.
-RISE, AGREED = 0.2, 0.8
-# What it is at most as they are given. Of 1200 correct sets of 6 to 8 landmarks of bodies in poses 95 were accused
-# without this bound, 14 are with it.
-DISAGREED = 0.1
-# What distances may lose by an exchange that is asked about: exchanged mirror images gained -0.02 to 0.4 by going back.
-LEAST_GAIN = -0.03
-# Log ratio of the distances of landmarks from which on a triple says little about all landmarks.
-POSED = 0.5
-# Landmarks nearer than this, of sqrt(area), are not asked about: how exactly they were put turns them about each other.
-APART = 0.05
-# Mean product of turns below which landmarks lie too flat to have a sense: turns of those on the midline alone are what
-# they are off by, up to 0.01. Animals and bodies have 0.03 to 0.2, and 0.07 or more around exchanged pairs.
-FLAT = 0.02
 
-
-def orientation_agreement(target: Marks, source: Marks) -> float:
+def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()) -> float:
     """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored, 0 not known.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
@@ -44,16 +29,17 @@ def orientation_agreement(target: Marks, source: Marks) -> float:
     ----------
     target, source : pair of (p, 3) arrays
         Positions and unit normals of the landmarks.
+    config : LandmarkConfig
     """
-    p, changed = len(target[0]), _changed_squared(target[0], source[0])
+    p, changed = len(target[0]), _changed_squared(target[0], source[0], config.short)
     agreed, counted = np.zeros(2), np.zeros(2)
     for i in range(p):
         votes = _turns(i, *target) * _turns(i, *source)
-        alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / POSED**2)
+        alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.posed**2)
         both = np.stack([votes, alike * votes])
         agreed += both.sum(axis=(1, 2))
         counted += np.abs(both).sum(axis=(1, 2))
-    return float((agreed / np.maximum(counted, max(FLAT * p * (p - 1) * (p - 2), 1e-12))).max())
+    return float((agreed / np.maximum(counted, max(config.flat * p * (p - 1) * (p - 2), 1e-12))).max())
 
 
 def exchanged_sides(
@@ -68,22 +54,22 @@ def exchanged_sides(
     target, source : pair of (p, 3) arrays
         As in `orientation_agreement`.
     """
-    p = len(target[0])
-    apart = np.minimum(*(side.between for side in distances)) > APART
-    gains = np.triu(np.where(apart, exchange_gains(*distances, np.arange(p)) - LEAST_GAIN, 0.0), 1).ravel()
+    p, config = len(target[0]), distances[0].config
+    apart = np.minimum(*(side.between for side in distances)) > config.side_apart
+    gains = np.triu(np.where(apart, exchange_gains(*distances, np.arange(p)) - config.side_min_gain, 0.0), 1).ravel()
     asked = np.argsort(-gains)[: max(1, MOST_TERMS // p**2)]
-    near, best, most = 1.0 / (distances[0].between + SHORT), None, RISE
+    near, best, most = 1.0 / (distances[0].between + config.short), None, config.side_rise
     np.fill_diagonal(near, 0.0)
     for place in asked[gains[asked] > 0.0]:
         both = int(place) // p, int(place) % p
-        given = agreement_around(both, target, source, near)
-        exchanged = agreement_around(both, target, _exchanged(source, both), near)
-        if given < DISAGREED and exchanged > AGREED and exchanged - given > most:
+        given = agreement_around(both, target, source, near, config.flat)
+        exchanged = agreement_around(both, target, _exchanged(source, both), near, config.flat)
+        if given < config.side_disagreed and exchanged > config.side_agreed and exchanged - given > most:
             best, most = both, exchanged - given
     return best
 
 
-def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray) -> float:
+def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray, flat: float) -> float:
     """`orientation_agreement` of the triples that have one of two landmarks among them.
 
     A triple (i; j, k) weighs as much as j and k are near i (p, p): far ones turn where bodies bend.
@@ -95,16 +81,16 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
             agreed += float(votes.sum())
             counted += float(np.abs(votes).sum())
             asked += float(weights.sum())
-    return agreed / max(counted, FLAT * asked, 1e-12)
+    return agreed / max(counted, flat * asked, 1e-12)
 
 
-def _changed_squared(positions: FloatArray, others: FloatArray) -> FloatArray:
+def _changed_squared(positions: FloatArray, others: FloatArray, short: float) -> FloatArray:
     """(p, p) squared log ratios of distances in space, the common scale taken out.
 
     Their median counts the diagonal's zeros, which say that surfaces of unit area have one scale: without them as many
     correct sets of 6 to 30 landmarks are called mirrored (9 of 1500, docs/lab/accuracy.md), and 6 mirrored ones fewer.
     """
-    apart = (np.linalg.norm(places[:, None] - places, axis=2) + SHORT for places in (positions, others))
+    apart = (np.linalg.norm(places[:, None] - places, axis=2) + short for places in (positions, others))
     ratios = np.log(np.divide(*apart))
     return np.asarray((ratios - np.median(ratios)) ** 2)
 

@@ -16,24 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import kept, parts
 
-# The graph of the quadratic problem; sampling and smoothing are coarse because one landmark's surroundings are.
-GRAPH_VERTICES = 300
-STIFFNESS = 1e-4
-SMOOTHING = 1e-3
-# Tangential hold of every vertex, so that the problem without landmarks has one solution.
-RIDGE = 1e-7
-# A landmark is suspect from this displacement on, of sqrt(area), if no other one would move nearly as far: shapes that
-# differ strain many landmarks, and mirror images alike; a mistake stands alone.
-LEAST_DISPLACEMENT = 0.05
-OF_NEXT = 1.5
-# With fewer landmarks the others are too far away to know better, and too few to compare with.
-FEWEST_JUDGED = 10
 # Landmarks whose blocks of H are worked out at once.
 LANDMARKS_AT_ONCE = 32
 
@@ -111,7 +100,11 @@ class ReducedEnergy:
 
 
 def reduced_energy(
-    graph: ElasticGraph, images: FloatArray, normals: FloatArray, landmarks: IndexArray
+    graph: ElasticGraph,
+    images: FloatArray,
+    normals: FloatArray,
+    landmarks: IndexArray,
+    config: LandmarkConfig = LandmarkConfig(),
 ) -> ReducedEnergy:
     """Eliminate everything but the landmarks from the quadratic problem at a map.
 
@@ -122,41 +115,44 @@ def reduced_energy(
     images, normals : (n, 3) float64
         Where the map takes its vertices on the source, and the source's unit normals there.
     landmarks : (p,) int64
+    config : LandmarkConfig
     """
-    coarse, vertices = cluster_graph(graph, min(GRAPH_VERTICES, graph.n), landmarks)
+    coarse, vertices = cluster_graph(graph, min(config.strain_vertices, graph.n), landmarks)
     plane = normals[vertices]
-    blocks = coarse.areas[:, None, None] * plane[:, :, None] * plane[:, None, :] + RIDGE / coarse.n * np.eye(3)
+    blocks = coarse.areas[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    blocks = blocks + config.strain_ridge / coarse.n * np.eye(3)
     data = sparse.bsr_array((blocks, np.arange(coarse.n), np.arange(coarse.n + 1))).tocoo()
     # Unknown 12 i + c is coordinate c of x_i, 12 i + 3 + 3 b + c is A_i[c, b].
     size = 12 * coarse.n
     at_row, at_column = (_spread(side.astype(np.int64)) for side in data.coords)
     placed = sparse.coo_array((data.data, (at_row, at_column)), shape=(size, size))
-    elastic = sparse.kron(STIFFNESS * energy_matrix(coarse, SMOOTHING), sparse.eye_array(3))
+    elastic = sparse.kron(config.strain_stiffness * energy_matrix(coarse, config.strain_smoothing), sparse.eye_array(3))
     right = np.zeros(size)
     right[_spread(np.arange(3 * coarse.n))] = np.einsum("nab,nb->na", blocks, images[vertices]).ravel()
     unknowns = _spread(np.arange(3 * len(landmarks)))  # the landmarks are the first clusters
     return ReducedEnergy.of(sparse.csc_array(elastic + placed), right, unknowns)
 
 
-def strained_pair(energy: ReducedEnergy, places: FloatArray) -> int | None:
+def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkConfig = LandmarkConfig()) -> int | None:
     """The landmark that would move far if let go, and alone so; None where there is none.
 
     The others are asked again with it let go, because a wrong landmark pulls at its neighbours. Fewer than
-    `FEWEST_JUDGED` landmarks are not judged.
+    `fewest_strained` landmarks are not judged: the others are too far away to know better.
 
     Parameters
     ----------
     energy : ReducedEnergy
     places : (p, 3) float64
         Where the map holds the landmarks.
+    config : LandmarkConfig
     """
     held = np.arange(len(places))
-    if len(held) < FEWEST_JUDGED:
+    if len(held) < config.fewest_strained:
         return None
     moved = np.linalg.norm(energy.released(places, held), axis=1)
     worst = int(np.argmax(moved))
     others = np.linalg.norm(energy.released(places, held[held != worst]), axis=1)
-    return worst if moved[worst] >= max(LEAST_DISPLACEMENT, OF_NEXT * float(others.max())) else None
+    return worst if moved[worst] >= max(config.strained, config.strained_of_next * float(others.max())) else None
 
 
 def _rows(landmarks: IndexArray) -> IndexArray:

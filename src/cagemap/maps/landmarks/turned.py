@@ -11,9 +11,6 @@ from cagemap.deform.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, LOOK, TURNED, Confidence, Reading, cost_signs
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 
-# A placement that costs up to this many times the best one is as good; turned limbs cost 1.06 to 1.7 times.
-AS_GOOD = 1.15
-
 
 def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Two answers with the same landmarks, and the vertex where they differ most; None where only one is good.
@@ -27,7 +24,7 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
     best = ends[0]
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= AS_GOOD * best.cost and share > SIGNS["limb_turned"].bound:
+        if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
             readings = (Reading(AS_GIVEN, best.cost, best.answer), Reading(TURNED, other.cost, other.positions))
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
             deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
