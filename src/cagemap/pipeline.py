@@ -30,7 +30,7 @@ from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pa
 from cagemap.maps.paired_mirrors import paired_mirrors
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
-from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
+from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality, unshared_warnings
 from cagemap.maps.result import MatchResult as MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
@@ -305,7 +305,7 @@ def update_match(
                 point_map = known[0]
             else:
                 point_map = updated_map(prepared, pair, point_map, progress)
-        return _judged(prepared, point_map, landmarks, check, timings, progress)
+        return _judged(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 
 def other_answer(
@@ -440,16 +440,16 @@ def _judged(
     progress: Progress,
     shared: SharedArea | None = None,
 ) -> MatchResult:
-    """The result of an elastic match, with its quality; what the target does not share counts for no figure."""
+    """The result of an elastic match, with its quality; what is not shared counts for no figure."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
     with _timed(timings, "quality"):
-        counted = masks
-        if shared is not None and shared.target.any():
-            counted = replace(masks, target=masks.of_target(len(target.vertices)) * shared.target)
+        counted = masks if shared is None else shared.within(masks)
         quality = judge(target, point_map, points, trusted.names, counted)
-        quality = replace(quality, warnings=(*jump_warnings(prepared, point_map), *quality.warnings))
+        jumping = jump_warnings(prepared, point_map, counted.of_target(len(target.vertices)))
+        apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
+        quality = replace(quality, warnings=(*jumping, *quality.warnings, *apart))
     check = check.with_folds(quality.flipped_area, len(landmarks))
     return MatchResult(
         target,

@@ -16,7 +16,7 @@ from cagemap.deform.graph import mesh_graph
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain
-from cagemap.pipeline import MatchResult, match, prepare_surface
+from cagemap.pipeline import MatchResult, match, prepare_surface, update_match
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -149,6 +149,16 @@ def test_the_order_of_vertices_does_not_matter(found: dict[str, tuple[MatchResul
     assert first[0].shared is not None
     assert second[0].shared is not None
     assert first[0].shared.source_share == pytest.approx(second[0].shared.source_share, abs=0.01)
+
+
+@pytest.mark.slow
+def test_an_update_keeps_the_shared_area(found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]) -> None:
+    result = found["part"][0]
+    again = update_match(result, result.landmarks)
+    assert again.shared is result.shared
+    # Of what the cap shares all is covered; of the ball, it is most of what the cap was cut from.
+    assert again.quality.coverage > 0.95
+    assert any("of the source has no counterpart" in text for text in again.quality.warnings)
 
 
 @pytest.mark.slow

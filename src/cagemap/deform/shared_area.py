@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.prepared import PreparedPair
+from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -61,6 +62,13 @@ class SharedArea:
             for side, at, found in sides
         ]
         return cls.of_vertices((target.finest_triangles, prepared.source.finest_triangles), (values[0], values[1]))
+
+    def within(self, masks: Masks) -> Masks:
+        """What counts of both surfaces: of what masks keep, what is shared. The masks alone where nothing is."""
+        if not (self.target.any() and self.source.any()):
+            return masks
+        n, m = len(self.target), len(self.source)
+        return Masks(masks.of_target(n) * self.target, masks.of_source(m) * self.source)
 
     def summary(self) -> dict[str, float]:
         """The shares as plain numbers for a manifest."""

@@ -45,7 +45,7 @@ class QualityFigures:
     flipped_area : float
         Share of the target's area whose image is folded over (its orientation is reversed).
     coverage : float
-        Share of the source's area that the image of the target reaches.
+        Share of the source's area that the image of the target reaches; of open surfaces, of the area they share.
     dirichlet : float
         Dirichlet energy of the map between unit-area surfaces: 1 for an isometry, and never below the covered area.
     area_ratios : (5,) float64
@@ -296,6 +296,19 @@ def measure_quality(
         trusted_area=float(vertex_areas @ trust),
         warnings=_warnings(errors, names, flipped_area, coverage, trust, target, vertex_areas),
     )
+
+
+def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ...]:
+    """Sentences for a user about area without a counterpart on the other surface, of shares that have one."""
+    messages = []
+    if target_share < COVERAGE_TOLERANCE:
+        messages.append(
+            f"{100 * (1 - target_share):.1f} % of the target has no counterpart on the source: it receives what the "
+            "nearest places that have one receive. Mask it, if it is to keep its own (--target-mask)"
+        )
+    if source_share < COVERAGE_TOLERANCE:
+        messages.append(f"{100 * (1 - source_share):.1f} % of the source has no counterpart on the target")
+    return tuple(messages)
 
 
 def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequence[float]) -> FloatArray:

@@ -66,7 +66,8 @@ def find_marks(
             (TARGET, pairs.target_points.nearest_vertices[suspect.pair]),
             (SOURCE, pairs.source_points.nearest_vertices[suspect.pair]),
         )
-    low = (result.trust < DOUBTFUL) & (result.masks.joint(result.point_map) > 0)
+    counted = result.masks if result.shared is None else result.shared.within(result.masks)
+    low = (result.trust < DOUBTFUL) & (counted.joint(result.point_map) > 0)
     turned = np.zeros(len(low), dtype=np.bool_)
     triangles = result.point_map.target.triangles
     turned[triangles[flipped_triangles(result.point_map.images, triangles)]] = True
@@ -76,7 +77,7 @@ def find_marks(
             f"{'folded over' if folded else 'stretched strongly'}: {_percent(share)} of the target",
             (TARGET, target.vertices[vertex]),
         )
-    missed = ~source_reached & (result.masks.of_source(len(result.source.vertices))[source.vertices] > 0)
+    missed = ~source_reached & (counted.of_source(len(result.source.vertices))[source.vertices] > 0)
     for vertex, share in places(missed, source):
         add(f"nothing from here arrives: {_percent(share)} of the source", (SOURCE, source.vertices[vertex]))
     return tuple(marks)

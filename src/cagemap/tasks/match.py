@@ -307,7 +307,8 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
         f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
         "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
-        f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
+        f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the "
+        f"source{'' if result.shared is None else ', as far as it is shared,'} covered",
         *_shared_summary(result),
         f"wrote {folder}; next: cagemap transfer {typed} --texture IMG -o OUT.png, or cagemap report {typed}",
     ]

@@ -14,6 +14,7 @@ from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import file_rows, other_rows
+from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import inputs_of
 from cagemap.tasks.carry_arrays import carry_values
@@ -94,7 +95,10 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
     options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    return carry(request, with_masks(result, options, request.result), stages)
+    summary, warnings = carry(request, with_masks(result, options, request.result), stages)
+    if result.shared is not None and options.target is None:
+        warnings = [*warnings, *unshared_warnings(result.shared.target_share, 1.0)]
+    return summary, warnings
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.hypotheses.signs import JUMPING
@@ -16,7 +17,7 @@ from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import measure_quality
+from cagemap.maps.quality import measure_quality, unshared_warnings
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import Curves
@@ -26,6 +27,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import Loop, refine
 from cagemap.subdivision.topology import control_topology
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Verdicts about maps found without landmarks, from the surest on.
 _DOUBT = ("sure", "look at it", "two answers")
@@ -75,7 +77,10 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         _merged_mask([part.masks.target for part in parts], target_numbers),
         _merged_mask([part.masks.source for part in parts], source_numbers),
     )
-    quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names, masks=masks)
+    shared = _merged_shared(parts, (mine, theirs), (target_numbers, source_numbers))
+    counted = masks if shared is None else shared.within(masks)
+    quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names, masks=counted)
+    apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
     jumps = [text for part in parts for text in part.quality.warnings if text.startswith(JUMPING)]
     trust = np.empty(mine.n)
     for part, here in zip(parts, target_numbers, strict=True):
@@ -85,11 +90,12 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         source,
         landmarks,
         point_map,
-        replace(quality, trust=trust, warnings=(*jumps, *quality.warnings)),
+        replace(quality, trust=trust, warnings=(*jumps, *quality.warnings, *apart)),
         first.timings,
         check,
         confidence=_least_confidence(parts),
         masks=masks,
+        shared=shared,
         known_spectral=_merged_spectral(parts),
         provenance=provenance,
     )
@@ -113,6 +119,18 @@ def _merged_mask(masks: Sequence[FloatArray | None], numbers: Sequence[_Numbers]
         if mask is not None:
             merged[own.vertices] = mask
     return merged
+
+
+def _merged_shared(
+    parts: Sequence[MatchResult],
+    surfaces: tuple[TriangleSurface, TriangleSurface],
+    numbers: tuple[Sequence[_Numbers], Sequence[_Numbers]],
+) -> SharedArea | None:
+    """Shared area of all parts; a closed part, which was not asked, counts whole."""
+    known = [part.shared for part in parts]
+    target = _merged_mask([None if one is None else one.target for one in known], numbers[0])
+    source = _merged_mask([None if one is None else one.source for one in known], numbers[1])
+    return None if target is None or source is None else SharedArea.of_vertices(surfaces, (target, source))
 
 
 def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:

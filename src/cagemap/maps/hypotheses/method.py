@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
+from cagemap.deform.shared_area import SharedArea
 from cagemap.maps.hypotheses.confidence import SURE, Confidence
 from cagemap.maps.hypotheses.mirror import mirrored_gain
 from cagemap.maps.hypotheses.search import found_readings
@@ -32,8 +33,11 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
     readings = found_readings(problem, progress)
     progress("closest points")
     found = map_of_places(prepared, readings[0].positions, pair.landmarks)
-    farthest, controls = jumps(prepared, found), pair.target.control.n_vertices
-    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(found)}
+    shared, counts = SharedArea.of_fit(prepared, readings[0].positions), None
+    if shared is not None:  # what has no counterpart says nothing about the map
+        counts = shared.within(prepared.masks).of_target(found.target.n)
+    farthest, controls = jumps(prepared, found, counts), pair.target.control.n_vertices
+    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(found, counts)}
     confidence = Confidence.of(readings, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs
         signs["mirrored"] = mirrored_gain(problem, readings[0].positions)

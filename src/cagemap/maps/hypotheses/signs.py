@@ -75,17 +75,20 @@ def findings(signs: Mapping[str, float]) -> list[str]:
     return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
 
 
-def median_distortion(found: PointMap) -> float:
-    """Median `distortion` of a map, by the target's area; 1 for an isometry."""
-    sigma = stretches(found.target.positions, found.images.positions, found.target.triangles)
-    return float(weighted_percentiles(distortion(sigma), found.target.areas, [50.0])[0])
+def median_distortion(found: PointMap, counts: FloatArray | None = None) -> float:
+    """Median `distortion` of a map, by the target's area, of whose vertices some count (n1,); 1 for an isometry."""
+    target = found.target
+    sigma = stretches(target.positions, found.images.positions, target.triangles)
+    areas = target.areas if counts is None else target.areas * counts[target.triangles].mean(axis=1)
+    return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
 
-def jumps(prepared: PreparedPair, found: PointMap) -> FloatArray:
+def jumps(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
     """(n,) how far a map jumps at the vertices of the level that is deformed, of sqrt(area); 0 where it does not.
 
     It jumps where neighbours map to places that are far from each other along the source, and where places that are far
-    from each other along the target map to one. All costs are Euclidean: a jump across a contact costs nothing.
+    from each other along the target map to one. All costs are Euclidean: a jump across a contact costs nothing. Of the
+    finest vertices some count (n1,), by default those that are not masked.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
@@ -95,7 +98,8 @@ def jumps(prepared: PreparedPair, found: PointMap) -> FloatArray:
     tree = cKDTree(np.hstack([source.positions, FACING * source.normals]))
     at = tree.query(np.hstack([places, FACING * normals]))[1]
     pairs = np.concatenate([edges, image_pairs(places, normals)])
-    pairs = pairs[(prepared.rest.masks.of_target(target.n) > 0)[pairs].all(axis=1)]
+    counts = prepared.masks.of_target(found.target.n) if counts is None else counts
+    pairs = pairs[(counts[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     on_source = distances_apart(source.station_distances[:, at], pairs)
     beyond = np.maximum(on_target, on_source) - 2 * np.minimum(on_target, on_source)
@@ -109,9 +113,9 @@ def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
     return float(prepared.rest.graph.areas[farthest > 0].sum())
 
 
-def jump_warnings(prepared: PreparedPair, found: PointMap) -> tuple[str, ...]:
-    """A sentence for a user where a map jumps beyond the bound; none where it does not."""
-    farthest = jumps(prepared, found)
+def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> tuple[str, ...]:
+    """A sentence for a user where a map jumps beyond the bound, see `jumps`; none where it does not."""
+    farthest = jumps(prepared, found, counts)
     share = jump_share(prepared, farthest)
     if share <= SIGNS["jumps"].bound:
         return ()
