@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -205,6 +205,7 @@ def match_pair(
     *,
     progress: Progress = silent,
     timings: dict[str, float] | None = None,
+    preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
     """The elastic match of a prepared pair.
 
@@ -218,6 +219,8 @@ def match_pair(
     progress : callable
     timings : dict of str to float, optional
         Seconds of stages that came before.
+    preview : callable, optional
+        Called with rough maps while the answer is searched, where there are fewer than three landmarks.
 
     Raises
     ------
@@ -239,7 +242,7 @@ def match_pair(
                 point_map, confidence = known
                 places = confidence.readings[0].positions
             elif len(landmarks) < FEWEST_LANDMARKS:
-                point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
+                point_map, confidence = hypothesis_map(prepared, pair, progress, preview)
                 places = confidence.readings[0].positions
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)

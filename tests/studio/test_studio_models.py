@@ -385,8 +385,13 @@ def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Be
     bench, task = opened
     with pytest.raises(ParameterError, match="answer 99"):
         perform(bench, FindMap(task.opening, LandmarkList(), answer=99), lambda _: None)
-    bench, first = perform(bench, FindMap(task.opening, LandmarkList()), lambda _: None)
+    looks = list[Found]()
+    bench, first = perform(bench, FindMap(task.opening, LandmarkList()), lambda _: None, looks.append)
     assert isinstance(first, Found)
+    # As the files stand, and the best of all rough fits; both are maps of every vertex, and said to be rough.
+    assert [look.known.rough for look in looks] == [True, True]
+    assert not first.known.rough
+    assert {look.images.triangle.shape for look in looks} == {first.images.triangle.shape}
     # A box on a box: each half turn is an answer.
     assert len(first.known.answers) > 1
     assert first.known.confidence
@@ -459,7 +464,7 @@ def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
     monkeypatch.setattr(worker, "_connected", lambda: here)
     worker._connection = here
 
-    def work(bench: Bench, task: object, progress: Callable[[str], None]) -> tuple[Bench, object]:
+    def work(bench: Bench, task: object, progress: Callable[[str], None], _: object) -> tuple[Bench, object]:
         for stage in range(10_000 if isinstance(task, FindMap) else 3):  # the unwanted one has time to hear of it
             progress(str(stage))
             time.sleep(1e-3)

@@ -92,6 +92,7 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert "`" not in confidence_text(doubt.confidence)
     assert "Next landmark" in confidence_text(doubt.confidence)
     assert "contradicts" in verdict(Studio(map=replace(known, contradictions={"nose": "far off"})), scene)
+    assert "not yet checked" in verdict(Studio(map=MapState(rough=True)), scene)
 
 
 def test_the_state_of_a_page_names_all_that_is_drawn(opened: Session) -> None:

@@ -23,8 +23,8 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, Message, Output, RunningJob, Studio, View
-from cagemap.studio.worker import DROPPED, Failure
+from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, Studio, View
+from cagemap.studio.worker import DROPPED, STOPPED, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
 from studio_boxes import Idle, click, click_between, until
@@ -75,6 +75,24 @@ def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> N
     opened._receive(FindMap(opened._preview.models, LandmarkList()), answer)
     np.testing.assert_array_equal(opened.scene.source.turn, np.diag([-1.0, 1.0, -1.0]))
     assert opened.scene.skins == (b"target", b"source")
+
+
+def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
+    known, scene = opened.state.map, opened.scene
+    assert opened._preview.models is not None
+    task = FindMap(opened._preview.models, LandmarkList())
+    rough = Found(replace(scene.images, trust=np.ones(len(scene.images.trust))), (b"rough", None), MapState(rough=True))
+    opened._receive(task, rough)
+    assert opened.scene.skins[0] == b"rough"
+    assert (opened.state.map.rough, opened.state.map.revision) == (True, known.revision)
+    # One that comes after the search was cancelled is not shown, and the cancelling is still said.
+    opened._cancelled = True
+    opened._receive(task, replace(rough, skins=(b"late", None)))
+    assert opened.scene.skins[0] == b"rough"
+    opened._receive(task, Failure(STOPPED, "killed"))
+    assert "cancelled" in opened.state.messages[-1].text
+    opened._receive(task, Found(scene.images, scene.skins, known))
+    assert (opened.state.map.rough, opened.state.map.revision) == (False, known.revision + 1)
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:

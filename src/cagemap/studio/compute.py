@@ -12,6 +12,7 @@ import numpy as np
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
 from cagemap.maps.landmarks.suggest import suggested_vertices
+from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
@@ -154,8 +155,10 @@ class Bench:
     result: MatchResult | None = None
 
 
-def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer]:
-    """Do one task; the answer to `ShowBaked` is the target's skin.
+def perform(
+    bench: Bench, task: Task, progress: Progress, show: Callable[[Found], None] = lambda _: None
+) -> tuple[Bench, Answer]:
+    """Do one task; the answer to `ShowBaked` is the target's skin. Rough maps are shown on the way to the first one.
 
     Raises
     ------
@@ -173,7 +176,7 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
             )
             return bench, Opened(target, source, skins)
         case FindMap():
-            return find_map(bench, task, progress)
+            return find_map(bench, task, progress, show)
         case ShowBaked():
             return bench, _baked_skin(target, source, task)
 
@@ -190,7 +193,7 @@ def open_models(opening: Opening, progress: Progress) -> tuple[OpenedModel, Open
     return target, source
 
 
-def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Found]:
+def find_map(bench: Bench, task: FindMap, progress: Progress, show: Callable[[Found], None]) -> tuple[Bench, Found]:
     """Match the models with the current landmarks.
 
     Raises
@@ -204,7 +207,8 @@ def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Fo
     landmarks = landmarks_of(task.landmarks, target.control, source.control)
     guided = bool(len(landmarks) + len(landmarks.curves))
     if task.answer is not None or not guided:
-        free = bench.free or match_pair(prepared, progress=progress)
+        first = None if bench.result is not None else lambda rough: show(_rough(bench, rough))
+        free = bench.free or match_pair(prepared, progress=progress, preview=first)
         chosen = bench.chosen if task.answer is None else task.answer
         result = other_answer(free, chosen, progress=progress) if chosen or task.answer is not None else free
         bench = replace(bench, free=free, chosen=chosen, result=result)
@@ -215,6 +219,14 @@ def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Fo
     else:
         bench = replace(bench, result=update_match(bench.result, landmarks, progress=progress))
     return _found(bench, started)
+
+
+def _rough(bench: Bench, point_map: PointMap) -> Found:
+    """A rough map to look at while the search goes on; the source stays turned as it is."""
+    target, source = _models(bench)
+    images = Images(point_map.triangle, point_map.barycentric, np.ones(point_map.target.n))
+    skin = target_skin(target.shape, target.look, source.shape, source.look, images)
+    return Found(images, (skin, None), MapState(rough=True))
 
 
 def _prepared(bench: Bench, progress: Progress) -> tuple[Bench, PreparedPair]:

@@ -55,7 +55,7 @@ class Preview:
         self._closed = False
         self._title = ""
         self._task: Task | None = None
-        self._worker = Worker(lambda stage: on_job(RunningJob(self._title, stage)))
+        self._worker = Worker(lambda stage: on_job(RunningJob(self._title, stage)), on_shown=self._shown)
         self._worker.start()
         threading.Thread(target=self._work, name="studio preview", daemon=True).start()
 
@@ -104,6 +104,11 @@ class Preview:
             self._closed = True
             self._wake.notify()
         self._worker.stop()
+
+    def _shown(self, early: object) -> None:
+        """Hand on what the task that runs shows before it is done."""
+        if self._task is not None and not self._closed:
+            self._on_answer(self._task, early)
 
     def _work(self) -> None:
         first = {OpenModels, FindMap}

@@ -324,8 +324,9 @@ class Session(Held):
             self._take(task, answer)
 
     def _take(self, task: Task, answer: object) -> None:
-        cancelled, self._cancelled = self._cancelled, False
-        if task.opening != self._preview.models:  # others have been opened meanwhile
+        rough = isinstance(answer, Found) and answer.known.rough
+        cancelled, self._cancelled = self._cancelled, self._cancelled and rough
+        if task.opening != self._preview.models or (rough and cancelled):  # others have been opened meanwhile
             return
         match answer:
             case Failure() if answer.kind == DROPPED:  # the same ones again: what they are opened for comes next
@@ -343,10 +344,10 @@ class Session(Held):
                 before, (target, source) = self._scene, answer.skins
                 scene = replace(before, images=answer.images, skins=(target, source or before.skins[1]))
                 self._scene = scene = replace(scene, source=scene.faced)
-                if self._state.map.revision == 0 or scene.source is not before.source:
+                if before.images is None or scene.source is not before.source:
                     scene.warm()  # the page has its models by now, and the processor is free
                 known = answer.known.under_names(task.landmarks, self._state.history.present)
-                known = replace(known, revision=self._state.map.revision + 1)
+                known = replace(known, revision=self._state.map.revision + (not known.rough))
                 self._change(map=known, proposal=proposed(scene, self._state.history.present))
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
                 if task.image == self._state.view.baked:

@@ -101,7 +101,7 @@ class MapState:
     Attributes
     ----------
     revision : int
-        Counts maps; 0 while there is none.
+        Counts maps that were found to the end; 0 while there is none.
     answers : tuple of str
         The landmark-free answers, best first; empty while there was no match without landmarks.
     chosen : int
@@ -118,6 +118,8 @@ class MapState:
         What the last map took.
     suggestion : int or None
         Control vertex of the target at which one more landmark would tell most.
+    rough : bool
+        Whether it is a first look, while the search goes on.
     """
 
     revision: int = 0
@@ -129,6 +131,7 @@ class MapState:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     suggestion: int | None = None
+    rough: bool = False
 
     def under_names(self, before: LandmarkList, now: LandmarkList) -> MapState:
         """What is known of landmarks, under the names that they have now."""

@@ -49,6 +49,13 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """What a task shows before it is done, said by its process."""
+
+    answer: Any
+
+
+@dataclass(frozen=True)
 class Done:
     """What a task gives, said by its process."""
 
@@ -69,10 +76,17 @@ class Worker:
     serve : callable, optional
         Loop of the process: a task in, `Stage` and `Done` or `Failure` out; None in place of a task ends it. That of
         the preview by default.
+    on_shown : callable, optional
+        Told what a task shows before it is done.
     """
 
-    def __init__(self, on_stage: Callable[[str], None], serve: Callable[[Connection], None] | None = None) -> None:
-        self._on_stage, self._serve = on_stage, _serve if serve is None else serve
+    def __init__(
+        self,
+        on_stage: Callable[[str], None],
+        serve: Callable[[Connection], None] | None = None,
+        on_shown: Callable[[Any], None] = lambda _: None,
+    ) -> None:
+        self._on_stage, self._serve, self._on_shown = on_stage, _serve if serve is None else serve, on_shown
         self._lock = threading.Lock()
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
@@ -109,6 +123,8 @@ class Worker:
                     reply = connection.recv()
                     if isinstance(reply, Stage):
                         self._on_stage(reply.name)
+                    elif isinstance(reply, Shown):
+                        self._on_shown(reply.answer)
                     else:
                         return reply.answer if isinstance(reply, Done) else reply
             except (EOFError, OSError):
@@ -190,7 +206,7 @@ def _serve(connection: Connection) -> None:
             if not isinstance(task, OpenModels):  # nothing can be done on the page before that
                 _step_back()
             try:
-                bench, answer = perform(bench, task, tell)
+                bench, answer = perform(bench, task, tell, lambda early: connection.send(Shown(early)))
                 connection.send(Done(answer))
             except _DroppedError:
                 connection.send(Failure(DROPPED, "the computation is not wanted any more"))

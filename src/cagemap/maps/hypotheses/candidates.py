@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from cagemap.deform.fit import coarse_fit, with_cost
@@ -46,12 +46,14 @@ def rough_problem(problem: Problem) -> Problem:
     return problem.staged(config.rough, config.rough_vertices)
 
 
-def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
+def rough_fits(
+    problem: Problem, rigid: bool, show: Callable[[Placement], None] = lambda _: None
+) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
     """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
 
     Assignments are released too: tips of limbs of unlike length are no counterparts. Of rigid starts how the files
     stand is enough, unless no assignment is plausible. With landmarks enough it always is: then ``rigid`` is false, and
-    rotations are not doubted.
+    rotations are not doubted. How the files stand is shown at once, the best placement after it.
     """
     rough, config = rough_problem(problem), problem.prepared.elastic.hypotheses
 
@@ -74,11 +76,14 @@ def rough_fits(problem: Problem, rigid: bool) -> tuple[list[tuple[Assignment, Pl
     starts = [*filed, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
     n_filed = len(filed) + AS_FILED_STARTS
     starts = starts if rigid else starts[:n_filed]
+    own = fit_rigid(starts[:n_filed])
+    show(own[0])
     led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[: config.max_assigned]
-    own = fit_rigid(starts[:n_filed] if led else starts)
     # A part costs little in many places: only the whole fit decides.
     if led and not filed and led[0][1].rank > config.unlikely * own[0].rank:
-        led, own = [], fit_rigid(starts)
+        led = []
+    own = own if led else fit_rigid(starts)
+    show(min((*(one for _, one in led), *own), key=lambda one: one.rank))
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
         kept = distinct(own, graph.areas, config.different)[: config.max_coarse]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from scipy.spatial import cKDTree
 
+from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.deform.shared_area import SharedArea
@@ -18,7 +20,12 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 
 
-def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> tuple[PointMap, Confidence]:
+def hypothesis_map(
+    prepared: PreparedPair,
+    pair: Pair,
+    progress: Progress = silent,
+    preview: Callable[[PointMap], None] | None = None,
+) -> tuple[PointMap, Confidence]:
     """Point map T12 of the finest levels by the cheapest hypothesis, which meets the landmarks there are.
 
     Parameters
@@ -28,9 +35,17 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
         With any number of landmarks; meant for fewer than `FEWEST_LANDMARKS`.
     progress : callable
         Called with the name of each stage.
+    preview : callable, optional
+        Called with rough maps while the search goes on.
     """
     problem = Problem(prepared, pair)
-    readings = found_readings(problem, progress)
+
+    def show(rough: Placement) -> None:
+        if preview is not None:
+            places = rough.on(prepared.rest.graph, prepared.elastic.graph)
+            preview(map_of_places(prepared, places, pair.landmarks))
+
+    readings = found_readings(problem, progress, show)
     progress("closest points")
     found = map_of_places(prepared, readings[0].positions, pair.landmarks)
     shared, counts = SharedArea.of_fit(prepared, readings[0].positions), None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, finished
 from cagemap.deform.placement import Placement, distinct
@@ -18,7 +18,12 @@ from cagemap.numerics.threads import in_threads
 ANOTHER_WAY = " in another way"
 
 
-def search(problem: Problem, progress: Progress = silent, start: FloatArray | None = None) -> list[Placement]:
+def search(
+    problem: Problem,
+    progress: Progress = silent,
+    start: FloatArray | None = None,
+    show: Callable[[Placement], None] = lambda _: None,
+) -> list[Placement]:
     """Placements of the target's mesh, best first by cost and doubt; all of them hold the landmarks.
 
     Enough landmarks start fits of their own. Where these disagree, or landmarks are too few, limbs are assigned to
@@ -32,6 +37,8 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
     start : (k, 3) float64, optional
         Places on the source of the coarse shape's vertices, instead of the spectral map of the landmarks; no others are
         tried. It alone counts where there are fewer than `FEWEST_LANDMARKS`.
+    show : callable
+        Called with rough placements on the way.
     """
     decided = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
     fits, found = list[AnchoredFits](), list[Placement]()
@@ -42,7 +49,7 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
             return list(fits[0].refined)
     if start is None:
         progress("possible alignments")
-        assigned, released = rough_fits(problem, not decided)
+        assigned, released = rough_fits(problem, not decided, show)
         progress("rough alignment")
         fits += [AnchoredFits.of(problem, one.shape(problem), one.vertices).like(rough) for one, rough in assigned]
         found = released_fits(problem, released)
@@ -72,14 +79,16 @@ def search(problem: Problem, progress: Progress = silent, start: FloatArray | No
     return [finished(problem, ranked[0]), *ranked[1:]]
 
 
-def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
+def found_readings(
+    problem: Problem, progress: Progress = silent, show: Callable[[Placement], None] = lambda _: None
+) -> tuple[Reading, ...]:
     """Different alignments of the target with the source, best first, by `search`.
 
     Positions are those of the vertices of the level that is deformed.
     """
     prepared, answers = problem.prepared, dict[str, Reading]()
     different = prepared.elastic.hypotheses.different
-    for placed in distinct(search(problem, progress), prepared.rest.graph.areas, different):
+    for placed in distinct(search(problem, progress, show=show), prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY

@@ -42,7 +42,11 @@ def confidence_text(message: str) -> str:
 def verdict(state: Studio, scene: Scene | None) -> str:
     """How sure the map is, in a few words; '' without a map."""
     known, images = state.map, None if scene is None else scene.images
-    if known.revision == 0 or images is None:
+    if images is None:
+        return ""
+    if known.rough:
+        return "A first look, not yet checked"
+    if known.revision == 0:
         return ""
     landmarks = state.history.present.complete
     if known.contradictions:
@@ -87,6 +91,8 @@ def _words(stage: str) -> tuple[str, float | None]:
 def _next_step(state: Studio) -> str:
     if state.files is None:
         return "Open two models, or drop their files here."
+    if state.map.rough:  # the search was cancelled
+        return "This is a first look at the map. Press Match again for the checked one."
     if state.map.revision == 0:
         return OPENING
     if state.probe is not None and state.probe.text:
