@@ -1,5 +1,5 @@
 """The studio in a real browser, one for all these tests, which leave it as they found it: clicks, the live map, undo,
-files, every control, wrong landmarks, two tabs, the bake, what a kill leaves. A failure gives the next test a new one.
+every control, wrong landmarks, two tabs, the bake.
 """
 
 from __future__ import annotations
@@ -7,41 +7,31 @@ from __future__ import annotations
 import io
 import json
 import shutil
-import subprocess
-import time
 import zipfile
-from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pygltflib
 import pytest
-from test_studio_parts import dense
 
 from cagemap.files.images.image import read_image
 from cagemap.files.landmarks.point_formats import POINT_FORMS
-from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.formats import read_mesh
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import choose_level
 from cagemap.studio.autosave import autosave_path
 from cagemap.studio.landmark_files import FORMS, points_file
-from cagemap.studio.models import DENSE
-from cagemap.studio.opening import built_in_files
 from cagemap.studio.places import places_of
 from cagemap.studio.shape import Shape, pick, shape_of
 from cagemap.studio.state import Files
 from cagemap.subdivision import refine
 
-from browser_page import PATIENCE, Page, studio
+from browser_page import PATIENCE, Page
+from running_studio import FLANK, VERTICES, half_a_landmark, saved
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
-VERTICES = 3000
-# Of the first view; no landmark of the pair is near on either model.
-FLANK = (0.12, -0.02)
 DRAGGED = (0.16, -0.08)
 BESIDE = (0.1, -0.93)
 # Of the model's radius: a pixel of the first view is 0.003.
@@ -49,74 +39,11 @@ CLOSE = 0.01
 # Mean difference of two pictures, of 255: turned or painted otherwise it is more than 6.
 OTHER = 2.5
 SERIOUS = {"serious", "critical"}
-# Seconds within which a page is back once its studio answers; its models come as soon as they are read.
-WHOLE = 5.0
 # The ray through a point of a side's half.
 RAY = """
 const [side, x, y] = arguments, camera = window.studio.views.sides[side].camera, ray = new THREE.Raycaster();
 ray.setFromCamera(new THREE.Vector2(x, y), camera);
 return [...ray.ray.origin.toArray(), ...ray.ray.direction.toArray()]"""
-
-
-@dataclass
-class Running:
-    """The studio of these tests, and the page that looks at it."""
-
-    browser: Any
-    files: Files
-    process: subprocess.Popen[str]
-    page: Page
-    begun: ExitStack
-
-    @classmethod
-    def of(cls, browser: Any, files: Files) -> Running:
-        with ExitStack() as begun:  # a studio without a map ends at once
-            process, address = begun.enter_context(studio(*arguments(files)))
-            page = Page(browser, address)
-            page.until(lambda: page.revision() >= 1, "the first map")
-            return cls(browser, files, process, page, begun.pop_all())
-
-    def start_again(self) -> None:
-        """A studio of the same files in place of this one."""
-        self.begun.close()
-        again = Running.of(self.browser, self.files)
-        self.process, self.page, self.begun = again.process, again.page, again.begun
-
-
-def arguments(files: Files) -> list[str]:
-    named = ["--target", files.target, "--source", files.source, "--texture", files.texture]
-    named += ["--landmarks", files.landmarks, "--result", files.result, "--vertices", VERTICES]
-    return list(map(str, named))
-
-
-@pytest.fixture(scope="module")
-def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
-    """What runs, and how many tests had failed when it was started."""
-    made: dict[str, Any] = {"folder": lambda: tmp_path_factory.mktemp("built-in")}
-    yield made
-    if "running" in made:
-        made["running"].begun.close()
-
-
-@pytest.fixture
-def running(browser: Any, held: dict[str, Any], request: pytest.FixtureRequest) -> Running:
-    failed = request.session.testsfailed
-    if held.get("failed") != failed:
-        if "running" in held:
-            held.pop("running").begun.close()
-        held["running"] = Running.of(browser, built_in_files(held["folder"]()))
-        held["failed"] = failed
-    return held["running"]
-
-
-@pytest.fixture
-def page(running: Running) -> Page:
-    return running.page
-
-
-@pytest.fixture
-def files(running: Running) -> Files:
-    return running.files
 
 
 def ray(page: Page, side: str, point: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
@@ -128,10 +55,6 @@ def ray(page: Page, side: str, point: tuple[float, float]) -> tuple[FloatArray, 
 def shape(path: Path) -> Shape:
     control = read_mesh(path)
     return shape_of(refine(control, choose_level(control, VERTICES)))
-
-
-def saved(files: Files) -> list[dict[str, Any]]:
-    return json.loads(files.landmarks.read_text())["pairs"]
 
 
 def misses(page: Page, files: Files, pair: dict[str, Any], side: str, point: tuple[float, float]) -> float:
@@ -148,11 +71,6 @@ def misses(page: Page, files: Files, pair: dict[str, Any], side: str, point: tup
 def other(now: np.ndarray, before: np.ndarray) -> bool:
     """Whether a canvas shows something else."""
     return float(np.abs(now - before).mean()) > OTHER
-
-
-def half_a_landmark(page: Page) -> None:
-    page.click("target", FLANK)
-    page.until(lambda: page.state("proposal"), "the first half of a landmark")
 
 
 def back_to(page: Page, count: int) -> None:
@@ -447,100 +365,3 @@ def test_an_error_is_named_and_the_bake_goes_on_after_it(page: Page, files: File
     page.set("baked", "")
     page.until(lambda: page.state("view")["mode"] == "texture", "the map")
     assert np.abs(page.look("target") - shown).mean() < 2 * OTHER
-
-
-def test_a_page_says_that_its_studio_ended_and_is_whole_again(
-    running: Running, files: Files, held: dict[str, Any], record_property: Any
-) -> None:
-    """Killed at rest, with half a landmark, and while it matches."""
-    held.pop("failed")  # its studio ends: a test after it begins anew
-    page, process, port = running.page, running.process, running.page.address.rstrip("/").rpartition(":")[2]
-    page.run("window.before = true")
-    count = page.landmarks()
-    for moment in ("at rest", "half a landmark", "while it matches"):
-        if moment == "half a landmark":
-            half_a_landmark(page)
-        if moment == "while it matches":
-            page.press("again")
-        process.kill()
-        page.until(lambda: "has ended" in page.text("status"), f"{moment}: a word that it has ended")
-        begun = running.begun.enter_context(studio(*arguments(files), "--port", port))
-        process, address = begun
-        assert address == page.address
-        ready = time.monotonic()
-        page.until(lambda: "has ended" not in page.text("status"), f"{moment}: the page again", WHOLE)
-        page.until(lambda: page.state("models"), f"{moment}: its models")
-        record_property(f"{moment}: seconds to the models", time.monotonic() - ready)
-        page.until(lambda: page.revision() >= 1, f"{moment}: its map")
-        assert page.landmarks() == count
-        if moment == "half a landmark":
-            assert page.state("asks")
-            back_to_none(page)
-    assert page.run("return window.before")  # the very same page
-
-
-def back_to_none(page: Page) -> None:
-    """Delete the landmark that waits for its other place."""
-    page.select(page.landmarks() + 1)
-    page.press("delete")
-    page.until(lambda: not page.state("asks"), "no landmark that waits")
-
-
-def test_a_killed_studio_gives_its_landmarks_back(running: Running, files: Files) -> None:
-    page = running.page
-    page.set("symmetric", False)
-    count = len(saved(files))
-    half_a_landmark(page)
-    page.until(lambda: autosave_path(files.landmarks).is_file(), "the autosave")
-    running.process.kill()
-    assert len(saved(files)) == count
-    running.start_again()
-    page = running.page
-    page.until(lambda: page.said("recovered"), "the recovered landmarks")
-    page.set("symmetric", False)
-    page.press("accept")
-    page.until(lambda: page.landmarks() == count + 1, "the landmark completed")
-    page.select(count + 1)
-    page.press("delete")
-    page.until(lambda: page.landmarks() == count, "no landmark more")
-
-
-def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
-    page: Page, files: Files, held: dict[str, Any], tmp_path: Path
-) -> None:
-    held.pop("failed")  # other models are open at its end: a test after it begins anew
-    (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
-    write_mesh(tmp_path / "scan.obj", dense(DENSE))
-    page.press("open")
-    for name in ("broken.obj", "scan.obj"):
-        page.upload(tmp_path / name)
-        page.until(lambda name=name: page.said(f"added {name}"), f"{name} in the lists")
-        assert (files.target.parent / name).read_bytes() == (tmp_path / name).read_bytes()
-    page.until(lambda: page.run("return [...document.querySelector('[name=target]').options].length") > 3, "the list")
-    page.run("const at = document.querySelector('[name=target]'); at.value = 'broken.obj';")
-    page.press("open-now")
-    page.until(lambda: "broken.obj, line 4" in page.text("status"), "what is wrong with it")
-    # A file that is dropped on a half is opened there.
-    drop = """const data = new DataTransfer(); data.items.add(new File([arguments[0]], 'dropped.obj'));
-        const at = document.getElementById('target').getBoundingClientRect();
-        document.getElementById('views').dispatchEvent(new DragEvent('drop', {dataTransfer: data, bubbles: true,
-            cancelable: true, clientX: at.left + 5, clientY: at.top + 5}))"""
-    page.run(drop, (tmp_path / "scan.obj").read_text())
-    page.until(lambda: page.state("models") and page.state("models")["target"]["name"] == "dropped.obj", "the drop")
-    dense_target = "return window.studio.state.models?.target.dense"
-    page.until(lambda: page.run(dense_target), "the offer")
-    page.press("cancel")  # its map as a cage
-    page.press("plain-target")
-    page.until(lambda: page.run(dense_target) is False, "the scan as it is")
-
-    # Chosen in the dialog; the image is guessed, and how a model is taken is not said of the next one.
-    page.press("open")
-    page.set("models [name=target]", "deer.obj")
-    page.set("models [name=source]", "pony.obj")
-    page.until(lambda: page.run("return document.querySelector('[name=texture]').value") == "pony.png", "the image")
-    assert page.run("return document.getElementById('scheme-target').value") == ""
-    page.set("scheme-source", "bilinear")
-    page.set("up-target", "z")
-    page.press("open-now")
-    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1], files.ups[0]]"
-    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear", "z"], "the pair as it was chosen")

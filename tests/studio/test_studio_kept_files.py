@@ -44,6 +44,20 @@ def test_saved_landmarks_are_read_again_and_a_persons_file_is_kept(opened: Sessi
     assert len(opened.state.history.present.complete) == 2
 
 
+def test_a_landmark_is_kept_before_a_page_shows_it(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    change, shown = opened._change, list[bool]()
+
+    def watched(**changes: object) -> None:
+        if "history" in changes:
+            shown.append(autosave_path(opened.state.files.landmarks).is_file())
+        change(**changes)
+
+    monkeypatch.setattr(opened, "_change", watched)
+    click(opened, "target", 2)  # half a landmark
+    assert shown == [True]
+    opened.undo()
+
+
 def test_a_landmark_file_of_other_models_is_kept(opened: Session) -> None:
     landmarks = opened.state.files.landmarks
     click(opened, "target", 0)

@@ -394,14 +394,14 @@ class Session(Held):
         before = self._state.history.present
         if history == self._state.history:
             return
+        files, scene = self._state.files, self._scene
+        if files is not None and scene is not None:  # first: what the page shows is not lost
+            with self.guarded():
+                self._notes(self._owned.keep(files.landmarks, in_files(history.present, scene), files.parts))
         known = self._state.map.under_names(before, history.present)
         self._change(history=history, saved=False, map=known, proposal=proposed(self._scene, history.present))
         if history.present.get(self._state.selected) is None:
             self._change(selected=None)
-        files, scene = self._state.files, self._scene
-        if files is not None and scene is not None:
-            with self.guarded():
-                self._notes(self._owned.keep(files.landmarks, in_files(history.present, scene), files.parts))
         if history.present.goes_by != before.goes_by:
             self._find(fresh=False)
 

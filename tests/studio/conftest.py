@@ -1,0 +1,44 @@
+"""One studio for the tests of a file in a real browser; a failure gives the next test a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from cagemap.studio.opening import built_in_files
+from cagemap.studio.state import Files
+
+from browser_page import Page
+from running_studio import Running
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    """What runs, and how many tests had failed when it was started."""
+    made: dict[str, Any] = {"folder": lambda: tmp_path_factory.mktemp("built-in")}
+    yield made
+    if "running" in made:
+        made["running"].begun.close()
+
+
+@pytest.fixture
+def running(browser: Any, held: dict[str, Any], request: pytest.FixtureRequest) -> Running:
+    failed = request.session.testsfailed
+    if held.get("failed") != failed:
+        if "running" in held:
+            held.pop("running").begun.close()
+        held["running"] = Running.of(browser, built_in_files(held["folder"]()))
+        held["failed"] = failed
+    return held["running"]
+
+
+@pytest.fixture
+def page(running: Running) -> Page:
+    return running.page
+
+
+@pytest.fixture
+def files(running: Running) -> Files:
+    return running.files

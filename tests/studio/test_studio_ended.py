@@ -1,0 +1,125 @@
+"""What the end of a studio leaves, and files that are opened in its place, in a real browser."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_studio_parts import dense
+
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.studio.autosave import autosave_path
+from cagemap.studio.models import DENSE
+from cagemap.studio.state import Files
+
+from browser_page import Page, studio
+from running_studio import Running, arguments, half_a_landmark, saved
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
+# Seconds within which a page is back once its studio answers; its models come as soon as they are read.
+WHOLE = 5.0
+
+
+def test_a_page_says_that_its_studio_ended_and_is_whole_again(
+    running: Running, files: Files, held: dict[str, Any], record_property: Any
+) -> None:
+    """Killed at five moments: nothing is lost, and the same page shows it again."""
+    held.pop("failed")  # its studio ends: a test after it begins anew
+    page, process, port = running.page, running.process, running.page.address.rstrip("/").rpartition(":")[2]
+    page.run("window.before = true")
+    count = page.landmarks()
+    for moment in ("at rest", "half a landmark", "while it matches", "while it bakes", "while files are chosen"):
+        if moment == "half a landmark":
+            half_a_landmark(page)
+        elif moment == "while it matches":
+            page.press("again")
+        elif moment == "while it bakes":
+            page.press("start")
+            page.until(lambda: page.text("status").startswith("Baking, step 1/"), "a bake")
+        elif moment == "while files are chosen":
+            page.press("open")
+        process.kill()
+        page.until(lambda: "has ended" in page.text("status"), f"{moment}: a word that it has ended")
+        begun = running.begun.enter_context(studio(*arguments(files), "--port", port))
+        process, address = begun
+        assert address == page.address
+        ready = time.monotonic()
+        page.until(lambda: "has ended" not in page.text("status"), f"{moment}: the page again", WHOLE)
+        page.until(lambda: page.state("models"), f"{moment}: its models")
+        record_property(f"{moment}: seconds to the models", time.monotonic() - ready)
+        page.until(lambda: page.revision() >= 1, f"{moment}: its map")
+        assert page.landmarks() == count
+        if moment == "half a landmark":
+            assert page.state("asks")
+            back_to_none(page)
+    assert not files.result.exists()  # the bake left nothing half made
+    assert page.run("return window.before")  # the very same page
+
+
+def back_to_none(page: Page) -> None:
+    """Delete the landmark that waits for its other place."""
+    page.select(page.landmarks() + 1)
+    page.press("delete")
+    page.until(lambda: not page.state("asks"), "no landmark that waits")
+
+
+def test_a_killed_studio_gives_its_landmarks_back(running: Running, files: Files) -> None:
+    page = running.page
+    page.set("symmetric", False)
+    count = len(saved(files))
+    half_a_landmark(page)
+    page.until(lambda: autosave_path(files.landmarks).is_file(), "the autosave")
+    running.process.kill()
+    assert len(saved(files)) == count
+    running.start_again()
+    page = running.page
+    page.until(lambda: page.said("recovered"), "the recovered landmarks")
+    page.set("symmetric", False)
+    page.press("accept")
+    page.until(lambda: page.landmarks() == count + 1, "the landmark completed")
+    page.select(count + 1)
+    page.press("delete")
+    page.until(lambda: page.landmarks() == count, "no landmark more")
+
+
+def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
+    page: Page, files: Files, held: dict[str, Any], tmp_path: Path
+) -> None:
+    held.pop("failed")  # other models are open at its end: a test after it begins anew
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
+    write_mesh(tmp_path / "scan.obj", dense(DENSE))
+    page.press("open")
+    for name in ("broken.obj", "scan.obj"):
+        page.upload(tmp_path / name)
+        page.until(lambda name=name: page.said(f"added {name}"), f"{name} in the lists")
+        assert (files.target.parent / name).read_bytes() == (tmp_path / name).read_bytes()
+    page.until(lambda: page.run("return [...document.querySelector('[name=target]').options].length") > 3, "the list")
+    page.run("const at = document.querySelector('[name=target]'); at.value = 'broken.obj';")
+    page.press("open-now")
+    page.until(lambda: "broken.obj, line 4" in page.text("status"), "what is wrong with it")
+    # A file that is dropped on a half is opened there.
+    drop = """const data = new DataTransfer(); data.items.add(new File([arguments[0]], 'dropped.obj'));
+        const at = document.getElementById('target').getBoundingClientRect();
+        document.getElementById('views').dispatchEvent(new DragEvent('drop', {dataTransfer: data, bubbles: true,
+            cancelable: true, clientX: at.left + 5, clientY: at.top + 5}))"""
+    page.run(drop, (tmp_path / "scan.obj").read_text())
+    page.until(lambda: page.state("models") and page.state("models")["target"]["name"] == "dropped.obj", "the drop")
+    dense_target = "return window.studio.state.models?.target.dense"
+    page.until(lambda: page.run(dense_target), "the offer")
+    page.press("cancel")  # its map as a cage
+    page.press("plain-target")
+    page.until(lambda: page.run(dense_target) is False, "the scan as it is")
+
+    # Chosen in the dialog; the image is guessed, and how a model is taken is not said of the next one.
+    page.press("open")
+    page.set("models [name=target]", "deer.obj")
+    page.set("models [name=source]", "pony.obj")
+    page.until(lambda: page.run("return document.querySelector('[name=texture]').value") == "pony.png", "the image")
+    assert page.run("return document.getElementById('scheme-target').value") == ""
+    page.set("scheme-source", "bilinear")
+    page.set("up-target", "z")
+    page.press("open-now")
+    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1], files.ups[0]]"
+    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear", "z"], "the pair as it was chosen")
