@@ -9,8 +9,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from cagemap.character.poses import least_rotation, pose_at, pose_towards, to_parents, to_world, value_at
-from cagemap.character.retarget import joint_pairs, retarget
+from cagemap.character.poses import LEAST_TURN, least_rotation, pose_at, pose_towards, to_parents, to_world, value_at
+from cagemap.character.retarget import joint_pairs, retarget, retargeted
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
 
@@ -120,6 +120,24 @@ def test_a_bent_back_is_a_pose_and_no_turned_rig() -> None:
     straight = person()
     bent = raised(straight, 0.9, "Spine", 0)
     np.testing.assert_allclose(pose_towards(straight, bent)[:, 3], bent.bind[:, 3], atol=1e-9)
+
+
+def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:
+    low = person()
+    for angle, kept in ((0.9 * LEAST_TURN, True), (1.1 * LEAST_TURN, False)):
+        assert np.allclose(pose_towards(low, raised(low, angle)), low.bind) == kept
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.8])
+def test_animations_go_to_a_body_in_another_pose(angle: float) -> None:
+    """An arm that is raised in the body's own pose is not raised twice."""
+    low = person()
+    high = raised(low, angle)
+    animation = dance(low)
+    (again,), posed_otherwise = retargeted((animation,), low, high)
+    assert posed_otherwise == (angle > 0)
+    for time in (0.0, 0.5):
+        np.testing.assert_allclose(pose_at(high, again, time)[:, 3], pose_at(low, animation, time)[:, 3], atol=1e-7)
 
 
 def test_motion_is_relative_to_the_common_pose() -> None:

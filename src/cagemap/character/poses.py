@@ -15,6 +15,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 # A rig counts as turned against another where that explains the places of its joints with less than this share of the
 # error; else both have the same axes.
 _TURN_ERROR = 0.5
+# Bones whose directions differ by less, in radians, are in one pose: shapes and places of joints make 10 degrees.
+LEAST_TURN = np.radians(20.0)
 # Weight of the joints' axes in that fit: they decide where all joints lie on a line.
 _AXES_WEIGHT = 1e-9
 # Joints that poses leave where they are in the body.
@@ -156,7 +158,8 @@ def pose_towards(
 ) -> FloatArray:
     """Transforms of a rig's joints to the world, (j, 4, 4) float64, that bring its bind pose to another's.
 
-    Limbs, fingers, spine and neck turn by the least rotation that gives each bone the other's direction. Lengths stay.
+    Limbs, fingers, spine and neck turn by the least rotation that gives each bone the other's direction, from the first
+    one of a limb on where that is more than `LEAST_TURN`. Lengths stay.
 
     Parameters
     ----------
@@ -184,14 +187,17 @@ def pose_towards(
         if start in common and end in common
     }
     local, posed = to_parents(rig.bind, rig.parents), rig.bind.copy()
-    inverse = np.linalg.inv(rig.bind)
+    inverse, moves = np.linalg.inv(rig.bind), np.zeros(len(rig.parents), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
-            posed[joint] = local[joint] @ posed[parent]
+            posed[joint], moves[joint] = local[joint] @ posed[parent], moves[parent]
         if joint in ends:
             end, wanted = ends[joint]
             along = (rig.heads[end] - rig.heads[joint]) @ (inverse[joint] @ posed[joint])[:3, :3]
-            posed[joint, :3, :3] = posed[joint, :3, :3] @ least_rotation(along, wanted)
+            bent = least_rotation(along, wanted)
+            moves[joint] |= Rotation.from_matrix(bent).magnitude() > LEAST_TURN
+            if moves[joint]:
+                posed[joint, :3, :3] = posed[joint, :3, :3] @ bent
     return posed
 
 

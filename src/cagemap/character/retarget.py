@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.bones import humanoid_names
-from cagemap.character.poses import require_joints, rest_keys, to_parents, turn_and_scale
+from cagemap.character.poses import pose_towards, require_joints, rest_keys, to_parents, turn_and_scale
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
@@ -67,6 +67,16 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
                 values = _translations(track, joints, sides, turn, ratio(*joints))
             tracks.append(replace(track, joint=joints[1], values=values))
     return Animation(animation.name, tuple(tracks))
+
+
+def retargeted(animations: Sequence[Animation], source: Rig, rig: Rig) -> tuple[tuple[Animation, ...], bool]:
+    """Animations for a carried rig, and whether its body stands in another pose than the source's (T against A)."""
+    reference = None
+    if humanoid_names(source):
+        posed = pose_towards(rig, source)
+        reference = None if np.allclose(posed, rig.bind) else posed
+    made = tuple(retarget(one, source, rig, reference=reference) for one in animations)
+    return made, reference is not None
 
 
 def joint_pairs(source: Rig, target: Rig) -> dict[int, int]:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from cagemap.character.normals import moved
 from cagemap.character.passenger_pieces import Kind
 from cagemap.character.passengers import carry_passengers
-from cagemap.character.retarget import retarget
+from cagemap.character.retarget import retargeted
 from cagemap.character.roles import body_of, role
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Animation, Character, Part
@@ -122,7 +122,9 @@ def carry_character(
     if source.rig is not None:
         stages("skeleton and animations")
         rig = carry_rig(result.point_map, source.rig)
-        animations = tuple(retarget(one, source.rig, rig) for one in source.animations)
+        animations, posed_otherwise = retargeted(source.animations, source.rig, rig)
+        if posed_otherwise and animations:
+            notes.append("the body stands in another pose than the character: animations are turned to the body's pose")
     made = Character((body, *extras, *dressed), rig, animations)
     return CarriedCharacter(made, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 
