@@ -16,7 +16,6 @@ from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import (
     covered_share,
-    dirichlet_energy,
     flipped_triangles,
     measure_quality,
     stretches,
@@ -148,8 +147,6 @@ def test_stretches_are_the_singular_values_of_an_affine_map() -> None:
     largest, smallest = stretches(positions, image, triangles)
     np.testing.assert_allclose(largest, expected[0], rtol=1e-9)
     np.testing.assert_allclose(smallest, expected[1], rtol=1e-9)
-    energy = dirichlet_energy(positions, image, triangles)
-    np.testing.assert_allclose(energy, 0.5 * (matrix**2).sum(), rtol=1e-9)
 
 
 def test_stretches_of_a_degenerate_triangle_are_one() -> None:

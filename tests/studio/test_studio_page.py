@@ -53,7 +53,7 @@ def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) ->
         bench, _ = perform(bench, FindMap(opening, LandmarkList(items[:count]), fresh), stages.append)
     assert len(set(stages)) > 5
     for stage in stages:
-        said = status(Studio(preview_job=RunningJob("Matching", stage)), None)
+        said = status(Studio(preview_job=RunningJob("Matching", stage)))
         assert said["text"] != f"Matching: {stage}", f"{stage}: no words for it in page/words.py"
         assert said["fraction"] is not None
     assert not [word for _, words, _ in STAGES for word in FOREIGN if word in words]
@@ -75,7 +75,7 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
             "step 2/3",
         ),
     ):
-        said = status(state, None)
+        said = status(state)
         assert (said["kind"], words in said["text"]) == (kind, True), said
     assert said["fraction"] == 0.4
     assert said["cancel"]

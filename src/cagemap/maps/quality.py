@@ -21,7 +21,7 @@ from cagemap.numerics.threads import ThreadPool, in_threads, parts
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import CACHED, corner_sums, normalized, row_lengths, triangle_areas, triangle_normals
+from cagemap.surface.triangles import CACHED, corner_sums, normalized, row_lengths, triangle_normals
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): a landmark farther off than this is named
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
@@ -142,13 +142,6 @@ def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> t
     product = np.where(usable, np.maximum(h11 * h22 - h12**2, 0) / safe, 1.0)
     spread = np.sqrt(np.maximum(half_trace**2 - product, 0))
     return np.sqrt(half_trace + spread), np.sqrt(np.maximum(half_trace - spread, 0))
-
-
-def dirichlet_energy(target: FloatArray, image: FloatArray, triangles: IndexArray) -> float:
-    """Return ``1/2 sum_t area_t (sigma_1^2 + sigma_2^2)``; at least the image's area, equal for conformal maps."""
-    largest, smallest = stretches(target, image, triangles)
-    areas = triangle_areas(target, triangles)
-    return float(0.5 * (areas * (largest**2 + smallest**2)).sum())
 
 
 def covered_share(

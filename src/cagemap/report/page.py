@@ -75,7 +75,7 @@ def build_page(
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
     made = [_fold(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels]
     sections = [
-        _header(result, title, sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
+        _header(title, sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
         "" if models is None else _viewer(result, models),
         _stills(result, gallery),
         _marks(marks),
@@ -272,7 +272,7 @@ def _section(title: str, lead: str, body: str) -> str:
     return f"<section>\n<h2>{title}</h2>\n{lead_html}\n{body}\n</section>"
 
 
-def _header(result: MatchResult, title: str, said: str, verdict: str) -> str:
+def _header(title: str, said: str, verdict: str) -> str:
     return (
         f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n'
         f'<p class="verdict {verdict}">{escape(said)}</p>\n</header>'

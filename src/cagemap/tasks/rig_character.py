@@ -87,7 +87,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         write_document(request.output, made, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
-    return _summary(request, dressed, carried), [*carried.notes, *notes, *_doubts(carried.result)]
+    return _summary(request, dressed), [*carried.notes, *notes, *_doubts(carried.result)]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -319,7 +319,7 @@ def _doubts(result: MatchResult) -> list[str]:
     return [] if result.confidence is None or result.confidence.verdict == SURE else [_DOUBT]
 
 
-def _summary(request: RigRequest, character: Character, carried: CarriedCharacter) -> str:
+def _summary(request: RigRequest, character: Character) -> str:
     body, *others = character.parts
     lines = [f"wrote {request.output}: {request.body.name} like {request.like.name}"]
     if character.rig is not None:

@@ -42,7 +42,7 @@ def page_state(state: Studio, scene: Scene | None, workspace: Workspace, keys: d
     """Everything that a page shows; ``keys`` are the names of what it draws."""
     known, present, view = state.map, state.history.present, state.view
     return {
-        "status": status(state, scene),
+        "status": status(state),
         "verdict": verdict(state, scene),
         "messages": [{"kind": one.kind, "text": one.text} for one in state.messages],
         "files": None if state.files is None else _files(state.files, workspace),

@@ -60,7 +60,7 @@ def verdict(state: Studio, scene: Scene | None) -> str:
     return few.capitalize() if not known.confidence else f"{said}, {few}"
 
 
-def status(state: Studio, scene: Scene | None) -> dict[str, Any]:
+def status(state: Studio) -> dict[str, Any]:
     """Text, kind ("busy", "error", "ask" or "ready"), share done or None, and whether it can be cancelled."""
     job = state.finish_job or state.preview_job
     if job is not None:
