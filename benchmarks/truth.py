@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import covered_share, dirichlet_energy, flipped_triangles, landmark_errors
+from cagemap.maps.quality import covered_share, flipped_triangles, landmark_errors, stretches
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import triangle_areas
 
 _VALID_GAP = 0.015  # of sqrt(area): a larger gap between the neutral surfaces is no match
 
@@ -83,6 +84,12 @@ def true_map(target: TriangleSurface, source: TriangleSurface) -> Truth:
     known = triangle >= 0
     images = SurfacePoints(source, np.where(known, triangle, 0), np.where(known[:, None], barycentric, 1 / 3))
     return Truth(images, known)
+
+
+def dirichlet_energy(target: np.ndarray, image: np.ndarray, triangles: np.ndarray) -> float:
+    """``1/2 sum_t area_t (sigma_1^2 + sigma_2^2)`` of a map; at least the image's area, equal for conformal maps."""
+    largest, smallest = stretches(target, image, triangles)
+    return float(0.5 * (triangle_areas(target, triangles) * (largest**2 + smallest**2)).sum())
 
 
 def compare_with_truth(found: PointMap, truth: Truth, landmarks: PointPairs | None = None) -> TruthFigures:
