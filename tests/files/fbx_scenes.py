@@ -141,10 +141,10 @@ def write_fbx(path: Path, mesh: ControlMesh) -> None:
     path.write_bytes(made.bytes())
 
 
-def fbx_arm(*, image: bytes = b"", leaf: bool = False, posed: bool = False) -> Fbx:
+def fbx_arm(*, image: bytes = b"", leaf: bool = False, posed: bool = False, **skin: Any) -> Fbx:
     """The strip of `gltf_scenes.arm`, as quads, in centimetres with Z up; a shape, a texture, an animation.
 
-    With ``leaf`` the second joint has a bone behind it that moves nothing; with ``posed`` it is turned in the file.
+    With ``leaf`` the second joint has a bone behind it that moves nothing; with ``posed`` it is turned in the file. ``skin`` are properties of the material.
     """
     made = Fbx()
     points = np.array([(x, y, 0.0) for x in (0.0, 1.0, 2.0) for y in (0.0, 1.0)])
@@ -155,7 +155,7 @@ def fbx_arm(*, image: bytes = b"", leaf: bool = False, posed: bool = False) -> F
     slots = layer("Material", "", "AllSame", Materials=np.zeros(1, "<i4"))
     model = made.add("Model", "strip", "Mesh")
     mesh = made.add("Geometry", "strip", "Mesh", *geometry(points @ TO_FBX, faces, uv, slots), to=model)
-    material = made.add("Material", "skin", "", properties(DiffuseColor=(0.5, 0.25, 1.0)), to=model)
+    material = made.add("Material", "skin", "", properties(DiffuseColor=(0.5, 0.25, 1.0), **skin), to=model)
     if image:
         named = [Node("FileName", ("C:\\work\\skin.png",)), Node("RelativeFilename", ("..\\skin.png",))]
         texture = made.add("Texture", "skin", "", *named, to=material, by="DiffuseColor")

@@ -199,6 +199,27 @@ def test_what_is_left_out_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert "widget is hidden and left out" in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("skin", "alpha", "said"),
+    [
+        ({}, 1.0, False),
+        ({"Opacity": 0.25}, 0.25, False),
+        ({"TransparencyFactor": 0.75, "TransparentColor": (1.0, 1.0, 1.0)}, 0.25, False),
+        ({"TransparencyFactor": 1.0, "TransparentColor": (0.0, 0.0, 0.0)}, 1.0, False),
+        ({"TransparencyFactor": 1.0, "TransparentColor": (1.0, 1.0, 1.0)}, 1.0, True),
+    ],
+)
+def test_opacity_is_kept(
+    skin: dict[str, Any], alpha: float, said: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        document = read_document(_file(tmp_path, fbx_arm(**skin)))
+    (material,) = document.json["materials"]
+    assert material["pbrMetallicRoughness"]["baseColorFactor"] == pytest.approx([0.5, 0.25, 1.0, alpha])
+    assert material.get("alphaMode") == ("BLEND" if alpha < 1.0 else None)
+    assert ("taken as opaque" in caplog.text) == said
+
+
 def test_a_character_becomes_a_glb_with_all_of_it(tmp_path: Path) -> None:
     path = _file(tmp_path, fbx_arm(image=PNG))
     refine_file(path, 0, tmp_path / "arm.glb")

@@ -65,15 +65,28 @@ class Materials:
         if others:
             listed = ", ".join(sorted({get(one, "material_prop") for one in others}))
             self._note(f"material {name}: textures of {listed} are left out")
+        opacity = self._opacity(material)
+        color = [1.0] * 3 if "baseColorTexture" in slots else _color(pbr, "base")
         surface: dict[str, Any] = {
-            "baseColorFactor": [1.0] * 4 if "baseColorTexture" in slots else [*_color(pbr, "base"), 1.0],
+            "baseColorFactor": [*color, opacity],
             "metallicFactor": _value(pbr, "metalness", 0.0),
             "roughnessFactor": _value(pbr, "roughness", 1.0),
         }
         glow = [1.0] * 3 if "emissiveTexture" in slots else _color(pbr, "emission")
-        color = {slot: slots.pop(slot) for slot in ("baseColorTexture",) if slot in slots}
-        entry = {"name": name, "pbrMetallicRoughness": surface | color} | slots
+        image = {slot: slots.pop(slot) for slot in ("baseColorTexture",) if slot in slots}
+        entry = {"name": name, "pbrMetallicRoughness": surface | image} | slots
+        entry |= {"alphaMode": "BLEND"} if opacity < 1.0 else {}
         return entry | ({"emissiveFactor": glow} if any(glow) else {})
+
+    def _opacity(self, material: Any) -> float:
+        """Opacity from 0 to 1; programs write it, or a transparent colour and its factor, which some invert."""
+        numbers = held(get(material, "props").find_real)
+        color = np.array(list(get(material, "fbx", "transparency_color", "value_vec4")))[:3].max()
+        opacity = float(np.clip(min(numbers("Opacity", 1.0), 1.0 - numbers("TransparencyFactor", 0.0) * color), 0, 1))
+        if opacity > 0.0:
+            return opacity
+        self._note(f"material {get(material, 'name')}: its numbers say that it cannot be seen; taken as opaque")
+        return 1.0
 
     def _texture(self, texture: Any, where: str) -> dict[str, Any] | None:
         files = [texture, *items(texture, "file_textures")]
