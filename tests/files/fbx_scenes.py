@@ -144,7 +144,8 @@ def write_fbx(path: Path, mesh: ControlMesh) -> None:
 def fbx_arm(*, image: bytes = b"", leaf: bool = False, posed: bool = False, **skin: Any) -> Fbx:
     """The strip of `gltf_scenes.arm`, as quads, in centimetres with Z up; a shape, a texture, an animation.
 
-    With ``leaf`` the second joint has a bone behind it that moves nothing; with ``posed`` it is turned in the file. ``skin`` are properties of the material.
+    With ``leaf`` the second joint has a bone behind it that moves nothing; with ``posed`` it is turned in the file.
+    ``skin`` are properties of the material.
     """
     made = Fbx()
     points = np.array([(x, y, 0.0) for x in (0.0, 1.0, 2.0) for y in (0.0, 1.0)])
