@@ -20,7 +20,7 @@ from cagemap.jobs.job_schema import Asset, OutputRule, fill, listed
 STATE = ".cagemap"
 RESULT = "RESULT"
 # Result of the detour for a pair with a doubtful map.
-DETOUR = "RESULT-around"
+DETOUR = "RESULT-composed"
 PICTURE = "picture.jpg"
 # Options of a match that a prepared surface depends on, for both sides or with the side's name before them.
 _SURFACE = frozenset(

@@ -24,7 +24,7 @@ from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.subdivision import SubdivisionRequest
 from cagemap.tasks.welding import weld_asked
 
-DEFAULT_VERTICES = 50_000
+FUNCTION_VERTICES = 50_000
 EIGENFUNCTIONS = "eigenfunctions"
 KINDS = (EIGENFUNCTIONS, "heat-signatures", "wave-signatures", "heat-kernels", "wave-kernels")
 ARRAYS = (".npz", ".npy", ".csv")
@@ -47,7 +47,7 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     control = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing).applied(welded.mesh)
     require_valid(control)
     points = welded.vertex_of[_points(request, kinds, read)]
-    level = choose_level(control, DEFAULT_VERTICES) if request.level is None else request.level
+    level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level
     require_size(control, level)
     surface = prepare_surface(control, level, basis, progress=stages)
     finest = surface.refinement.n_levels

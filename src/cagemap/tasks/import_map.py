@@ -23,7 +23,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.welding import weld_asked
 
-DEFAULT_VERTICES = 50_000
+MAP_VERTICES = 50_000
 
 
 def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
@@ -71,6 +71,6 @@ def _surface(control: ControlMesh, level: int | None) -> Surface:
     require_valid(control)
     if level is not None and level < 1:
         raise ParameterError(f"--level: expected 1 or more, got {level}")
-    finest = level or choose_level(control, DEFAULT_VERTICES)
+    finest = level or choose_level(control, MAP_VERTICES)
     require_size(control, finest)
     return Surface(refine(control, finest, control.scheme))
