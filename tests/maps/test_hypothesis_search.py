@@ -38,7 +38,7 @@ def found(
     places = prepared.rest.graph.positions
     beside = with_cost(prepared, places + np.array([0.05, 0.0, 0.0]))
 
-    def rough_fits(problem: Problem, rigid: bool) -> tuple[list[object], list[object]]:
+    def rough_fits(problem: Problem, rigid: bool, show: object) -> tuple[list[object], list[object]]:
         asked.append(rigid)
         return [], []
 

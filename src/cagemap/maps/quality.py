@@ -297,7 +297,7 @@ def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ..
     if target_share < COVERAGE_TOLERANCE:
         messages.append(
             f"{100 * (1 - target_share):.1f} % of the target has no counterpart on the source: it receives what the "
-            "nearest places that have one receive. Mask it, if it is to keep its own (--target-mask)"
+            "nearest places that have one receive. Mask it, if it is to keep its own"
         )
     if source_share < COVERAGE_TOLERANCE:
         messages.append(f"{100 * (1 - source_share):.1f} % of the source has no counterpart on the target")

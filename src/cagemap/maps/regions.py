@@ -12,6 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.quality import flipped_triangles, stretches, weighted_percentiles
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangle_surface import TriangleSurface
 
 
@@ -52,6 +53,7 @@ def local_size(result: MatchResult) -> FloatArray:
     return np.sqrt(np.divide(own, image, out=np.ones(target.n), where=image > 0))
 
 
+@kinds_checked
 def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     """Figures of the region around every landmark that the map meets, in the order of the landmarks.
 

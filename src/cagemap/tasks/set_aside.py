@@ -1,0 +1,136 @@
+"""Pieces of the target that are not matched (eyes, teeth, buttons of one mesh), laid on the source one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.deform.fit import similarity
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import face_centres, keep_faces
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import fan_triangles
+from cagemap.tasks.carry_character import Bodies
+from cagemap.transfer.baking import Transfer
+from cagemap.transfer.locate import map_surface
+from cagemap.transfer.textured_surface import TexturedSurface
+
+# Matched vertices around each vertex of a piece, whose images say where the piece goes.
+_AROUND = 16
+# Corners are told apart by points this far from them towards the centre of their face.
+_INWARD = 0.1
+# Barycentric coordinates below this are none.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SetAside:
+    """What of the target is not matched, and what of the source it goes to.
+
+    Attributes
+    ----------
+    vertices, corners, faces : (k,) int64
+        Of the target as given.
+    source_vertices, source_corners, source_faces : (k,) int64
+        The nearest ones of the source as given, of any piece.
+    places : (k, 3) float64
+        Of the vertices on the source, in its file's units.
+    turns : (k, 3, 3) float64
+        An offset at the source, as a row, times it is the offset of the vertex.
+    """
+
+    vertices: IndexArray
+    corners: IndexArray
+    faces: IndexArray
+    source_vertices: IndexArray
+    source_corners: IndexArray
+    source_faces: IndexArray
+    places: FloatArray
+    turns: FloatArray
+
+
+def lay_set_aside(bodies: Bodies) -> SetAside:
+    """Move every piece that is not matched like the matched surface around it, by a rotation, scale and shift."""
+    target, source = (part.mesh for part in bodies.given)
+    vertex_of = bodies.ready[0].vertex_of
+    vertices = np.flatnonzero(vertex_of < 0)
+    if not len(vertices):
+        none = np.zeros(0, dtype=np.int64)
+        return SetAside(none, none, none, none, none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    faces = np.flatnonzero(np.maximum.reduceat(vertex_of[target.face_indices], target.face_offsets[:-1]) < 0)
+    corners = np.flatnonzero(np.isin(target.corner_faces, faces))
+    rest = keep_faces(target, faces)
+    pieces = components(rest.face_indices, rest.face_indices[rest.next_corners], target.n_vertices)[vertices]
+    places, turns = _laid(bodies, target.positions[vertices], pieces)
+    moved = target.positions.copy()
+    moved[vertices] = places
+    laid = rest.with_positions(moved)
+    source_corners = _nearest(_corner_points(source), _corner_points(laid))
+    source_vertices = _nearest(source.positions, places)
+    # The vertex of a corner, not the nearest one: layers of cloth have vertices at one place.
+    number = np.full(target.n_vertices, -1, dtype=np.int64)
+    number[vertices] = np.arange(len(vertices))
+    source_vertices[number[rest.face_indices]] = source.face_indices[source_corners]
+    source_faces = _nearest(face_centres(source), face_centres(laid)) if len(faces) else faces
+    return SetAside(vertices, corners, faces, source_vertices, source_corners, source_faces, places, turns)
+
+
+def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) -> Transfer:
+    """What bakes need of the pieces set aside: they go to the closest points of the source's faces as they are.
+
+    Parameters
+    ----------
+    aside : SetAside
+        With faces.
+    target, source : ControlMesh
+        As given, with texture coordinates.
+    """
+    rest = keep_faces(target, aside.faces)
+    laid = target.positions.copy()
+    laid[aside.vertices] = aside.places
+    sides = _textured(rest), _textured(source)
+    surfaces = [TriangleSurface.from_faces(side.positions, side.triangles) for side in sides]
+    triangle, weights, _ = closest_points(surfaces[1].tree, surfaces[1].scale * laid)
+    weights = np.where(weights < _ROUNDING, 0.0, weights)  # a vertex on a vertex is exactly there
+    barycentric = weights / weights.sum(axis=1, keepdims=True)
+    point_map = PointMap.from_arrays(surfaces[0], surfaces[1], triangle, barycentric)
+    return Transfer(*sides, point_map, map_surface(*sides, point_map))
+
+
+def _textured(mesh: ControlMesh) -> TexturedSurface:
+    corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    uvs = None if mesh.uv_indices is None else mesh.uv_indices[corners]
+    return TexturedSurface(mesh.positions, mesh.face_indices[corners], mesh.uvs, uvs, np.arange(len(faces)), faces)
+
+
+def _laid(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Places (k, 3) on the source of vertices of pieces (k,), and turns (k, 3, 3) back."""
+    found = bodies.result.point_map
+    target, source, images = found.target, found.source, found.images.positions
+    points = target.scale * positions
+    around = np.asarray(cKDTree(target.positions).query(points, k=min(_AROUND, target.n))[1])
+    places, turns = np.empty_like(points), np.empty((len(points), 3, 3))
+    order = np.argsort(pieces, kind="stable")
+    for piece in np.split(order, np.flatnonzero(np.diff(pieces[order])) + 1):
+        near = np.unique(around[piece])
+        rotation, scale, shift = similarity(target.positions[near], images[near])
+        places[piece] = (scale * points[piece] @ rotation.T + shift) / source.scale
+        turns[piece] = rotation * (source.scale / (scale * target.scale))
+    return places, turns
+
+
+def _corner_points(mesh: ControlMesh) -> FloatArray:
+    """(c, 3) points of faces near their corners."""
+    if not mesh.n_faces:
+        return np.zeros((0, 3))
+    corners, centres = mesh.positions[mesh.face_indices], face_centres(mesh)[mesh.corner_faces]
+    return np.asarray(corners + _INWARD * (centres - corners))
+
+
+def _nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
+    return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)
