@@ -220,7 +220,7 @@ def match_pair(
     timings : dict of str to float, optional
         Seconds of stages that came before.
     preview : callable, optional
-        Called with rough maps while the answer is searched, where there are fewer than three landmarks.
+        Called during the search with approximate maps, where there are fewer than three landmarks.
 
     Raises
     ------

@@ -20,6 +20,7 @@ from cagemap.studio.state import Files
 from cagemap.tasks.requests.catalogue import all_options
 
 from browser_page import Page, studio
+from running_studio import arguments
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 # Labels of the fields of `rich_finish` in their folds, and what is chosen or typed there; True: the box is pressed.
@@ -53,7 +54,7 @@ def test_what_the_page_bakes_is_what_the_command_line_writes(tmp_path: Path, bro
     files = built_in_files(tmp_path / "page")
     write_inputs(files)
     shutil.copytree(tmp_path / "page", tmp_path / "line")
-    with studio(*arguments(files)) as (process, address), ThreadPoolExecutor(1) as beside:
+    with studio(*arguments(files, VERTICES)) as (process, address), ThreadPoolExecutor(1) as beside:
         page = Page(browser, address)
         page.until(lambda: page.revision() == 1, "the first map")
         fill_in(page)
@@ -69,12 +70,6 @@ def test_what_the_page_bakes_is_what_the_command_line_writes(tmp_path: Path, bro
         fill_in(page)
         an_error_is_said_and_the_rest_is_made(page, files)
         a_killed_studio_leaves_nothing_half_written(page, files, process)
-
-
-def arguments(files: Files) -> list[str]:
-    named = ["--target", files.target, "--source", files.source, "--texture", files.texture]
-    named += ["--landmarks", files.landmarks, "--result", files.result, "--vertices", VERTICES]
-    return list(map(str, named))
 
 
 def fill_in(page: Page) -> None:

@@ -158,8 +158,8 @@ def pose_towards(
 ) -> FloatArray:
     """Transforms of a rig's joints to the world, (j, 4, 4) float64, that bring its bind pose to another's.
 
-    Limbs, fingers, spine and neck turn by the least rotation that gives each bone the other's direction, from the first
-    one of a limb on where that is more than `LEAST_TURN`. Lengths stay.
+    Limbs, fingers, spine and neck turn by the least rotation that gives each bone the direction of the other rig's
+    bone. A bone that needs less than `LEAST_TURN` keeps its direction, unless a bone above it was turned. Lengths stay.
 
     Parameters
     ----------

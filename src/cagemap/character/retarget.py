@@ -70,9 +70,9 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
 
 
 def retargeted(animations: Sequence[Animation], source: Rig, rig: Rig) -> tuple[tuple[Animation, ...], bool]:
-    """Animations for a carried rig, and whether its body stands in another pose than the source's (T against A)."""
+    """Animations for a carried rig, and whether they were changed for a body in another pose (T pose, A pose)."""
     reference = None
-    if humanoid_names(source):
+    if animations and humanoid_names(source):
         posed = pose_towards(rig, source)
         reference = None if np.allclose(posed, rig.bind) else posed
     made = tuple(retarget(one, source, rig, reference=reference) for one in animations)

@@ -184,7 +184,7 @@ class InverseConfig:
 
 @dataclass(frozen=True)
 class CoincidenceConfig:
-    """Surfaces that lie on each other (`maps.coincidence`); lengths are of sqrt(source area), shares of area.
+    """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area).
 
     Chosen on seven cages of one body and on two other bodies (docs/lab/accuracy.md).
     """
@@ -257,7 +257,7 @@ class LandmarkConfig:
 
 @dataclass(frozen=True)
 class HypothesisConfig:
-    """Alignments that are tried where landmarks do not decide (`maps.hypotheses`); lengths are of sqrt(area)."""
+    """Search over alignments if there are few landmarks (`maps.hypotheses`); lengths are in units of sqrt(area)."""
 
     rough_vertices: int = 400  #: size of the graph on which all starts are tried
     rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: from stiff, which turns and shifts as a whole, to soft

@@ -64,7 +64,7 @@ class SharedArea:
         return cls.of_vertices((target.finest_triangles, prepared.source.finest_triangles), (values[0], values[1]))
 
     def within(self, masks: Masks) -> Masks:
-        """What counts of both surfaces: of what masks keep, what is shared. The masks alone where nothing is."""
+        """Masks of the unmasked area that has a counterpart; ``masks`` unchanged if no area has one."""
         if not (self.target.any() and self.source.any()):
             return masks
         n, m = len(self.target), len(self.source)

@@ -72,7 +72,7 @@ class SpectralSides:
     places : (m, 3) float64
         Of the source's samples.
     tree : cKDTree
-        Over the places and their normals times the config's length.
+        Of rows (position, `SpectralStartConfig.normal_length` times normal).
     config : SpectralStartConfig
     """
 

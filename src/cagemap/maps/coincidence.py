@@ -24,7 +24,7 @@ from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths, triangle_centres
 
-# Places that differ by less, of sqrt(source area), are one: what six digits in a file leave.
+# Points closer than this, of sqrt(source area), are equal: the rounding error of six digits in a file.
 SAME = 1e-5
 # Vertices, and faces, of either surface that are asked where they are.
 _SAMPLES = 10_000
@@ -137,7 +137,7 @@ class _Samples:
         return cls(centres, surface.normals[rows], counts * surface.areas[rows])
 
     def distances(self, other: TriangleSurface, unit: float, most: float) -> FloatArray:
-        """(k,) to the nearest points of a surface that face alike, in ``1 / unit`` of the file; at most ``most``."""
+        """(k,) distances to the nearest points of a surface with similar normals, times ``unit``; at most ``most``."""
         within = most * other.scale / unit
         points = other.scale * self.points
         far = closest_points(other.tree, points, self.normals, minimum_cosine=0.0, within=within)[2]

@@ -45,7 +45,8 @@ class QualityFigures:
     flipped_area : float
         Share of the target's area whose image is folded over (its orientation is reversed).
     coverage : float
-        Share of the source's area that the image of the target reaches; of open surfaces, of the area they share.
+        Share of the source's area that the image of the target covers. If a surface is open, only the area that has a
+        counterpart on the other surface counts.
     dirichlet : float
         Dirichlet energy of the map between unit-area surfaces: 1 for an isometry, and never below the covered area.
     area_ratios : (5,) float64

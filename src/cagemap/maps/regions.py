@@ -25,7 +25,7 @@ class RegionFigures:
     landmark : str
         Its name.
     area : float
-        Share of the target's area that counts, from 0 to 1.
+        Area of the region divided by the area of the unmasked target.
     size : float
         How long the target is there for a source of length 1, both surfaces at equal area: square root of the
         median ratio of areas. 2 where the target's ear is twice as long and twice as wide.

@@ -25,7 +25,7 @@ Value = TypeVar("Value")
 Arguments = ParamSpec("Arguments")
 
 THREADS_VARIABLE = "CAGEMAP_THREADS"
-# Rows of a dense block that a thread takes at a time.
+# Number of rows of a dense matrix that one thread processes at a time.
 ROWS = 65_536
 
 _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)

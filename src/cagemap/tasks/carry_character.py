@@ -123,8 +123,10 @@ def carry_character(
         stages("skeleton and animations")
         rig = carry_rig(result.point_map, source.rig)
         animations, posed_otherwise = retargeted(source.animations, source.rig, rig)
-        if posed_otherwise and animations:
-            notes.append("the body stands in another pose than the character: animations are turned to the body's pose")
+        if posed_otherwise:
+            notes.append(
+                "the body stands in another pose than the character: animations are adapted to the pose of the body"
+            )
     made = Character((body, *extras, *dressed), rig, animations)
     return CarriedCharacter(made, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 

@@ -80,7 +80,7 @@ class Materials:
 
     def _opacity(self, material: Any) -> float:
         """Opacity from 0 to 1; programs write it, or a transparent colour and its factor, which some invert."""
-        numbers = held(get(material, "props").find_real)
+        numbers = get(material, "props", "find_real")
         color = np.array(list(get(material, "fbx", "transparency_color", "value_vec4")))[:3].max()
         opacity = float(np.clip(min(numbers("Opacity", 1.0), 1.0 - numbers("TransparencyFactor", 0.0) * color), 0, 1))
         if opacity > 0.0:

@@ -47,13 +47,14 @@ def rough_problem(problem: Problem) -> Problem:
 
 
 def rough_fits(
-    problem: Problem, rigid: bool, show: Callable[[Placement], None] = lambda _: None
+    problem: Problem, rigid: bool, show: Callable[[Placement], None]
 ) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
     """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
 
     Assignments are released too: tips of limbs of unlike length are no counterparts. Of rigid starts how the files
     stand is enough, unless no assignment is plausible. With landmarks enough it always is: then ``rigid`` is false, and
-    rotations are not doubted. How the files stand is shown at once, the best placement after it.
+    rotations are not doubted. ``show`` is called with the best fit that keeps the files' axes, then with the best
+    of all.
     """
     rough, config = rough_problem(problem), problem.prepared.elastic.hypotheses
 
@@ -64,8 +65,7 @@ def rough_fits(
         return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn, config) if rigid else 1.0)
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
-        apart = distinct(starts, graph.areas, config.alike)
-        return sorted(in_threads(lambda start: fitted(start.positions, rough.shape), apart), key=lambda one: one.rank)
+        return in_threads(lambda start: fitted(start.positions, rough.shape), starts)
 
     def fit_limbs(one: Assignment) -> tuple[Assignment, Placement]:
         shape = one.shape(rough)
@@ -75,14 +75,16 @@ def rough_fits(
     filed = in_place(problem.prepared, graph.positions)
     starts = [*filed, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
     n_filed = len(filed) + AS_FILED_STARTS
-    starts = starts if rigid else starts[:n_filed]
-    own = fit_rigid(starts[:n_filed])
+    # What is distinct among the first starts is the beginning of what is distinct among all.
+    apart = distinct(starts if rigid else starts[:n_filed], graph.areas, config.alike)
+    n_first = len(distinct(starts[:n_filed], graph.areas, config.alike))
+    own = sorted(fit_rigid(apart[:n_first]), key=lambda one: one.rank)
     show(own[0])
     led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[: config.max_assigned]
     # A part costs little in many places: only the whole fit decides.
     if led and not filed and led[0][1].rank > config.unlikely * own[0].rank:
         led = []
-    own = own if led else fit_rigid(starts)
+    own = own if led else sorted([*own, *fit_rigid(apart[n_first:])], key=lambda one: one.rank)
     show(min((*(one for _, one in led), *own), key=lambda one: one.rank))
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:

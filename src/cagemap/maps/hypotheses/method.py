@@ -36,7 +36,7 @@ def hypothesis_map(
     progress : callable
         Called with the name of each stage.
     preview : callable, optional
-        Called with rough maps while the search goes on.
+        Called during the search with approximate maps: of the alignment in the files, then of the best rough fit.
     """
     problem = Problem(prepared, pair)
 

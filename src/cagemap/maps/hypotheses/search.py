@@ -38,7 +38,7 @@ def search(
         Places on the source of the coarse shape's vertices, instead of the spectral map of the landmarks; no others are
         tried. It alone counts where there are fewer than `FEWEST_LANDMARKS`.
     show : callable
-        Called with rough placements on the way.
+        Called during the search with placements of the small graph that rough fits use.
     """
     decided = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
     fits, found = list[AnchoredFits](), list[Placement]()

@@ -76,7 +76,7 @@ def findings(signs: Mapping[str, float]) -> list[str]:
 
 
 def median_distortion(found: PointMap, counts: FloatArray | None = None) -> float:
-    """Median `distortion` of a map, by the target's area, of whose vertices some count (n1,); 1 for an isometry."""
+    """Median `distortion` of a map, weighted by the target's area times ``counts`` (n1,); 1 for an isometry."""
     target = found.target
     sigma = stretches(target.positions, found.images.positions, target.triangles)
     areas = target.areas if counts is None else target.areas * counts[target.triangles].mean(axis=1)
@@ -87,8 +87,8 @@ def jumps(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = N
     """(n,) how far a map jumps at the vertices of the level that is deformed, of sqrt(area); 0 where it does not.
 
     It jumps where neighbours map to places that are far from each other along the source, and where places that are far
-    from each other along the target map to one. All costs are Euclidean: a jump across a contact costs nothing. Of the
-    finest vertices some count (n1,), by default those that are not masked.
+    from each other along the target map to one. All costs are Euclidean: a jump across a contact costs nothing. Only
+    finest vertices with ``counts`` (n1,) above 0 are compared, by default those that are not masked.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
@@ -114,7 +114,7 @@ def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
 
 
 def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> tuple[str, ...]:
-    """A sentence for a user where a map jumps beyond the bound, see `jumps`; none where it does not."""
+    """A warning if the map is discontinuous on more of the area than the bound allows; see `jumps`."""
     farthest = jumps(prepared, found, counts)
     share = jump_share(prepared, farthest)
     if share <= SIGNS["jumps"].bound:

@@ -57,9 +57,9 @@ def mirrored_readings(
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
-    """(q, 2) places of landmarks whose target points lie near the source points of others, one to one.
+    """(q, 2) numbers of landmarks i, j such that the image of i's target point is near j's source point, one to one.
 
-    Where the vertices of the target's mesh have images (n, 3), near is ``within`` a distance.
+    ``images`` (n, 3) are those of the vertices of the target's mesh; near is a distance below ``within``.
     """
     near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
     images, wanted = images[near], landmarks.source.positions
