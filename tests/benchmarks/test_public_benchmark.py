@@ -14,11 +14,13 @@ from scipy.io import savemat
 
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
+from cagemap.pipeline import match
 
 from locations import ROOT
+from quick_match import QUICK
 
 sys.path.insert(0, str(ROOT))
-from benchmarks.public import partial, sets
+from benchmarks.public import measure, partial, sets
 from benchmarks.public.__main__ import main
 from benchmarks.public.sets import SETS, more_landmarks
 
@@ -72,6 +74,11 @@ def shrec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (root / "test-sets" / "test-set0.txt").write_text("one.obj, two.obj\n\n")
     monkeypatch.setitem(sets.SETS, "shrec20", replace(SETS["shrec20"], landmarks={6: (1, 12, 18, 41, 50, 58)}))
     return root
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure, "match", lambda *given: match(*given, QUICK))
 
 
 def run(name: str, root: Path, output: Path, *more: str) -> list[dict]:
@@ -264,9 +271,8 @@ def test_rows_are_measured_once_and_one_table_is_written(
 
 
 @pytest.mark.slow
-def test_a_broken_shape_costs_its_own_pairs_and_is_tried_again(
-    faust_r: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+@pytest.mark.usefixtures("quick")
+def test_a_broken_shape_costs_its_own_pairs_and_is_tried_again(faust_r: Path, tmp_path: Path) -> None:
     good = (faust_r / "corres" / "tr_reg_080.vts").read_bytes()
     for name in ("tr_reg_080", "tr_reg_082", "tr_reg_083"):
         write_mesh(faust_r / "vtx_5k" / f"{name}.off", bodies()["one"], force=True)
@@ -289,6 +295,7 @@ def test_a_broken_shape_costs_its_own_pairs_and_is_tried_again(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick")
 def test_rows_of_other_sizes_are_not_taken_for_measured(faust_r: Path, tmp_path: Path) -> None:
     sizes = [len(run("faust_r", faust_r, tmp_path / "out", "--points", points)) for points in ("20", "20", "30")]
     assert sizes == [2, 2, 4]

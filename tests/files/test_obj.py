@@ -240,12 +240,8 @@ BAD_FILES = {
     "bare f": (SQUARE + "f 1 2 3\nf\n", "line 6"),
     "only bare f": (SQUARE + "f\n", "line 5"),
     "line after a continuation": (SQUARE + "f 1 2 \\\n3\nf 1 2 9\n", "line 7"),
-    "some faces without texture": (
-        SQUARE + "vt 0 0\nf 1/1 2/1 3/1\nf 1 3 4\nf 1 2 4\n",
-        "2 face.s. without: 1, 2 .*line 7",
-    ),
-    "some corners without texture": (SQUARE + "vt 0 0\nf 1/1 2 3/1\n", "1 face.s. without: 0"),
-    "cut within a face": (SQUARE + "vt 0 0\nf 1/1 2/1 3/1 4/1\nf 1/1 2/1 3", "without: 1"),
+    "some corners without texture": (SQUARE + "vt 0 0\nf 1 2 4\nf 1/1 2 3/1\n", "1 face.s. with some: 1 .*line 7"),
+    "cut within a face": (SQUARE + "vt 0 0\nf 1/1 2/1 3/1 4/1\nf 1/1 2/1 3", "with some: 1"),
 }
 
 
@@ -254,6 +250,12 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None
     text, message = BAD_FILES[case]
     with pytest.raises(FormatError, match=r"(?s)mesh\.obj.*" + message):
         read_text(tmp_path, text)
+
+
+def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    mesh = read_text(tmp_path, SQUARE + "vt 0 0\nvt 1 0\nvt 0 1\nf 1 3 4\nf 1/1 2/2 3/-1\nf 1 2 4\n")
+    assert mesh.uvs[mesh.uv_indices].tolist() == [[0.5, 0.5]] * 3 + [[0, 0], [1, 0], [0, 1]] + [[0.5, 0.5]] * 3
+    assert "2 of 3 faces have no texture coordinates" in caplog.text
 
 
 @pytest.mark.parametrize("color", ["red", "0.1 0.2", "nan 0 0", ""])

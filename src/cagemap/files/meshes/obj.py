@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from cagemap.files.values.colors import as_shares
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_log = logging.getLogger(__name__)
 
 _KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5, "o": 6, "g": 7, "t": 8}
 _POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE, _OBJECT, _GROUP, _TAG = range(1, 9)
@@ -66,7 +69,7 @@ def read_obj(path: str | Path) -> ControlMesh:
     ------
     FormatError
         If the file cannot be read, a line is malformed (named by its number), an index is out of range, a coordinate
-        is not finite, or only some faces have texture coordinates.
+        is not finite, or a face has texture coordinates at some corners only.
     """
     file = Path(path)
     statements = _split_statements(file, read_text(file, "an OBJ file"))
@@ -239,18 +242,30 @@ def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, ki
 
 
 def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | None, IndexArray | None]:
-    """Read texture coordinates: of all faces, or of none."""
+    """Read texture coordinates; all corners of faces without lie in one point, as in `join_meshes`."""
     if not corners.has_uv.any():
         return None, None
-    if not corners.has_uv.all():
-        bare = np.unique(corners.faces[~corners.has_uv])
+    bare = np.unique(corners.faces[~corners.has_uv])
+    half = np.intersect1d(bare, corners.faces[corners.has_uv])
+    if len(half):
         raise FormatError(
-            f"{statements.path}: expected texture coordinates on all {len(corners.sizes)} faces or on none, got "
-            f"{len(bare)} face(s) without: {first_few(bare)} (0-based; the first is line "
-            f"{statements.numbers[corners.rows[bare[0]]]}). Unwrap those faces too, or export without UVs."
+            f"{statements.path}: expected texture coordinates at all corners of a face or at none, got "
+            f"{len(half)} face(s) with some: {first_few(half)} (0-based; the first is line "
+            f"{statements.numbers[corners.rows[half[0]]]}). Unwrap those faces, or export without UVs."
         )
     uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
-    return uvs, _resolve(statements, corners, corners.uvs, _UV, "texture vertex")
+    named = np.where(corners.has_uv, corners.uvs, corners.uvs[corners.has_uv][0])
+    indices = _resolve(statements, corners, named, _UV, "texture vertex")
+    if len(bare):
+        _log.warning(
+            "%s: %d of %d faces have no texture coordinates: nothing is baked onto them",
+            statements.path,
+            len(bare),
+            len(corners.sizes),
+        )
+        indices = np.where(corners.has_uv, indices, len(uvs))
+        uvs = np.vstack([uvs, [[0.5, 0.5]]])
+    return uvs, indices
 
 
 def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:
