@@ -273,9 +273,9 @@ def _moebius() -> ControlMesh:
 @pytest.mark.parametrize(
     ("build", "usable", "said"),
     [
-        (lambda: soup(animal(1)), True, "vertices at the place of another are joined"),
-        (lambda: join_meshes([animal(1), cube()]), True, "smaller pieces"),
-        (lambda: replace(animal(1), face_indices=animal(1).face_indices[::-1]), True, "faces are turned round"),
+        (lambda: soup(animal(1)), True, "joined with others at the same place"),
+        (lambda: join_meshes([animal(1), cube()]), True, "smaller piece"),
+        (lambda: replace(animal(1), face_indices=animal(1).face_indices[::-1]), True, "faces turned round"),
         (_moebius, False, "Moebius"),
     ],
     ids=["soup", "two pieces", "inside out", "one-sided"],

@@ -106,7 +106,7 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
         cache=tmp_path / "cache",
     )
     _, warnings = run_match(request, Stages())
-    assert any("1 smaller pieces" in text for text in warnings)
+    assert any("1 smaller piece set aside" in text for text in warnings)
     result = read_result(tmp_path / "RESULT")
     assert result.source.refinement.n_levels == 0
     assert result.target.refinement.n_levels > 0

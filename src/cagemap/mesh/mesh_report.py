@@ -17,6 +17,12 @@ def first_few(values: Iterable[object]) -> str:
     return ", ".join(items[:LISTED]) + more
 
 
+def counted(count: int, what: str) -> str:
+    """A number of things by their name in the singular: "1 face", "2 sharp vertices"."""
+    plural = f"{what[:-2]}ices" if what.endswith("vertex") else f"{what}s"
+    return f"{count} {what if count == 1 else plural}"
+
+
 @dataclass(frozen=True)
 class MeshProblem:
     """One kind of fault in a control mesh."""
@@ -96,33 +102,28 @@ class MeshReport:
     def _faces_by_size(self) -> str:
         if not self.face_sizes:
             return ""
-        parts = [_counted(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)]
+        parts = [counted(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)]
         large = [(size, count) for size, count in self.face_sizes if size > 4]
         small = sum(count for size, count in self.face_sizes if size < 3)
         if large:
-            parts.append(f"{_counted(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
+            parts.append(f"{counted(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
         if small:
             parts.append(f"{small} of fewer than 3 corners")
         return f"  ({', '.join(parts)})"
 
     def _loops(self) -> str:
         if self.boundary_loops is None:
-            return "-" if self.boundary_edges is None else f"-  ({_counted(self.boundary_edges, 'boundary edge')})"
+            return "-" if self.boundary_edges is None else f"-  ({counted(self.boundary_edges, 'boundary edge')})"
         lengths = sorted((len(loop) for loop in self.boundary_loops), reverse=True)
         return f"{len(lengths)}  (of {first_few(lengths)} edges)" if lengths else "0  (closed)"
 
     def _sharp(self) -> str:
         words = ("creased edge", "sharp vertex", "hole")
-        return ", ".join(_counted(count, word) for count, word in zip(self.sharp, words, strict=True) if count)
+        return ", ".join(counted(count, word) for count, word in zip(self.sharp, words, strict=True) if count)
 
     def _components(self) -> str:
         sizes = self.component_sizes
         return f"{len(sizes)}  (of {first_few(sizes)} faces)" if len(sizes) > 1 else str(len(sizes) or "-")
-
-
-def _counted(count: int, what: str) -> str:
-    plural = "sharp vertices" if what == "sharp vertex" else f"{what}s"
-    return f"{count} {what if count == 1 else plural}"
 
 
 def _shown(value: int | None) -> str:

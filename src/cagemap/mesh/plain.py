@@ -16,6 +16,7 @@ from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_probl
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, keep_faces, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import require_structure
@@ -60,17 +61,20 @@ class Repairs(Brief):
     def sentences(self) -> tuple[str, ...]:
         """What a user is to know."""
         said = {
-            f"{self.joined_vertices} vertices at the place of another are joined with it": self.joined_vertices,
+            f"{counted(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
             "faces of different sizes are split into triangles": self.split_faces,
-            f"{self.dropped_faces} faces are left out: copies, holes, or with a repeated vertex": self.dropped_faces,
-            f"{self.fins} faces at edges of more than two faces are left out": self.fins,
-            f"{self.cut_vertices} vertices where parts only touch are split": self.cut_vertices,
-            f"{self.turned_faces} faces are turned round": self.turned_faces,
-            f"{self.pieces} smaller pieces ({self.pieces_vertices} vertices, {100 * self.pieces_share:.1f} % of the "
-            f"area) are set aside: nothing is matched or transferred there. {self._pieces_remedy()}": self.pieces,
-            f"{self.loose_vertices} vertices of no face are set aside": self.loose_vertices,
-            f"{self.slivers} faces without area stay": self.slivers,
-            f"{self.openings} openings stay open": self.openings,
+            f"{counted(self.dropped_faces, 'face')} left out: copies, holes, or with a repeated vertex": (
+                self.dropped_faces
+            ),
+            f"{counted(self.fins, 'face')} left out at edges of more than two faces": self.fins,
+            f"{counted(self.cut_vertices, 'vertex')} split where parts only touch": self.cut_vertices,
+            f"{counted(self.turned_faces, 'face')} turned round": self.turned_faces,
+            f"{counted(self.pieces, 'smaller piece')} set aside ({counted(self.pieces_vertices, 'vertex')}, "
+            f"{100 * self.pieces_share:.1f} % of the area): nothing is matched or transferred there. "
+            f"{self._pieces_remedy()}": self.pieces,
+            f"{counted(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
+            f"{counted(self.slivers, 'face')} without area kept": self.slivers,
+            f"{counted(self.openings, 'opening')} left open": self.openings,
         }
         return tuple(sentence for sentence, count in said.items() if count)
 

@@ -18,7 +18,7 @@ from cagemap.files.gltf.read import scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
-from cagemap.mesh.mesh_report import MeshProblem, MeshReport
+from cagemap.mesh.mesh_report import MeshProblem, MeshReport, counted
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.quads import join_quads
@@ -102,7 +102,8 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
         report = check_mesh(mesh if ready is None else ready.mesh)
         done = None if ready is None else ready.repairs
         if done is not None and done.pieces and not pieces:
-            repairs = (f"{done.pieces} smaller pieces ({done.pieces_vertices} vertices) ride on it in `rig`",)
+            vertices = counted(done.pieces_vertices, "vertex")
+            repairs = (f"{counted(done.pieces, 'smaller piece')} ({vertices}) for `rig` to carry along",)
             done = replace(done, pieces=0)
         repairs = (*repairs, *(() if done is None else done.sentences()))
     except InvalidMeshError as error:
@@ -133,7 +134,7 @@ def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
     if len(found) < 2:
         return ""
     width = max(len(part.title) for part in found[:MOST_PARTS])
-    lines = [f"    {part.title:<{width}}  {len(part.faces)} faces" for part in found[:MOST_PARTS]]
+    lines = [f"    {part.title:<{width}}  {counted(len(part.faces), 'face')}" for part in found[:MOST_PARTS]]
     if len(found) > MOST_PARTS:
         lines.append(f"    and {len(found) - MOST_PARTS} more")
     return "\n".join(["\n  parts, for --part:", *lines])

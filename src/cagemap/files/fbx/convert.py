@@ -23,6 +23,7 @@ from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry
 from cagemap.files.gltf.nodes import decomposed, transform
 from cagemap.files.gltf.skins import invertible
+from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray
 
 Note = Callable[[str], None]
@@ -43,13 +44,13 @@ _SPACE: dict[str, Any] = {
 # Of the largest number of a transform: joints that differ less from their bind pose are in it.
 _MOVED = 1e-4
 _LEFT_OUT = {
-    "nurbs_surfaces": "NURBS surfaces",
-    "nurbs_curves": "curves",
-    "line_curves": "lines",
-    "lights": "lights",
-    "cameras": "cameras",
-    "cache_deformers": "geometry caches",
-    "constraints": "constraints",
+    "nurbs_surfaces": "NURBS surface",
+    "nurbs_curves": "curve",
+    "line_curves": "line",
+    "lights": "light",
+    "cameras": "camera",
+    "cache_deformers": "geometry cache",
+    "constraints": "constraint",
 }
 
 
@@ -90,7 +91,7 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):
         note(f"the FBX library says: {get(warning, 'description')} ({get(warning, 'count')} times)")
-    left = [f"{len(found)} {words}" for name, words in _LEFT_OUT.items() if (found := items(scene, name))]
+    left = [counted(len(found), what) for name, what in _LEFT_OUT.items() if (found := items(scene, name))]
     if left:
         note(f"left out: {', '.join(left)}")
     return _Scene(scene, path, note).glb()
