@@ -15,8 +15,8 @@ pair = example_pair(64)
 deer, pony = as_arrays(pair.target), as_arrays(pair.source)
 target, source = cagemap.prepare_surfaces(deer, pony, levels=(2, 2))
 
-# Eleven rows: a vertex of the deer and one of the pony, 0-based.
-landmarks = np.column_stack([pair.landmarks.target, pair.landmarks.source])[:11]
+# Rows of two: a vertex of the deer and one of the pony, 0-based.
+landmarks = np.column_stack([pair.landmarks.target, pair.landmarks.source])
 result = cagemap.match(target, source, landmarks)
 
 # For every vertex of the subdivided target: a triangle of the source, three weights.
