@@ -164,7 +164,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     slid = fine_stage(problem, truth)
     found = fit_in_pose(problem, slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
-    assert before > 0.005  # the minimum beside the truth
+    assert before > 0.004  # the minimum beside the truth
     assert after < 0.75 * before
     assert stages == PoseConfig.rounds * [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
 

@@ -327,7 +327,7 @@ class ElasticConfig(Brief):
     source_vertices: int = 15_000
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
     stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8, patience=12, factored=4)
+    fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
     landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)
     normal_weight: float = 0.03
     fine_normal_weight: float = 0.01
