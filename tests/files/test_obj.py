@@ -253,7 +253,7 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None
 
 
 def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    mesh = read_text(tmp_path, SQUARE + "vt 0 0\nvt 1 0\nvt 0 1\nf 1 3 4\nf 1/1 2/2 3/-1\nf 1 2 4\n")
+    mesh = read_text(tmp_path, SQUARE + "f 1 3 4\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/-3 2/2 3/3\nf 1 2 4\n")
     assert mesh.uvs[mesh.uv_indices].tolist() == [[0.5, 0.5]] * 3 + [[0, 0], [1, 0], [0, 1]] + [[0.5, 0.5]] * 3
     assert "2 of 3 faces have no texture coordinates" in caplog.text
 

@@ -254,8 +254,7 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
             f"{statements.numbers[corners.rows[half[0]]]}). Unwrap those faces, or export without UVs."
         )
     uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
-    named = np.where(corners.has_uv, corners.uvs, corners.uvs[corners.has_uv][0])
-    indices = _resolve(statements, corners, named, _UV, "texture vertex")
+    indices = _resolve(statements, corners, np.where(corners.has_uv, corners.uvs, 1), _UV, "texture vertex")
     if len(bare):
         _log.warning(
             "%s: %d of %d faces have no texture coordinates: nothing is baked onto them",
