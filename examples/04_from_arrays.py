@@ -15,7 +15,7 @@ pair = example_pair(64)
 deer, pony = as_arrays(pair.target), as_arrays(pair.source)
 target, source = cagemap.prepare_surfaces(deer, pony, levels=(2, 2))
 
-# Rows of two: a vertex of the deer and one of the pony, 0-based.
+# One row for each landmark: its vertex on the deer and its vertex on the pony, 0-based.
 landmarks = np.column_stack([pair.landmarks.target, pair.landmarks.source])
 result = cagemap.match(target, source, landmarks)
 

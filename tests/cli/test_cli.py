@@ -21,6 +21,7 @@ from cagemap.cli.console import set_verbosity
 from cagemap.cli.progress import ShownStages
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.result.folder import read_result
 from cagemap.mesh.join import join_meshes
 
 from command_line import Run
@@ -224,10 +225,10 @@ def test_the_demo_writes_nothing_where_its_result_folder_is_somebody_elses(run: 
 
 
 @pytest.mark.slow
-def test_the_demo_writes_models_map_texture_and_report(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_demo_runs_and_the_readme_block_does(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Small: `make demo` in .ci/run is the whole one; tests/promises/test_accuracy_guards.py runs README's program."""
+    """The demo is small: `make demo` in .ci/run is the whole one."""
     monkeypatch.setattr("cagemap.tasks.demo.VERTICES", 6000)
     monkeypatch.setattr("cagemap.tasks.demo.TEXTURE_SIZE", 128)
     outcome = run("demo", "-o", "demo")
@@ -239,6 +240,12 @@ def test_the_demo_writes_models_map_texture_and_report(
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     assert len([line for line in block.splitlines() if line.strip()]) <= 12
+    (tmp_path / "demo" / "deer.png").unlink()
+    monkeypatch.chdir(tmp_path / "demo")
+    exec(compile(block, "README.md", "exec"), {})  # the block as a reader runs it
+    assert "flipped_area" in capsys.readouterr().out
+    assert read_image("deer.png").pixels.shape == (1024, 1024, 3)
+    assert read_result("RESULT").target.finest == 3
 
 
 def test_progress_is_timed_and_silent_without_a_terminal(

@@ -273,8 +273,8 @@ def _moebius() -> ControlMesh:
 @pytest.mark.parametrize(
     ("build", "usable", "said"),
     [
-        (lambda: soup(animal(1)), True, "joined with others at the same place"),
-        (lambda: join_meshes([animal(1), cube()]), True, "smaller piece"),
+        (lambda: soup(animal(1)), True, "vertices joined with others at the same place"),
+        (lambda: join_meshes([animal(1), cube()]), True, "1 smaller piece set aside ("),
         (lambda: replace(animal(1), face_indices=animal(1).face_indices[::-1]), True, "faces turned round"),
         (_moebius, False, "Moebius"),
     ],

@@ -40,6 +40,7 @@ from cagemap.files.ownership import is_own
 from cagemap.files.text import require_file
 from cagemap.jobs.job_checks import absolute, line_of, parsed_file, problems_of
 from cagemap.jobs.job_schema import Asset, CarryRule, JobFile, OutputRule, PairRule, options_schema
+from cagemap.mesh.mesh_report import counted
 
 # Problems that are told at most.
 _SHOWN = 50
@@ -134,7 +135,7 @@ def read_job(
         lines = sorted((line_of(text, place), message) for place, message in problems)
         listed = "\n".join(f"  line {line}: {message}" for line, message in lines[:_SHOWN])
         more = f"\n  and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
-        raise FormatError(f"{file}: {len(lines)} problem{'s' * (len(lines) > 1)}; nothing was started.\n{listed}{more}")
+        raise FormatError(f"{file}: {counted(len(lines), 'problem')}; nothing was started.\n{listed}{more}")
     return replace(_resolved(file, parsed, kinds), written=written or {})
 
 

@@ -24,7 +24,7 @@ from cagemap.mesh.faces import (
     with_openings_closed,
 )
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import MeshProblem, MeshReport, first_few, listed, problem_at
+from cagemap.mesh.mesh_report import MeshProblem, MeshReport, counted, first_few, listed, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -137,7 +137,7 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     """
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
-        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        count = counted(len(problems), "problem")
         one_piece = "" if SEVERAL in allowed else " of one piece"
         raise InvalidMeshError(
             f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed(problems)}"
@@ -282,7 +282,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
         left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
-            f"`weld_mesh` {tolerance:g} leaves {left} piece{'s' * (left != 1)}. {'Or match' if left == 1 else 'Match'}"
+            f"`weld_mesh` {tolerance:g} leaves {counted(left, 'piece')}. {'Or match' if left == 1 else 'Match'}"
         )
     return MeshProblem(
         SEVERAL,

@@ -12,6 +12,9 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
 
+# Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
+NO_UV = (0.5, 0.5)
+
 
 @dataclass(frozen=True, eq=False)
 class UvSet:

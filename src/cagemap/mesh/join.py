@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cagemap.mesh.control_mesh import ControlMesh, UvSet
+from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 Values = TypeVar("Values", FloatArray, IndexArray)
@@ -18,7 +18,7 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     """One mesh of several pieces; vertices and faces of each in turn.
 
     Names that several meshes have, of materials, objects, groups or UV sets, become one. Where a mesh lacks a UV set,
-    all its corners lie in one point of it, so that nothing of it is baked there.
+    all its corners have `NO_UV`, so that nothing is baked onto it.
     """
     vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
     faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
@@ -80,7 +80,7 @@ def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
         known.append({uv_set.name: uv_set for uv_set in (*in_use, *mesh.uv_sets)})
     result = []
     for name in dict.fromkeys(name for own in known for name in own):
-        bare = [UvSet(name, np.full((1, 2), 0.5), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
+        bare = [UvSet(name, np.array([NO_UV]), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
         sets = [own.get(name, other) for own, other in zip(known, bare, strict=True)]
         starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])[:-1]
         values = np.concatenate([uv_set.uvs for uv_set in sets])

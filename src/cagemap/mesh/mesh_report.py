@@ -18,7 +18,7 @@ def first_few(values: Iterable[object]) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """A number of things by their name in the singular: "1 face", "2 sharp vertices"."""
+    """Write a count and its noun, which is given in the singular: "1 face", "2 sharp vertices"."""
     plural = f"{what[:-2]}ices" if what.endswith("vertex") else f"{what}s"
     return f"{count} {what if count == 1 else plural}"
 

@@ -11,6 +11,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.parts import extract, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import edge_table, face_components, used_vertices
@@ -182,8 +183,7 @@ def _within(tolerance: float) -> str:
 
 
 def _pieces(mesh: ControlMesh) -> str:
-    count = int(face_components(mesh).max()) + 1
-    return f"{count} piece{'s' * (count != 1)}"
+    return counted(int(face_components(mesh).max()) + 1, "piece")
 
 
 def coincident_vertices(

@@ -19,6 +19,7 @@ from cagemap.files.result.folder import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
 from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
@@ -235,7 +236,7 @@ def _numbers(result: MatchResult, ratings: list[Any]) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
-        f"{len(result.landmarks)} landmark{'' if len(result.landmarks) == 1 else 's'}",
+        counted(len(result.landmarks), "landmark"),
     ]
     listed = "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips)
     return f'<ul class="chips">{listed}</ul>{_ratings(ratings)}'

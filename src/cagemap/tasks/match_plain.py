@@ -5,6 +5,7 @@ from __future__ import annotations
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import check_landmarks
+from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.plain import PlainMesh, plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
@@ -48,9 +49,7 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
     if counts[0] == counts[1]:
         return []
     (one, a), (other, b) = zip((mesh.name for mesh in meshes), counts, strict=True)
-    return [
-        f"{one} has {a} handle{'s' * (a != 1)}, {other} {b}: no map is one to one, this one tears or folds somewhere"
-    ]
+    return [f"{one} has {counted(a, 'handle')}, {other} {b}: no map is one to one, this one tears or folds somewhere"]
 
 
 def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:

@@ -39,6 +39,7 @@ from cagemap.jobs.page import PairRow
 from cagemap.jobs.plan import STATE
 from cagemap.jobs.run import execute, kept_outcome
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
@@ -240,11 +241,11 @@ def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Pa
     states = {
         state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")
     }
-    counted = ", ".join(f"{count} {state}" for state, count in states.items() if count)
+    ended = ", ".join(f"{count} {state}" for state, count in states.items() if count)
     failures = [f"  {o.name}: {o.state}: {o.message}" for o in outcomes.values() if not o.usable]
     return "\n".join(
         [
-            f"{len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, tasks: {counted}, in {seconds:.1f} s",
+            f"{counted(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
             *failures,
             *(f"  {note}" for note in notes),
             *([] if page is None else [f"Open {page} in a browser."]),

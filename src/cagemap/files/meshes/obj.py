@@ -22,7 +22,8 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import at_line, check_writable_name, decoded, is_number, read_text
 from cagemap.files.values.colors import as_shares
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.control_mesh import NO_UV
+from cagemap.mesh.mesh_report import counted, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _log = logging.getLogger(__name__)
@@ -150,7 +151,7 @@ def _read_numbers(statements: _Statements, row: int, keyword: str, required: int
     except ValueError:
         values = []
     if len(values) < required:
-        expected = f"'{keyword}' and at least {required} number{'s' if required > 1 else ''}"
+        expected = f"'{keyword}' and at least {counted(required, 'number')}"
         raise statements.fail(row, expected, "The file may be cut short; export it again.")
     return values + [0.0] * (kept - len(values))
 
@@ -242,9 +243,12 @@ def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, ki
 
 
 def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | None, IndexArray | None]:
-    """Read texture coordinates; all corners of faces without lie in one point, as in `join_meshes`."""
+    """Read texture coordinates; corners of faces without any get `NO_UV`, with a warning."""
     if not corners.has_uv.any():
         return None, None
+    if corners.has_uv.all():
+        uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
+        return uvs, _resolve(statements, corners, corners.uvs, _UV, "texture vertex")
     bare = np.unique(corners.faces[~corners.has_uv])
     half = np.intersect1d(bare, corners.faces[corners.has_uv])
     if len(half):
@@ -253,18 +257,11 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
             f"{len(half)} face(s) with some: {first_few(half)} (0-based; the first is line "
             f"{statements.numbers[corners.rows[half[0]]]}). Unwrap those faces, or export without UVs."
         )
+    text = "%s: %d of %d faces have no texture coordinates: nothing is baked onto them"
+    _log.warning(text, statements.path, len(bare), len(corners.sizes))
     uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
     indices = _resolve(statements, corners, np.where(corners.has_uv, corners.uvs, 1), _UV, "texture vertex")
-    if len(bare):
-        _log.warning(
-            "%s: %d of %d faces have no texture coordinates: nothing is baked onto them",
-            statements.path,
-            len(bare),
-            len(corners.sizes),
-        )
-        indices = np.where(corners.has_uv, indices, len(uvs))
-        uvs = np.vstack([uvs, [[0.5, 0.5]]])
-    return uvs, indices
+    return np.vstack([uvs, [NO_UV]]), np.where(corners.has_uv, indices, len(uvs))
 
 
 def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from cagemap.mesh.mesh_report import counted
 from cagemap.studio.preview import OPENING
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL
@@ -55,7 +56,7 @@ def verdict(state: Studio, scene: Scene | None) -> str:
     doubtful = 100 * float((images.trust < DOUBTFUL).mean())
     few = f"{doubtful:.0f} % doubtful" if doubtful >= 0.5 else "no doubtful places"
     if landmarks:
-        return f"{len(landmarks)} landmark{'s' if len(landmarks) > 1 else ''} met, {few}"
+        return f"{counted(len(landmarks), 'landmark')} met, {few}"
     said = next((words for start, words in _VERDICTS.items() if start in known.confidence), "Sure")
     return few.capitalize() if not known.confidence else f"{said}, {few}"
 
