@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.paper.data import PAIR, Judged, picture, prepared, verdict, with_landmarks
-from cagemap.maps.level_map import LevelMap
+from cagemap.maps.levels import LevelMap
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles

@@ -13,8 +13,7 @@ import numpy as np
 
 from benchmarks.accuracy.data import HUMANS, HumanPair
 from benchmarks.truth import Truth, compare_with_truth, true_map
-from cagemap.maps.level_map import LevelMap
-from cagemap.maps.level_pairs import ladder
+from cagemap.maps.levels import LevelMap, ladder
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.paper import hfm, method

@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from cagemap.deform.config import ElasticConfig as ElasticConfig
-    from cagemap.deform.prepared import PreparedPair as PreparedPair
+    from cagemap.deform.problem import PreparedPair as PreparedPair
     from cagemap.errors import CagemapError as CagemapError
     from cagemap.files.images.image import read_image as read_image
     from cagemap.files.images.image import write_image as write_image
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from cagemap.maps.elastic import fit as fit
     from cagemap.maps.functional_maps import functional_map_of as functional_map_of
     from cagemap.maps.geodesic import geodesic_error as geodesic_error
-    from cagemap.maps.mask_values import face_mask as face_mask
-    from cagemap.maps.mask_values import soft_edge as soft_edge
-    from cagemap.maps.mask_values import vertex_mask as vertex_mask
     from cagemap.maps.masks import Masks as Masks
+    from cagemap.maps.masks import face_mask as face_mask
+    from cagemap.maps.masks import soft_edge as soft_edge
+    from cagemap.maps.masks import vertex_mask as vertex_mask
     from cagemap.maps.pair import Pair as Pair
     from cagemap.maps.pair import PointPairs as PointPairs
     from cagemap.maps.point_map import PointMap as PointMap
@@ -92,7 +92,7 @@ _PACKAGES = {
     "spectral": ("BasisConfig", "HierarchicalBasis", "Surface"),
     "spectral.mesh_eigenpairs": ("eigenpairs", "operators_for_diffusion_net"),
     "deform.config": ("ElasticConfig",),
-    "deform.prepared": ("PreparedPair",),
+    "deform.problem": ("PreparedPair",),
     "errors": ("CagemapError",),
     "files.images.image": ("read_image", "write_image"),
     "files.landmarks.pairs": ("read_landmarks",),
@@ -103,8 +103,7 @@ _PACKAGES = {
     "maps.elastic": ("fit",),
     "maps.geodesic": ("geodesic_error",),
     "maps.functional_maps": ("functional_map_of",),
-    "maps.mask_values": ("face_mask", "soft_edge", "vertex_mask"),
-    "maps.masks": ("Masks",),
+    "maps.masks": ("Masks", "face_mask", "soft_edge", "vertex_mask"),
     "maps.pair": ("Pair", "PointPairs"),
     "maps.point_map": ("PointMap",),
     "maps.projection.project": ("project", "unfold"),

@@ -12,22 +12,17 @@ import numpy as np
 
 from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.elastic import elastic_map, updated_map
+from cagemap.maps.elastic import elastic_map, hypothesis_map, known_map, updated_map
 from cagemap.maps.hypotheses.confidence import at_finest
-from cagemap.maps.hypotheses.method import hypothesis_map
 from cagemap.maps.hypotheses.signs import jump_warnings
-from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
-from cagemap.maps.landmarks.mirrored import mirrored_readings
-from cagemap.maps.landmarks.turned import turned_limbs
-from cagemap.maps.level_pairs import search_levels
+from cagemap.maps.landmarks.other_answers import mirrored_readings, turned_limbs
+from cagemap.maps.levels import search_levels
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
-from cagemap.maps.paired_mirrors import paired_mirrors
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality, unshared_warnings
@@ -40,6 +35,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.operators import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import ENOUGH as ENOUGH

@@ -16,14 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.elastic import elastic_map
-from cagemap.maps.functional_maps import from_bases, to_bases
-from cagemap.maps.given import MapLike, checked, functional_map_from, places_of, zoomed_out
-from cagemap.maps.level_map import LevelMap
-from cagemap.maps.level_pairs import ladder, search_levels
+from cagemap.maps.functional_maps import (
+    MapLike,
+    checked,
+    from_bases,
+    functional_map_from,
+    places_of,
+    to_bases,
+    zoomed_out,
+)
+from cagemap.maps.levels import LevelMap, ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of
 from cagemap.maps.point_map import PointMap

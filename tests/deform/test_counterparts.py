@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig, ElasticConfig, Stage
 from cagemap.deform.constraints import Anchors, Constraints
-from cagemap.deform.counterparts import received_weights, round_trip_weights
+from cagemap.deform.data import received_weights, round_trip_weights
 from cagemap.deform.graph import ElasticGraph, mesh_graph
-from cagemap.deform.prepared import RestShape
+from cagemap.deform.problem import RestShape
 from cagemap.maps.projection.project import facing_points
 from cagemap.subdivision import refine
 from cagemap.surface.surface_points import SurfacePoints

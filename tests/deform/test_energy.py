@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cagemap.deform.config import FoldConfig
+from cagemap.deform.config import GraphConfig
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import cluster_graph, extrapolate
 from cagemap.deform.update import displacement_response
@@ -62,17 +62,17 @@ def test_maps_that_flatten_or_mirror_are_bounded_and_no_others() -> None:
     for i, (before, after, normal) in enumerate(zip(maps, found, normals, strict=True)):
         tangents = np.linalg.svd(normal[None])[2][1:]
         across, along = np.linalg.svd(before @ tangents.T)[1]
-        if np.linalg.det(before) > 0 and along >= FoldConfig.flat * across:
+        if np.linalg.det(before) > 0 and along >= GraphConfig.flat * across:
             np.testing.assert_array_equal(after, before)
             continue
         expected.append(i)
         largest, _, least = np.linalg.svd(after)[1]
         assert np.linalg.det(after) > 0
-        assert least > (1 - 1e-9) * FoldConfig.min_stretch * largest
+        assert least > (1 - 1e-9) * GraphConfig.min_stretch * largest
         sizes = np.linalg.svd(before)[1]
         assert largest == pytest.approx(sizes[0])
         # No farther from the map before than that takes: only the two smaller stretches change.
-        least = FoldConfig.min_stretch * sizes[0]
+        least = GraphConfig.min_stretch * sizes[0]
         assert np.linalg.norm(after - before) <= np.hypot(least, least + sizes[2])
     assert 100 < len(expected) < 300  # half are mirrored, and some flat
     np.testing.assert_array_equal(bounded, expected)

@@ -9,12 +9,10 @@ from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig, Stage
 from cagemap.deform.constraints import Anchors, Constraints
-from cagemap.deform.counterparts import round_trip_weights
-from cagemap.deform.data import SourceSamples, curved_points, source_to_target
+from cagemap.deform.data import SourceSamples, curved_points, round_trip_weights, source_to_target
+from cagemap.deform.energy import LinearSystem
 from cagemap.deform.fit import coarse_fit, fine_fit
-from cagemap.deform.prepared import RestShape
-from cagemap.deform.problem import Problem
-from cagemap.deform.system import CorrectedSystem
+from cagemap.deform.problem import Problem, RestShape
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.projection.project import map_of_places
@@ -160,9 +158,9 @@ def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(
 def test_a_step_ends_where_nothing_is_left_to_miss() -> None:
     """Factors of the matrix itself: one gradient solves it, and the next would divide by zero."""
     matrix, right = sparse.csc_array(2.0 * sparse.eye_array(15)), np.ones(15)
-    system = CorrectedSystem(matrix, factor(matrix), False, Stage(1, (1.0, 1.0), 1.0))
-    np.testing.assert_allclose(system.gradients(right), 0.5 * right, rtol=1e-12)
-    np.testing.assert_array_equal(system.gradients(0.0 * right), 0.0)
+    system, stage = LinearSystem(factor(matrix), matrix), Stage(1, (1.0, 1.0), 1.0)
+    np.testing.assert_allclose(system.gradients(right, stage), 0.5 * right, rtol=1e-12)
+    np.testing.assert_array_equal(system.gradients(0.0 * right, stage), 0.0)
 
 
 def test_a_step_with_factors_of_another_matrix_is_solved_all_the_same():
@@ -172,7 +170,7 @@ def test_a_step_with_factors_of_another_matrix_is_solved_all_the_same():
     weights = np.repeat(10.0 ** rng.uniform(0, 6, 40), 3)
     matrix, other = (sparse.csc_array(chain + np.diag(diagonal)) for diagonal in (weights, weights[::-1]))
     right = matrix @ rng.standard_normal(120) / 10.0 ** rng.uniform(0, 6, 120)
-    found = CorrectedSystem(matrix, factor(other), False, Stage(1, (1.0, 1.0), 1.0)).gradients(right)
+    found = LinearSystem(factor(other), matrix).gradients(right, Stage(1, (1.0, 1.0), 1.0))
     np.testing.assert_allclose(matrix @ found, right, atol=1e-9 * np.abs(right).max())
 
 

@@ -7,9 +7,8 @@ import pytest
 from examples.shapes import creature
 
 from cagemap.deform.config import StartConfig
-from cagemap.deform.inverse_consistency import inverse, inverse_consistent, smoothed
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.refit import inverse, inverse_consistent, smoothed
 from cagemap.maps.curves import CurvePair, SurfaceCurve
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, PointPairs

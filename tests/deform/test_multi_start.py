@@ -10,9 +10,9 @@ import pytest
 from examples.shapes import creature
 
 from cagemap.deform import multi_start
-from cagemap.deform.best_parts import best_parts
 from cagemap.deform.config import ElasticConfig, SearchConfig
 from cagemap.deform.graph import ElasticGraph, mesh_graph
+from cagemap.deform.multi_start import best_parts
 from cagemap.deform.placement import Placement
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -8,15 +8,21 @@ import numpy as np
 import pytest
 from examples.shapes import creature
 
-from cagemap.deform import inverse_consistency, multi_start
-from cagemap.deform.config import PoseConfig, SearchConfig, StartConfig
+from cagemap.deform import multi_start, refit
+from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
 from cagemap.deform.fit import coarse_fit, fine_stage
 from cagemap.deform.graph import mesh_graph
-from cagemap.deform.multi_start import AnchoredFits, finished
+from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
-from cagemap.deform.pose import edge_stiffness, fit_in_pose, largest_limb_rotation, pose_difference, rigid_pose
-from cagemap.deform.prepared import PreparedPair, RestShape
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem, RestShape
+from cagemap.deform.refit import (
+    edge_stiffness,
+    finished,
+    fit_in_pose,
+    largest_limb_rotation,
+    pose_difference,
+    rigid_pose,
+)
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
@@ -26,7 +32,7 @@ from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
-LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.limb_rotation, PoseConfig.difference
+LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.limb_rotation, RefitConfig.difference
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +120,7 @@ def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: Re
     far = (along < -0.1) | (along > 0.2)
     assert found[joint[graph.heads]].max() < 0.4
     assert found[far[graph.heads]].min() > 0.8
-    assert found.min() >= PoseConfig.min_stiffness
+    assert found.min() >= RefitConfig.min_stiffness
     np.testing.assert_allclose(edge_stiffness(graph, turns[:1] + 0 * turns), 1.0)
     np.testing.assert_allclose(found, edge_stiffness(graph, turns[3] @ turns), rtol=1e-6)
     # A vertex whose faces are points is seen to turn nowhere.
@@ -159,14 +165,14 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
         stages.append(problem.prepared.elastic.coarse)
         return coarse_fit(problem, start)
 
-    monkeypatch.setattr("cagemap.deform.pose.coarse_fit", fitted)
+    monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.rest, truth) > POSES_DIFFER
     slid = fine_stage(problem, truth)
     found = fit_in_pose(problem, slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.004  # the minimum beside the truth
     assert after < 0.75 * before
-    assert stages == PoseConfig.rounds * [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
+    assert stages == RefitConfig.rounds * [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
@@ -176,19 +182,18 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     problem = problem_of(bent)
     asked: list[tuple[PreparedPair, list[float], int]] = []
 
-    def fitted(given: Problem, positions: FloatArray, times: int = PoseConfig.rounds) -> FloatArray:
+    def fitted(given: Problem, positions: FloatArray, times: int = RefitConfig.rounds) -> FloatArray:
         asked.append((given.prepared, given.pair.landmarks.target.positions[0].tolist(), times))
         return positions
 
-    for module in (inverse_consistency, multi_start):
-        monkeypatch.setattr(module, "pose_difference", lambda rest, positions: angle)
-        monkeypatch.setattr(module, "fit_in_pose", fitted)
-    monkeypatch.setattr(inverse_consistency, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(refit, "pose_difference", lambda rest, positions: angle)
+    monkeypatch.setattr(refit, "fit_in_pose", fitted)
+    monkeypatch.setattr(refit, "fine_stage", lambda problem, start: start)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
     landmarks = problem.pair.landmarks
     first = finished(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
-    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, PoseConfig.rounds), (bent.reversed, back, 1)])
+    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reversed, back, 1)])
     assert first.positions is ended.positions
     assert first.answer is first.final
 

@@ -10,8 +10,7 @@ import pytest
 from examples.shapes import icosahedron
 from scipy.spatial.transform import Rotation
 
-from cagemap.deform.counterparts import received_weights
-from cagemap.deform.data import target_to_source
+from cagemap.deform.data import received_weights, target_to_source
 from cagemap.deform.graph import mesh_graph
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.mesh import ControlMesh

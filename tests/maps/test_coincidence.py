@@ -14,8 +14,8 @@ from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, rea
 from cagemap.example import example_pair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.coincidence import Coincidence
+from cagemap.maps.elastic import known_map, same_surface
 from cagemap.maps.hypotheses.confidence import SURE
-from cagemap.maps.known_map import known_map, same_surface
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.point_map import PointMap

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
-from cagemap.deform.config import SpectralStartConfig
+from cagemap.deform.config import StartConfig
 from cagemap.deform.constraints import Anchors, CurveConstraint
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.starts import curve_vertices
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
@@ -327,7 +326,7 @@ def test_curves_give_the_start_coordinates_and_no_vertex_twice(surfaces: tuple) 
         listed = np.concatenate([near, *side])
         assert len(np.unique(listed)) == len(listed) <= surface.triangles(level).n
         for own in side:
-            assert 3 <= len(own) <= SpectralStartConfig.curve_points
+            assert 3 <= len(own) <= StartConfig.curve_points
 
 
 def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> None:

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.maps.projection.config import FlattenConfig
+from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.flatten import (
     Disc,
     combined,
@@ -175,7 +175,7 @@ def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
         flipped |= np.linalg.norm(middle - centre, axis=1) < radius
     flipped[np.argmin(np.linalg.norm(middle - [0.9, 0.1], axis=1))] = True
     parts = folded_parts(surface, flipped)
-    assert surface.areas[0] < FlattenConfig().min_part
+    assert surface.areas[0] < ProjectionConfig().min_part
     assert len(parts) == 2
     np.testing.assert_allclose(positions[parts[0]].mean(axis=0), [0.7, 0.7, 0], atol=0.01)
     np.testing.assert_allclose(positions[parts[1]].mean(axis=0), [0.25, 0.25, 0], atol=0.01)
@@ -185,7 +185,7 @@ def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
 def test_a_map_that_is_folded_all_over_is_left_alone() -> None:
     surface = flat_grid()
     positions, triangles = surface.positions, surface.triangles
-    flipped = positions[triangles].mean(axis=1)[:, 0] < 1.5 * FlattenConfig().max_folded
+    flipped = positions[triangles].mean(axis=1)[:, 0] < 1.5 * ProjectionConfig().max_folded
     assert folded_parts(surface, flipped) == []
 
 
@@ -220,7 +220,7 @@ def test_a_limb_is_not_thrown_about_for_a_ring_of_folds_at_its_root() -> None:
     images = SurfacePoints(mast, flat.triangle, flat.barycentric)
     flipped = flipped_triangles(images, triangles)
     folded = mast.areas[flipped].sum()
-    assert FlattenConfig().min_part < folded < FlattenConfig().max_folded
+    assert ProjectionConfig().min_part < folded < ProjectionConfig().max_folded
     laid = flatten_folded_parts(images, flipped, mast, np.zeros(0, dtype=np.int64))
     far = np.linalg.norm(laid.positions - images.positions, axis=1) > 0.05
     assert mast.vertex_areas[far].sum() <= 5.0 * folded

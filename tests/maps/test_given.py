@@ -8,7 +8,7 @@ from examples import shapes
 
 from cagemap import research
 from cagemap.errors import ParameterError
-from cagemap.maps.given import checked, functional_map_from, places_of
+from cagemap.maps.functional_maps import checked, functional_map_from, places_of
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import prepare_pair
 from cagemap.spectral import BasisConfig

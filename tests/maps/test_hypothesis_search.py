@@ -11,8 +11,7 @@ from examples.shapes import creature
 from cagemap.deform.fit import with_cost
 from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses import search

@@ -15,7 +15,7 @@ from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import level_graph
+from cagemap.deform.problem import level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.folder import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO, Reading

@@ -6,7 +6,7 @@ import numpy as np
 from examples.shapes import creature, cube
 from scipy.spatial.transform import Rotation
 
-from cagemap.deform.config import HypothesisConfig
+from cagemap.deform.config import SearchConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.limbs import Limbs, assigned_limbs, assignments
@@ -51,7 +51,7 @@ def test_lengths_of_limbs_do_not_count_and_girths_do() -> None:
     shuffled = Limbs(source.tips[order], source.between[np.ix_(order, order)], source.girths[order])
     (own, to), *others = assignments(target, shuffled)
     np.testing.assert_array_equal(order[to], own)
-    assert len(others) == HypothesisConfig.max_assignments - 1
+    assert len(others) == SearchConfig.max_assignments - 1
 
 
 def _with_tips(made: tuple[ElasticGraph, np.ndarray]) -> tuple[ElasticGraph, np.ndarray, np.ndarray]:

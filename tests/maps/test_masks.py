@@ -21,8 +21,7 @@ from cagemap.files.meshes.obj import write_obj
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import read_attributes, write_attributes
-from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
-from cagemap.maps.masks import Masks
+from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks

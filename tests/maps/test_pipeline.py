@@ -29,7 +29,7 @@ from cagemap import (
 from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
-from cagemap.maps.level_pairs import ladder, search_levels
+from cagemap.maps.levels import ladder, search_levels
 from cagemap.maps.pair import Pair
 from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface

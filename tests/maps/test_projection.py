@@ -10,7 +10,7 @@ from scipy import sparse
 from cagemap.deform.config import ElasticConfig
 from cagemap.maps.pair import Pair
 from cagemap.maps.projection import relax as folds
-from cagemap.maps.projection.config import RelaxConfig
+from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.project import control_points, project
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.maps.quality import flipped_triangles
@@ -77,7 +77,7 @@ def test_unfolding_knows_what_still_folds_however_far_folds_spread(
     images = SurfacePoints.nearest(surface, wanted)
     monkeypatch.setattr(folds, "_improved", lambda near, inside, before, after: inside)
     again, still = relax_folds(
-        images, faces, np.zeros(0, dtype=np.int64), normal_weight=0.02, config=RelaxConfig(rings=(1, 2))
+        images, faces, np.zeros(0, dtype=np.int64), normal_weight=0.02, config=ProjectionConfig(rings=(1, 2))
     )
     assert still.sum() > 100
     np.testing.assert_array_equal(still, flipped_triangles(again, faces))

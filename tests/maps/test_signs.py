@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import pipeline
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
-from cagemap.deform.config import DataConfig, HypothesisConfig, SearchConfig
+from cagemap.deform.config import DataConfig, SearchConfig
 from cagemap.deform.data import SourceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
 from cagemap.deform.multi_start import finished
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import CoarseShape, PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.maps.hypotheses.tips import (
+from cagemap.maps.hypotheses.limbs import (
     Tips,
     led_by_tips,
     mean_distances,
@@ -35,7 +34,7 @@ from cagemap.spectral import Surface
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
-CONFIG = HypothesisConfig()
+CONFIG = SearchConfig()
 
 # Cells of the creature: feet, tail, ears, nose.
 ENDS = np.array([(x, 0, z) for x in (-1, 1) for z in (0, 5)] + [(0, 3, -2), (-1, 7, 5), (1, 7, 5), (0, 6, 7)])
@@ -113,7 +112,7 @@ def test_a_fit_is_led_to_tips_that_it_missed(
         held.append((shape.rest.graph.positions[: len(shape.constraints.places)], shape.constraints.places))
         return coarse_fit(problem, start, shape, samples)
 
-    monkeypatch.setattr("cagemap.maps.hypotheses.tips.coarse_fit", fitted)
+    monkeypatch.setattr("cagemap.maps.hypotheses.limbs.coarse_fit", fitted)
     problem = Problem(prepared, pair_of(surface, surface, Landmarks.none()))
     found, rest = Tips.of(problem), prepared.rest.graph.positions
     there = Placement(rest, 1e-4)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.placement import Placement
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, LOOK
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
-from cagemap.maps.landmarks.turned import turned_limbs
+from cagemap.maps.landmarks.other_answers import turned_limbs
 from cagemap.pipeline import prepare_pair, prepare_surface
 
 

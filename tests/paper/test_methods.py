@@ -14,7 +14,7 @@ from examples import shapes
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
-from cagemap.maps.level_pairs import search_levels
+from cagemap.maps.levels import search_levels
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import hfm, method

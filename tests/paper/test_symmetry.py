@@ -9,11 +9,10 @@ from examples import shapes
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.pair import Pair
-from cagemap.maps.paired_mirrors import paired_mirrors
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import is_symmetry, mirror_symmetries
 from cagemap.operators import build_operators
-from cagemap.paper.operators import check_symmetry, propagate_symmetry, symmetry_at, symmetry_operator
+from cagemap.paper.operators import check_symmetry, paired_mirrors, propagate_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import refine
 

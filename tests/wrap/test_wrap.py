@@ -23,8 +23,8 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.normal_rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
-from cagemap.wrap.counterpart import counterpart
 from cagemap.wrap.fit import fit_net
+from cagemap.wrap.terms import counterpart
 
 from command_line import Run
 from example_result import identity_result

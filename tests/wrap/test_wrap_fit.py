@@ -11,7 +11,6 @@ import pytest
 from examples.shapes import torus
 from test_wrap import dented, ring_and_ball, same_vertices, surface_of
 
-from cagemap.deform.minimise import Iterate
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.point_map import PointMap
@@ -47,7 +46,7 @@ def test_a_round_solves_its_system() -> None:
         terms = NetTerms.build(net.graph, data, config, part)
         positions = net.graph.positions
         found: Future[tuple[np.ndarray, np.ndarray]] = Future()
-        system = terms.at(Iterate(positions, found, config.fairness, None))
+        system = terms.at(positions, found, config.fairness, None)
         right = system.right + config.fairness * net.graph.divergence(net.energy.maps(positions))
         dense, normals = data.rows.toarray(), system.closest.normals
         away = np.linalg.norm(system.closest.positions - data.images.positions, axis=1) > data.reach

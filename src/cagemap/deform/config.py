@@ -14,52 +14,24 @@ from cagemap.spectral.zoomout import ZoomOutSchedule
 
 @dataclass(frozen=True)
 class Stage:
-    """One run of `cagemap.deform.minimise.minimise`; lengths are of sqrt(area).
-
-    Attributes
-    ----------
-    iterations : int
-    stiffness : (float, float)
-        Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of
-        the iterations. sqrt(alpha) is the length below which the energy outweighs the data.
-    smoothing : float
-        epsilon: its square root is the length over which differentials are smoothed.
-    ramp : float
-        See ``stiffness``.
-    momentum : float
-        Every iteration but the last goes on by this share of its change: x <- x + momentum (x - x_before).
-    patience : int
-        At most this many iterations more, at the last stiffness, while more than ``max_bounded`` is bounded.
-    factored : int
-        The positions' matrix is factored every so many iterations; those between use the earlier factors.
-    max_bounded : float
-        Share of the vertices whose differentials would fold or flatten the surface.
-    on_surface : float
-        Root mean square distance within which a mesh lies on the source as well as flat triangles can.
-    stiffening, max_stiffness : float
-        On the surface alpha is multiplied by the first in every iteration, up to the second.
-    gradients : int
-        Conjugate gradients of an iteration with earlier factors.
-    tolerance : float
-        Share of the residual at which they stop before.
-    max_unsolved : float
-        Share of the residual that they may leave; above it the matrix is factored anew (0.11 on the built-in pair).
-    """
+    """One run of `cagemap.deform.minimise.minimise`; lengths are of sqrt(area)."""
 
     iterations: int
+    #: Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of
+    #: the iterations. sqrt(alpha) is the length below which the energy outweighs the data.
     stiffness: tuple[float, float]
-    smoothing: float
+    smoothing: float  #: epsilon: its square root is the length over which differentials are smoothed
     ramp: float = 0.7
-    momentum: float = 0.0
-    patience: int = 0
-    factored: int = 1
-    max_bounded: float = 0.005
-    on_surface: float = 2e-5
-    stiffening: float = 2.0
-    max_stiffness: float = 5e-2
-    gradients: int = 4
-    tolerance: float = 1e-9
-    max_unsolved: float = 0.5
+    momentum: float = 0.0  #: share of its change by which every iteration but the last goes on
+    patience: int = 0  #: at most this many iterations more, at the last stiffness, while more than ``max_bounded`` is
+    factored: int = 1  #: the matrix is factored every so many iterations; those between use the earlier factors
+    max_bounded: float = 0.005  #: share of the vertices whose differentials would fold or flatten the surface
+    on_surface: float = 2e-5  #: root mean square distance within which a mesh lies on the source, as far as it can
+    stiffening: float = 2.0  #: factor on alpha in every iteration on the surface
+    max_stiffness: float = 5e-2  #: up to which it is applied
+    gradients: int = 4  #: conjugate gradients of an iteration with earlier factors
+    tolerance: float = 1e-9  #: share of the residual at which they stop before
+    max_unsolved: float = 0.5  #: share of the residual above which the matrix is factored anew
 
     def __post_init__(self) -> None:
         """Check the counts."""
@@ -78,21 +50,18 @@ class Stage:
 
 @dataclass(frozen=True, repr=False)
 class StartConfig(Brief):
-    """Parameters of the map that the elastic fit starts from; the defaults are the measured ones.
+    """Starts of the elastic fit by ZoomOut (`deform.starts`), from landmarks and from a fit's closest points."""
 
-    Attributes
-    ----------
-    search_vertices : int
-        The target is deformed at its coarsest level with at least this many vertices; the source's vertices are
-        searched at its own such level.
-    source_search_vertices : int
-        The same of the source alone; 0: as the target's.
-    zoomout : ZoomOutSchedule
-    """
-
-    search_vertices: int = 3000
-    source_search_vertices: int = 0
+    search_vertices: int = 3000  #: least vertices of the level that is deformed, and of the source's searched one
+    source_search_vertices: int = 0  #: the same of the source alone; 0: as the target's
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
+    samples: int = 3000  #: source vertices that a start is sought among: twice as many as there are vertices to start
+    curve_points: int = 40  #: points of a curve on which its coordinate is 1
+    trusted_functions: tuple[int, ...] = (8, 20)  #: basis functions that are trusted of a fit, one start for each
+    growth: float = 1.5  #: factor by which upsampling of its match lets their number grow
+    last_functions: int = 100  #: where it ends
+    places: int = 3000  #: source points that a fit is matched with
+    normal_length: float = 0.1  #: how far apart opposite normals are there, of sqrt(area)
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -107,19 +76,13 @@ def require_search(vertices: int, source_vertices: int) -> None:
 
 @dataclass(frozen=True)
 class GraphConfig:
-    """The elastic graph of a mesh, and its clusters."""
+    """The elastic graph of a mesh, its clusters, and differentials that fold or flatten a surface."""
 
     min_weight: float = 1e-2  #: least weight of an edge, of the median: cotangents may be negative
     normal_length: float = 1.0  #: how far apart opposite normals are, of a cluster's size
     min_cell: float = 0.3  #: area, of the mean cell's, below which a piece of a cell is joined to a neighbour
     joining_rounds: int = 4  #: how often: two tiny ones may join each other first
     neighbours: int = 6  #: coarse vertices whose affine extrapolations are blended at a finer vertex
-
-
-@dataclass(frozen=True)
-class FoldConfig:
-    """Differentials that fold or flatten a surface."""
-
     flat: float = 0.2  #: ratio of the two stretches in the tangent plane below which a differential flattens
     min_stretch: float = 0.3  #: such a differential gets all singular values up to this share of its largest
 
@@ -145,7 +108,10 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Several starts, where joints are in doubt (docs/lab/elastic.md); lengths are of sqrt(area)."""
+    """Several starts, where joints are in doubt, and alignments with few landmarks; lengths are of sqrt(area).
+
+    Measured in docs/lab/elastic.md and docs/lab/poses.md.
+    """
 
     doubtful: float = 0.004  #: mean distance of the placements from landmarks and spectral map: more are tried above it
     limb_rotation: float = 0.48  #: rotation of a limb, in radians, from which on more are tried
@@ -157,11 +123,38 @@ class SearchConfig:
     part_area: float = 5e-4  #: least share of the area of a part that is taken of another placement
     as_cheap: float = 1.15  #: cost of a placement that was led to tips or finished, of it before, up to which it counts
     part_rings: int = 3  #: rings of edges around a part that count for it, and fade
+    rough_vertices: int = 400  #: size of the graph on which all starts are tried
+    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: from stiff, which turns and shifts as a whole, to soft
+    alike: float = 0.03  #: mean distance below which two starts are one
+    different: float = 0.08  #: mean distance from which on two fits are two answers
+    max_coarse: int = 4  #: candidates of the coarse stage, where no limbs are assigned
+    max_assigned: int = 2  #: assignments of limbs of the coarse stage
+    max_finished: int = 3  #: candidates of the fine stage, and as the files stand: boxes cost alike all round
+    hopeless: float = 2.5  #: cost, of the best one's, above which a candidate is not finished
+    unlikely: float = 1.5  #: cost of assigned limbs, of the files' alignment, above which they are dropped: fins
+    mirrored_starts: int = 4  #: starts on the mirror image that are fitted, the nearest ones
+    turned_doubt: float = 1.1  #: factor on the cost of a start turned about the vertical: files mostly agree in front
+    other_doubt: float = 1.3  #: factor on the cost of a start turned otherwise: files nearly always agree in up
+    max_unit_ratio: float = 4.0  #: files of parts whose sizes differ by more are in different units
+    limb_height: float = 0.1  #: height of a limb's tip over its pass: fingers and ears to 0.07, feet from 0.12
+    fewest_points: int = 4  #: limbs and landmarks that an assignment needs
+    fewest_of_part: int = 3  #: the same where a surface is a part: its other limbs may be cut off
+    max_limbs: int = 7  #: the most prominent ones are assigned
+    max_assignments: int = 10  #: how many are fitted
+    girth_weight: float = 0.5  #: sums of log ratios of girths, beside those of lengths
+    girth_part: float = 0.7  #: share of a limb's length, from its tip, of which the girth is taken
+    tip_height: float = 0.01  #: height of a tip over its pass: ears have 0.01 to 0.05, feet 0.1 to 0.3
+    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves so close are the same
+    tips_met: float = 0.02  #: a fit that leaves all of them closer needs no help
+    tip_taken: float = 0.05  #: a tip this near to a landmark is the landmark's
+    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: holds tips; as stiff as for bodies that stand alike
+    led_samples: int = 4000  #: source samples of that stage
+    of_one_kind: float = 1e-4  #: cost below which bodies are of one kind: no later stage gains anything
 
 
 @dataclass(frozen=True)
-class PoseConfig:
-    """The target in the source's pose (docs/lab/elastic.md); lengths are of sqrt(area)."""
+class RefitConfig:
+    """Refit in the source's pose, and the average with the inverse (docs/lab/elastic.md); lengths are of sqrt(area)."""
 
     difference: float = 0.3  #: mean rotation, in radians, from which on poses differ
     stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: positions and rotations; stiffness of limbs against the placement
@@ -169,13 +162,7 @@ class PoseConfig:
     joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, of its own
     rounds: int = 2  #: how often the target is posed and fitted
-
-
-@dataclass(frozen=True)
-class InverseConfig:
-    """The average with the inverse of the reverse fit (docs/lab/elastic.md); lengths are of sqrt(area)."""
-
-    smoothing: float = 0.02  #: length over which the shifts are smoothed
+    smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex counts a quarter
     normal_weight: float = 0.02  #: how far apart opposite normals are where the inverse is read
     far: float = 0.03  #: distance from the inverse that counts for `max_far`
@@ -195,19 +182,6 @@ class CoincidenceConfig:
     share: float = 0.95  #: share of the target that is on the source
     clothed: float = 0.6  #: clothes cover less of the source: shirts and trousers 0.34 to 0.5, two bodies 0.81
     reach: float = 0.1  #: how far closest points that face the same way are looked for
-
-
-@dataclass(frozen=True)
-class SpectralStartConfig:
-    """Starts of the coarse stage by ZoomOut (`deform.starts`)."""
-
-    samples: int = 3000  #: source vertices that a start is sought among: twice as many as there are vertices to start
-    curve_points: int = 40  #: points of a curve on which its coordinate is 1
-    trusted_functions: tuple[int, ...] = (8, 20)  #: basis functions that are trusted of a fit, one start for each
-    growth: float = 1.5  #: factor by which upsampling of its match lets their number grow
-    last_functions: int = 100  #: where it ends
-    places: int = 3000  #: source points that a fit is matched with
-    normal_length: float = 0.1  #: how far apart opposite normals are there, of sqrt(area)
 
 
 @dataclass(frozen=True)
@@ -255,39 +229,6 @@ class LandmarkConfig:
     dissimilar: float = 0.12  #: typical misfit from which on strain of one pair says nothing
 
 
-@dataclass(frozen=True)
-class HypothesisConfig:
-    """Search over alignments if there are few landmarks (`maps.hypotheses`); lengths are in units of sqrt(area)."""
-
-    rough_vertices: int = 400  #: size of the graph on which all starts are tried
-    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: from stiff, which turns and shifts as a whole, to soft
-    alike: float = 0.03  #: mean distance below which two starts are one
-    different: float = 0.08  #: mean distance from which on two fits are two answers
-    max_coarse: int = 4  #: candidates of the coarse stage, where no limbs are assigned
-    max_assigned: int = 2  #: assignments of limbs of the coarse stage
-    max_finished: int = 3  #: candidates of the fine stage, and as the files stand: boxes cost alike all round
-    hopeless: float = 2.5  #: cost, of the best one's, above which a candidate is not finished
-    unlikely: float = 1.5  #: cost of assigned limbs, of the files' alignment, above which they are dropped: fins
-    mirrored_starts: int = 4  #: starts on the mirror image that are fitted, the nearest ones
-    turned_doubt: float = 1.1  #: factor on the cost of a start turned about the vertical: files mostly agree in front
-    other_doubt: float = 1.3  #: factor on the cost of a start turned otherwise: files nearly always agree in up
-    max_unit_ratio: float = 4.0  #: files of parts whose sizes differ by more are in different units
-    limb_height: float = 0.1  #: height of a limb's tip over its pass: fingers and ears to 0.07, feet from 0.12
-    fewest_points: int = 4  #: limbs and landmarks that an assignment needs
-    fewest_of_part: int = 3  #: the same where a surface is a part: its other limbs may be cut off
-    max_limbs: int = 7  #: the most prominent ones are assigned
-    max_assignments: int = 10  #: how many are fitted
-    girth_weight: float = 0.5  #: sums of log ratios of girths, beside those of lengths
-    girth_part: float = 0.7  #: share of a limb's length, from its tip, of which the girth is taken
-    tip_height: float = 0.01  #: height of a tip over its pass: ears have 0.01 to 0.05, feet 0.1 to 0.3
-    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves so close are the same
-    tips_met: float = 0.02  #: a fit that leaves all of them closer needs no help
-    tip_taken: float = 0.05  #: a tip this near to a landmark is the landmark's
-    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: holds tips; as stiff as for bodies that stand alike
-    led_samples: int = 4000  #: source samples of that stage
-    of_one_kind: float = 1e-4  #: cost below which bodies are of one kind: no later stage gains anything
-
-
 @dataclass(frozen=True, repr=False)
 class ElasticConfig(Brief):
     """Parameters of the fit; the defaults are the measured ones (docs/lab/accuracy.md).
@@ -319,7 +260,7 @@ class ElasticConfig(Brief):
         Of the variance of logarithmic stretches, where placements of open surfaces are compared.
     response : Stage
         What changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`).
-    graph, folds, data, search, pose, inverse, coincidence, spectral_starts, landmarks, hypotheses
+    graph, data, search, refit, coincidence, landmarks
         Numbers of the parts of the method.
     """
 
@@ -338,15 +279,11 @@ class ElasticConfig(Brief):
     stretch_weight: float = 3e-3
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
     graph: GraphConfig = GraphConfig()
-    folds: FoldConfig = FoldConfig()
     data: DataConfig = DataConfig()
     search: SearchConfig = SearchConfig()
-    pose: PoseConfig = PoseConfig()
-    inverse: InverseConfig = InverseConfig()
+    refit: RefitConfig = RefitConfig()
     coincidence: CoincidenceConfig = CoincidenceConfig()
-    spectral_starts: SpectralStartConfig = SpectralStartConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
-    hypotheses: HypothesisConfig = HypothesisConfig()
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import DataConfig, ElasticConfig
-from cagemap.maps.curves import CurvePair
 from cagemap.maps.pair import vertices_at
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -99,18 +98,6 @@ class CurveConstraint:
         rows = np.sort(np.unique(vertices, return_index=True)[1])
         rest = Polyline(self.rest.positions[chosen][rows], self.rest.closed)
         return CurveConstraint(Anchors.of_vertices(vertices[rows]), rest, self.source)
-
-
-def curves_on_level(
-    surface: Surface, level: int, pairs: Sequence[CurvePair], config: DataConfig = DataConfig()
-) -> tuple[CurveConstraint, ...]:
-    """Curves of the finest surface on the mesh of a coarser level."""
-    mesh = surface.triangles(level)
-    anchors = [Anchors.on_level(surface, level, pair.target.points, config) for pair in pairs]
-    return tuple(
-        CurveConstraint(at, Polyline(at.of(mesh.positions), pair.target.closed), pair.source.line)
-        for at, pair in zip(anchors, pairs, strict=True)
-    )
 
 
 def add_curves(

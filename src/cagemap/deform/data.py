@@ -1,4 +1,10 @@
-"""Data terms: closest points both ways, as planes that the deformed target should lie on."""
+"""Data terms: closest points both ways, as planes that the deformed target should lie on.
+
+Closest points pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something: the
+inside of a mouth with the chin. Two signs tell them apart, and their terms get no weight: such a part of the target
+receives none of the source's area, and the round trip from such a point of the source to the target and back ends
+elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +15,9 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig
-from cagemap.deform.counterparts import round_trip_weights, trusted
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.factorization import Factorization
 from cagemap.spectral.zoomout import evenly_spaced
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
@@ -174,3 +180,33 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
     flat = np.einsum("mk,mkd->md", barycentric, corners)
     heights = np.einsum("mkd,mkd->mk", corners - flat[:, None], normals)
     return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
+
+
+def received_weights(
+    smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool = False
+) -> FloatArray:
+    """(n,) from 0 (nothing lies there) to 1, by how much of the source's area (n,) vertices receive, of their own.
+
+    Smoothed by `ElasticGraph.smoother`: 1 where received areas are the vertices' own. Both surfaces have area 1, which
+    says nothing where one is a part: there densities are compared with what a received piece of area has on average.
+    """
+    none, full = config.received
+    density = smoother.solve(received)
+    if of_parts:
+        density = density * (received.sum() / max(float(received @ density), 1e-12))
+    return np.clip((density - none) / (full - none), 0.0, 1.0)
+
+
+def round_trip_weights(
+    trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
+) -> FloatArray:
+    """(m,) weights from 1 down to 0 of source points, by how far from them a round trip to the target ends.
+
+    `trusted` with a smaller scale for points inside the target: it cannot grow into them.
+    """
+    return trusted(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
+
+
+def trusted(trips: FloatArray, scale: FloatArray | float) -> FloatArray:
+    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of trips d (m, 3) by their scales s (Geman and McClure 1985)."""
+    return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

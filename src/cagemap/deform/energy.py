@@ -1,20 +1,91 @@
-"""The elastic energy of a graph, solved for its differentials: which maps A go with which positions x."""
+"""The elastic energy of a graph, solved for its differentials, and the linear systems of positions that it leads to."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, cg
 
-from cagemap.deform.config import FoldConfig
+from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.system import BlockPattern, ConstantTerms, VertexTerms
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
-from cagemap.numerics.factorization import Factorization
+from cagemap.numerics.factorization import Factorization, factor
 from cagemap.surface.triangles import normalized
+
+
+@dataclass(frozen=True, eq=False)
+class BlockPattern:
+    """Sparsity of the (3 n, 3 n) matrices alpha L + block diagonal, the same for all of one graph."""
+
+    matrix: sparse.csc_array
+    elastic: FloatArray  # values of L in the pattern
+    blocks: IndexArray  # where the entries of the blocks stand in it
+
+    @classmethod
+    def build(cls, laplacian: sparse.csr_array) -> BlockPattern:
+        """Lay out the pattern for an (n, n) Laplacian."""
+        n = laplacian.shape[0]
+        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
+        elastic = sparse.csc_array(sparse.kron(laplacian, sparse.eye_array(3)))
+        pattern = sparse.csc_array(abs(elastic) + ones)
+        pattern.sort_indices()
+        # Where the entries of both parts stand in the common pattern: number them, and read the numbers back.
+        numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
+
+        def places(rows: IndexArray, columns: IndexArray) -> IndexArray:
+            return np.asarray(numbered[rows, columns]).ravel().astype(np.int64) - 1
+
+        elastic.sort_indices()
+        rows = elastic.indices.astype(np.int64)
+        values, every = np.zeros(pattern.nnz), np.arange(3 * n)
+        values[places(rows, np.repeat(every, np.diff(elastic.indptr)))] = elastic.data
+        columns = np.repeat(every.reshape(n, 1, 3), 3, axis=1).ravel()
+        return cls(pattern, values, places(np.repeat(every, 3), columns))
+
+    def at(self, alpha: float, blocks: FloatArray) -> sparse.csc_array:
+        """The matrix alpha L + blocks (n, 3, 3)."""
+        values = alpha * self.elastic
+        values[self.blocks] += blocks.ravel()
+        return sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """A system of positions, solved with its own factors, or by its residual with factors that are only near.
+
+    Factors of single precision are near: what a step misses, the next iteration finds in its residual, in double.
+    """
+
+    factors: Factorization
+    matrix: sparse.csc_array | None = None  # where the factors are only near
+    stage: Stage | None = None  # numbers of the conjugate gradients, where the factors are of an earlier matrix
+
+    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
+        """(n, 3) the solution for a right side (n, 3), or positions (n, 3) that are corrected for it."""
+        if self.matrix is None:
+            return self.factors.solve(right.ravel()).reshape(-1, 3)
+        residual = right.ravel() - self.matrix @ positions.ravel()
+        step = self.factors.solve(residual) if self.stage is None else self.gradients(residual, self.stage)
+        return positions + step.reshape(-1, 3)
+
+    def gradients(self, residual: FloatArray, stage: Stage) -> FloatArray:
+        """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952).
+
+        Each costs a tenth of a factorisation. Without a tolerance they divide by zero once the residual is zero. Where
+        they leave too much of it, the matrix is factored anew.
+        """
+        matrix = self.matrix
+        assert matrix is not None
+        near = LinearOperator(matrix.shape, matvec=self.factors.solve, dtype=np.float64)
+        step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradients, M=near)
+        unsolved = stage.max_unsolved * np.linalg.norm(residual)
+        if missed and not np.linalg.norm(residual - matrix @ step) <= unsolved:
+            step = factor(matrix, like=self.factors).solve(residual)
+        return np.asarray(step)
+
 
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
@@ -43,7 +114,7 @@ class ElasticEnergy:
         # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
         blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         pattern = BlockPattern.build(graph.laplacian)
-        return cls(graph, pattern, pattern.factor(smoothing, blocks), admissible or bounded_maps)
+        return cls(graph, pattern, factor(pattern.at(smoothing, blocks)), admissible or bounded_maps)
 
     def maps(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A that minimise the energy for positions x (n, 3)."""
@@ -54,19 +125,31 @@ class ElasticEnergy:
         """(n, 3, 3) admissible maps for positions x (n, 3), and which of them were bounded."""
         return self.admissible(self.maps(positions), self.graph.normals)
 
-    def terms(
-        self,
-        blocks: FloatArray,
-        right: FloatArray,
-        distance: float = np.inf,
-        guesses: tuple[IndexArray | None, IndexArray | None] = (None, None),
-    ) -> VertexTerms:
-        """Terms of one iteration, see `VertexTerms`."""
-        return VertexTerms(self.pattern, self.factors, blocks, right, distance, guesses)
 
-    def constant_terms(self, blocks: FloatArray, right: FloatArray) -> ConstantTerms:
-        """Terms that stay the same in all iterations, from blocks (n, 3, 3) and a right side (n, 3)."""
-        return ConstantTerms(self.pattern, self.factors, blocks, right)
+@dataclass(frozen=True, eq=False)
+class VertexTerms:
+    """``sum_i x_i^T B_i x_i - 2 b_i^T x_i``, for `cagemap.deform.minimise`: of one iteration, or the same in all."""
+
+    energy: ElasticEnergy
+    blocks: FloatArray  # (n, 3, 3): B_i
+    right: FloatArray  # (n, 3): b_i
+    distance: float = np.inf  # see `cagemap.deform.minimise.Quadratic`
+    # Triangles of the closest points that were found, both ways, or None
+    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)
+    constant: bool = False  # the same in all iterations: one factorisation, in double precision
+
+    def at(self, *iterate: object) -> VertexTerms:
+        """Themselves, where they are constant."""
+        return self
+
+    def system(self, alpha: float, stage: Stage, before: LinearSystem | None) -> LinearSystem:
+        """Alpha L + B with new factors, or with those of a system before."""
+        matrix, like = self.energy.pattern.at(alpha, self.blocks), self.energy.factors
+        if self.constant:
+            return LinearSystem(factor(matrix, like=like))
+        if before is not None:
+            return LinearSystem(before.factors, matrix, stage)
+        return LinearSystem(factor(matrix, like=like, dtype=np.float32), matrix)
 
 
 def any_map(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
@@ -80,7 +163,7 @@ def rotations(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexA
 
 
 def bounded_maps(
-    maps: FloatArray, normals: FloatArray, config: FoldConfig = FoldConfig()
+    maps: FloatArray, normals: FloatArray, config: GraphConfig = GraphConfig()
 ) -> tuple[FloatArray, IndexArray]:
     """Linear maps without those that flatten a surface or turn it over.
 
@@ -106,11 +189,6 @@ def bounded_maps(
     changed = maps.copy()
     changed[bounded] = (left * stretches[:, None, :]) @ right
     return changed, bounded
-
-
-def bounded_by(config: FoldConfig) -> Admissible:
-    """`bounded_maps` with these bounds."""
-    return partial(bounded_maps, config=config)
 
 
 def transformed_normals(maps: FloatArray, normals: FloatArray) -> FloatArray:

@@ -12,20 +12,20 @@ import numpy as np
 
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.constraints import Constraints
-from cagemap.deform.counterparts import received_weights
-from cagemap.deform.data import SourceSamples, source_to_clusters, source_to_target, target_to_source
-from cagemap.deform.energy import deformed_normals
-from cagemap.deform.minimise import Iterate, minimise
+from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
+from cagemap.deform.energy import VertexTerms, deformed_normals
+from cagemap.deform.minimise import Differentials, minimise
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import CoarseShape, PreparedPair, RestShape
-from cagemap.deform.problem import Problem
-from cagemap.deform.system import VertexTerms
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, RestShape
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
+
+# Triangles of closest points of the iteration before, both ways.
+Guesses = tuple[IndexArray | None, IndexArray | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class SurfaceTerms:
 
     A mesh has data terms both ways: every deformed vertex lies on the source, and every source sample on the deformed
     target, which fills fingers, ears and lips; parts of either without a counterpart have none
-    (`cagemap.deform.counterparts`). Clusters have source samples only where they are given.
+    (`cagemap.deform.data`). Clusters have source samples only where they are given.
     """
 
     rest: RestShape
@@ -43,54 +43,52 @@ class SurfaceTerms:
     config: ElasticConfig
     samples: SourceSamples | None
 
-    def at(self, iterate: Iterate) -> VertexTerms:
-        """Terms at the closest points of an iterate."""
-        terms = self._on_clusters(iterate) if self.rest.mesh is None else self._on_mesh(iterate)
-        self.constraints.add(terms.blocks, terms.right, iterate.positions, self.config)
+    def at(self, positions: FloatArray, found: Differentials, alpha: float, before: VertexTerms | None) -> VertexTerms:
+        """Terms at the closest points of positions."""
+        guesses = (None, None) if before is None else before.guesses
+        if self.rest.mesh is None:
+            terms = self._on_clusters(positions, found.result()[0], guesses[0])
+        else:
+            terms = self._on_mesh(self.rest.mesh, positions, alpha, guesses)
+        self.constraints.add(terms.blocks, terms.right, positions, self.config)
         return terms
 
-    def _on_clusters(self, iterate: Iterate) -> VertexTerms:
-        rest, config, positions = self.rest, self.config, iterate.positions
-        normals = deformed_normals(rest.graph.normals, iterate.maps)
-        guess, _ = _guesses(iterate)
+    def _on_clusters(self, positions: FloatArray, maps: FloatArray, guess: IndexArray | None) -> VertexTerms:
+        rest, config, weight = self.rest, self.config, self.config.normal_weight
+        normals = deformed_normals(rest.graph.normals, maps)
         term = target_to_source(
-            rest.graph.areas, self.source, positions, normals, guess, config.normal_weight, rest.masks, beyond=True
+            rest.graph.areas, self.source, positions, normals, guess, weight, rest.masks, beyond=True
         )
         blocks, right = term.blocks, term.right
         if self.samples is not None:
-            back = source_to_clusters(
-                self.samples, positions, normals, config.normal_weight, term.closest, rest.masks, config.data
-            )
+            back = source_to_clusters(self.samples, positions, normals, weight, term.closest, rest.masks, config.data)
             blocks, right = blocks + back.blocks, right + back.right
-        return rest.energy.terms(blocks, right, guesses=(term.triangles, None))
+        return VertexTerms(rest.energy, blocks, right, guesses=(term.triangles, None))
 
-    def _on_mesh(self, iterate: Iterate) -> VertexTerms:
-        rest, config, positions = self.rest, self.config, iterate.positions
-        assert rest.mesh is not None
+    def _on_mesh(self, mesh: TriangleSurface, positions: FloatArray, alpha: float, guesses: Guesses) -> VertexTerms:
+        rest, config, normals = self.rest, self.config, vertex_normals(positions, mesh.triangles)
         assert rest.received is not None
         assert self.samples is not None
-        guess, guess_back = _guesses(iterate)
-        normals = vertex_normals(positions, rest.mesh.triangles)
         there = target_to_source(
-            rest.graph.areas, self.source, positions, normals, guess, config.fine_normal_weight, rest.masks
+            rest.graph.areas, self.source, positions, normals, guesses[0], config.fine_normal_weight, rest.masks
         )
         back = source_to_target(
-            rest.mesh,
+            mesh,
             self.samples,
             positions,
             normals,
-            guess_back,
+            guesses[1],
             config.normal_weight,
             there.closest,
-            iterate.stiffness,
+            alpha,
             rest.masks,
             config.data,
         )
         distance = there.distance(positions)
-        of_parts = rest.mesh.is_open or self.source.is_open
+        of_parts = mesh.is_open or self.source.is_open
         there = there.scaled(received_weights(rest.received, back.weights, config.data, of_parts=of_parts))
         blocks, right = there.blocks + back.blocks, there.right + back.right
-        return rest.energy.terms(blocks, right, distance, (there.triangles, back.triangles))
+        return VertexTerms(rest.energy, blocks, right, distance, (there.triangles, back.triangles))
 
 
 def coarse_fit(
@@ -154,7 +152,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     right[held] = config.landmark_weight * places
     start = scale * graph.positions @ rotation.T + shift
     energy = shape.rest.energy
-    return minimise(energy, energy.constant_terms(blocks, right), start, config.landmark_start)
+    return minimise(energy, VertexTerms(energy, blocks, right, constant=True), start, config.landmark_start)
 
 
 def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
@@ -213,10 +211,5 @@ def stretch_costs(rest: RestShape, positions: FloatArray, config: ElasticConfig)
     """
     graph = rest.graph
     stretches = np.linalg.svd(rest.energy.maps(positions), compute_uv=False)[:, :2]
-    logs = np.log(np.maximum(stretches, config.folds.min_stretch**4))
+    logs = np.log(np.maximum(stretches, config.graph.min_stretch**4))
     return np.asarray(config.stretch_weight * graph.areas * ((logs - (graph.areas @ logs).mean()) ** 2).mean(axis=1))
-
-
-def _guesses(iterate: Iterate) -> tuple[IndexArray | None, IndexArray | None]:
-    """Triangles of the closest points of the iteration before, both ways."""
-    return iterate.before.guesses if isinstance(iterate.before, VertexTerms) else (None, None)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,6 +16,9 @@ from cagemap.deform.config import Stage
 from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
+
+# Maps (n, 3, 3) of positions, and which of them were bounded; made while data terms are sought.
+Differentials = Future[tuple[FloatArray, IndexArray]]
 
 
 class Energy(Protocol):
@@ -52,36 +54,11 @@ class Quadratic(Protocol):
         """``alpha L + B``; with the factors of a system before, where there is one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """Where an iteration starts.
-
-    Attributes
-    ----------
-    positions : (n, 3) float64
-    found : future of ((n, 3, 3) float64, (b,) int64)
-        Differentials of the positions, which are made meanwhile.
-    stiffness : float
-    before : Quadratic or None
-        Terms of the iteration before.
-    """
-
-    positions: FloatArray
-    found: Future[tuple[FloatArray, IndexArray]]
-    stiffness: float
-    before: Quadratic | None
-
-    @property
-    def maps(self) -> FloatArray:
-        """(n, 3, 3) differentials; waits for them."""
-        return self.found.result()[0]
-
-
 class Terms(Protocol):
     """What an energy is minimised with: data terms and constraints."""
 
-    def at(self, iterate: Iterate) -> Quadratic:
-        """Terms near an iterate."""
+    def at(self, positions: FloatArray, found: Differentials, alpha: float, before: Any) -> Quadratic:
+        """Terms near positions (n, 3), at a stiffness alpha; those of the iteration before are known, or None."""
 
 
 def minimise(
@@ -95,16 +72,8 @@ def minimise(
 
     The alternation creeps along the surface, where only the energy acts; momentum makes it three times faster. Where
     the mesh lies on the source, softening would only let it slide: the stiffness is then the largest that keeps it
-    there (Morozov's discrepancy principle). That is so between cages of one shape.
-
-    Parameters
-    ----------
-    energy : Energy
-    terms : Terms
-    start : (n, 3) float64
-    stage : Stage
-    adjust : callable
-        Applied to the positions (n, 3) of every iteration, to keep a symmetry.
+    there (Morozov's discrepancy principle). That is so between cages of one shape. ``adjust`` is applied to the
+    positions of every iteration, to keep a symmetry.
     """
     positions, before = start, start
     quadratic: Quadratic | None = None
@@ -116,7 +85,7 @@ def minimise(
             if quadratic is not None and quadratic.distance <= stage.on_surface:
                 alpha = float(max(ramped, min(stage.stiffening * softer, stage.max_stiffness)))
             found = aside.submit(energy.differentials, positions)
-            last, quadratic = quadratic, terms.at(Iterate(positions, found, alpha, quadratic))
+            last, quadratic = quadratic, terms.at(positions, found, alpha, quadratic)
             if system is None or quadratic is not last or alpha != softer:
                 anew = (iteration - 1) % stage.factored == 0
                 system = quadratic.system(alpha, stage, None if anew else system)

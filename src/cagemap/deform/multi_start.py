@@ -8,15 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from cagemap.deform.best_parts import best_parts
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.deform.config import SearchConfig
 from cagemap.deform.fit import coarse_fit, fine_fit, fine_stage, with_cost
-from cagemap.deform.inverse_consistency import inverse_consistent
+from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct, mean_distance
-from cagemap.deform.pose import fit_in_pose, largest_limb_rotation, pose_difference
-from cagemap.deform.prepared import CoarseShape
-from cagemap.deform.problem import Problem
-from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.deform.problem import CoarseShape, Problem
+from cagemap.deform.refit import largest_limb_rotation
+from cagemap.deform.starts import spectral_starts, start_map
+from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.numerics.threads import ThreadPool, in_threads
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a fit of their own.
@@ -25,24 +27,15 @@ FEWEST_LANDMARKS = 3
 
 @dataclass(frozen=True, eq=False)
 class AnchoredFits:
-    """What held points lead to: landmarks, or the tips of assigned limbs beside them.
+    """What held points lead to: landmarks, or the tips of assigned limbs beside them."""
 
-    Attributes
-    ----------
-    shape : CoarseShape
-        The clusters that hold them.
-    soft : tuple of Placement
-        Of the soft coarse stage, from the spectral map and from the points' elastic energy alone.
-    refined : tuple of Placement
-        The fine stage, which holds landmarks only, from those of the stiff coarse stage; cheapest first.
-    agree : bool
-        Whether both starts end alike, and no limb is posed otherwise: then no joint needs the soft stage, and the
-        stiff one spreads the strain more evenly.
-    """
-
-    shape: CoarseShape
+    shape: CoarseShape  # the clusters that hold them
+    # Of the soft coarse stage, from the spectral map and from the points' elastic energy alone
     soft: tuple[Placement, ...]
+    # The fine stage, which holds landmarks only, from those of the stiff coarse stage; cheapest first
     refined: tuple[Placement, ...]
+    # Whether both starts end alike, and no limb is posed otherwise: then no joint needs the soft stage, and the stiff
+    # one spreads the strain more evenly
     agree: bool
 
     @classmethod
@@ -53,16 +46,9 @@ class AnchoredFits:
         vertices: tuple[IndexArray, IndexArray],
         start: FloatArray | None = None,
     ) -> AnchoredFits:
-        """Fit from both starts.
+        """Fit from both starts; the shape holds vertices (p,) of the levels of target and source that are searched.
 
-        Parameters
-        ----------
-        problem : Problem
-        shape : CoarseShape
-        vertices : (p,) int64, (p,) int64
-            What the shape holds, of the levels of target and source that are searched.
-        start : (k, 3) float64, optional
-            Places of the clusters, instead of the spectral map; it alone counts where too few points are held.
+        A start (k, 3) stands for the spectral map. It alone counts where too few points are held.
         """
         elastic, stiff = problem.prepared.elastic, problem.stiff
         # The start from the points is another one in the stiff stage: differentials are smoothed over its length.
@@ -87,7 +73,7 @@ class AnchoredFits:
 
     def upsampled(self, problem: Problem) -> AnchoredFits:
         """The same with what spectral upsampling makes of the first soft one, and with the best parts of all."""
-        starts = spectral_starts(self.soft[0], SpectralSides.build(problem, self.shape))
+        starts = spectral_starts(problem, self.shape)(self.soft[0])
         more = in_threads(lambda rough: coarse_fit(problem, rough, self.shape), starts)
         refined = refine_best(problem, [*self.soft, *more], refined=self.refined)
         return replace(self, refined=tuple(refined)).like(self.refined[0])
@@ -95,22 +81,6 @@ class AnchoredFits:
     def like(self, placed: Placement) -> AnchoredFits:
         """The same with the name and the doubt of a placement."""
         return replace(self, refined=tuple(replace(one, name=placed.name, doubt=placed.doubt) for one in self.refined))
-
-
-def finished(problem: Problem, placed: Placement) -> Placement:
-    """The placement fitted again in the source's pose, and made inverse consistent where that costs hardly more.
-
-    Its cost and positions stay as before, to compare with others'. Not under masks: what is masked would be fitted back
-    as well, and drag what is not with it.
-    """
-    prepared, posed = problem.prepared, placed
-    if prepared.rest.masks.any:
-        return placed
-    if pose_difference(prepared.rest, placed.positions) > prepared.elastic.pose.difference:
-        posed = with_cost(prepared, fit_in_pose(problem, placed.positions))
-    both_ways = with_cost(prepared, inverse_consistent(problem, posed.positions))
-    cheap = both_ways.cost <= prepared.elastic.search.as_cheap * posed.cost
-    return replace(placed, final=(both_ways if cheap else posed).positions)
 
 
 def refine_best(
@@ -140,3 +110,37 @@ def refine(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
 def cheapest_first(placements: Iterable[Placement]) -> list[Placement]:
     """Placements sorted by cost, ascending."""
     return sorted(placements, key=lambda placed: placed.cost)
+
+
+def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:
+    """(n, 3) the cheapest of some placements with those parts of the others that cost less; None if there are none.
+
+    One may be right about an arm, another about a leg. A part is a connected piece of the surface where two placements
+    are apart, a limb most often; around it they agree, so that one fits into the other.
+    """
+    positions, costs, changed = ranked[0].positions, ranked[0].costs, False
+    for other in ranked[1:]:
+        apart = np.linalg.norm(positions - other.positions, axis=1) > config.part_distance
+        part, share = _parts(graph, apart, config.part_rings)
+        inside, count = part >= 0, int(part.max()) + 1
+        gains = np.bincount(part[inside], (costs - other.costs)[inside], count)
+        areas = np.bincount(part[apart], graph.areas[apart], count)
+        better = np.append((gains > 0) & (areas >= config.part_area), False)
+        share = share * better[part]
+        positions = positions + share[:, None] * (other.positions - positions)
+        costs, changed = np.where(share > 0, other.costs, costs), changed or bool(better.any())
+    return positions if changed else None
+
+
+def _parts(graph: ElasticGraph, apart: NDArray[np.bool_], rings: int) -> tuple[IndexArray, FloatArray]:
+    """Number (n,) of the connected piece that vertices are of, rings around it included, -1 elsewhere; share (n,)."""
+    both = apart[graph.heads] & apart[graph.tails]
+    _, numbers = np.unique(components(graph.heads[both], graph.tails[both], graph.n)[apart], return_inverse=True)
+    part, share = np.full(graph.n, -1), apart.astype(np.float64)
+    part[apart] = numbers
+    for ring in range(rings):
+        reached = np.full(graph.n, -1)
+        np.maximum.at(reached, graph.heads, part[graph.tails])
+        new = (part < 0) & (reached >= 0)
+        part[new], share[new] = reached[new], 1.0 - (ring + 1) / (rings + 1)
+    return part, share

@@ -14,37 +14,21 @@ from cagemap.numerics.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the vertices of a graph, or of the target's mesh, are placed on the source.
+    """Where the vertices of a graph, or of the target's mesh, are placed on the source."""
 
-    Attributes
-    ----------
-    positions : (n, 3) float64
-        Near the source, at unit area.
-    cost : float
-        Sum of `costs`; 0 where it was not asked for.
-    costs : (n,) float64
-        Squared distances both ways and elastic energy by vertex; empty where they were not asked for.
-    name : str
-        The start in words, such as "turned 180 degrees about y".
-    doubt : float
-        Factor on the cost when placements are ranked.
-    maps : (n, 3, 3) float64
-        Differentials; empty where nothing is extrapolated from it.
-    graph : ElasticGraph or None
-        Whose clusters these are.
-    final : (n, 3) float64 or None
-        Positions after the refit in the source's pose and the average with the inverse, if there was one; others
-        compare by ``positions``.
-    """
-
-    positions: FloatArray
-    cost: float = 0.0
+    positions: FloatArray  #: (n, 3) near the source, at unit area
+    cost: float = 0.0  #: sum of `costs`; 0 where it was not asked for
+    #: (n,) squared distances both ways and elastic energy by vertex; empty where they were not asked for
     costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    name: str = ""
-    doubt: float = 1.0
+    name: str = ""  #: the start in words, such as "turned 180 degrees about y"
+    doubt: float = 1.0  #: factor on the cost when placements are ranked: above 1 where the files' axes are turned
+    #: (n, 3, 3) differentials; empty where nothing is extrapolated from it
     maps: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)), repr=False)
-    graph: ElasticGraph | None = field(default=None, repr=False)
+    graph: ElasticGraph | None = field(default=None, repr=False)  #: whose clusters these are
+    #: (n, 3) positions after `refit.finished`; placements are compared by ``positions``
     final: FloatArray | None = field(default=None, repr=False)
+    #: Places of landmarks whose target points belong to the source points of others, in this placement
+    exchange: tuple[tuple[int, int], ...] = ()
 
     @property
     def answer(self) -> FloatArray:

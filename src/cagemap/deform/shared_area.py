@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import PreparedPair
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_points

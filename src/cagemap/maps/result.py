@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
-from cagemap.maps.level_map import LevelMap
+from cagemap.maps.levels import LevelMap
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap

@@ -17,9 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
-from cagemap.maps.given import MapLike
-from cagemap.maps.level_map import LevelMap
-from cagemap.maps.level_pairs import ladder, search_levels
+from cagemap.maps.functional_maps import MapLike
+from cagemap.maps.levels import LevelMap, ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.maps.given import MapLike, checked, functional_map_from
-from cagemap.maps.level_map import LevelMap
+from cagemap.maps.functional_maps import MapLike, checked, functional_map_from
+from cagemap.maps.levels import LevelMap
 from cagemap.maps.pair import LevelPair, Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray

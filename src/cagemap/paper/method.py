@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.maps.given import MapLike
-from cagemap.maps.level_map import LevelMap
-from cagemap.maps.level_pairs import ladder
+from cagemap.maps.functional_maps import MapLike
+from cagemap.maps.levels import LevelMap, ladder
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.deform.config import HypothesisConfig
+from cagemap.deform.config import SearchConfig
 from cagemap.errors import CagemapError
 from cagemap.files.result.folder import read_result
 from cagemap.studio.finish import MAP
@@ -15,7 +15,7 @@ from cagemap.studio.state import Output
 def led_elsewhere(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
     """What to say where the map of a finish is another answer than the one that is shown; nothing where it is not.
 
-    Two answers of a search differ by as much on average (`HypothesisConfig.different`).
+    Two answers of a search differ by as much on average (`SearchConfig.different`).
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def led_elsewhere(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str
     if len(found) < n:
         return ()
     apart = np.linalg.norm(found[:n] - match.source.scale * shown, axis=1).mean()
-    if apart < HypothesisConfig.different:
+    if apart < SearchConfig.different:
         return ()
     return (
         f"the full map is another one than the map that is shown: it leads {100 * apart:.0f} % of the source's size "

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import PreparedPair
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match

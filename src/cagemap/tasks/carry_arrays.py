@@ -26,7 +26,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skin import carry_skin
-from cagemap.wrap.counterpart import counterpart
+from cagemap.wrap.terms import counterpart
 
 # A control vertex below this trust takes its weights from those around it.
 _TRUSTED = 0.1

@@ -14,8 +14,7 @@ from cagemap.files.result.manifest import input_file
 from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.values.attributes import read_attributes
-from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
-from cagemap.maps.masks import Masks
+from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import find_part
@@ -49,7 +48,7 @@ class GivenMask:
     inverted : bool
         Everything but that.
     edge : float
-        Width of its soft edge, see `cagemap.maps.mask_values.soft_edge`.
+        Width of its soft edge, see `cagemap.maps.masks.soft_edge`.
     """
 
     vertices: FloatArray | None = None

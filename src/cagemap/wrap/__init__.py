@@ -2,7 +2,6 @@
 
 from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.net import level_mesh
-from cagemap.wrap.residual_detail import missing_detail, wrapped_transfer
-from cagemap.wrap.wrapping import Residual, Wrapped, wrap
+from cagemap.wrap.wrapping import Residual, Wrapped, missing_detail, wrap, wrapped_transfer
 
 __all__ = ["Residual", "WrapConfig", "Wrapped", "level_mesh", "missing_detail", "wrap", "wrapped_transfer"]

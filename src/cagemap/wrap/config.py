@@ -11,7 +11,10 @@ from cagemap.errors import ParameterError
 
 @dataclass(frozen=True)
 class NetConfig:
-    """A net's energy, and the samples of its surface (docs/lab/elastic.md)."""
+    """A net's energy, the samples of its surface, and parts that the source lacks (docs/lab/elastic.md).
+
+    Areas are shares of the whole, lengths are of sqrt(area).
+    """
 
     weight_power: float = 0.5  #: exponent of an edge's squared length in its weight: 0 alike, 1 as squared distances
     smoothing: float = 0.01  #: epsilon of the energy, see `cagemap.deform.config.Stage`
@@ -25,12 +28,6 @@ class NetConfig:
     carrying_rounds: int = 30  #: rounds of the energy alone that carry free points along before the first fit
     around: int = 3  #: rings around the points of a local fit that their differentials depend on
     nearest_points: int = 30  #: points that a detached piece goes with: some rings of a coarse cage
-
-
-@dataclass(frozen=True)
-class CounterpartConfig:
-    """Parts of the target that the source lacks; areas are of the whole, lengths of sqrt(area)."""
-
     squeezed: float = 0.03  #: ratio of areas on source and target of parts without a counterpart: a hundredth and less
     whole: float = 0.1  #: the same of parts with one: a fifth at least
     among: float = 0.01  #: images of what lies behind such a part lie among those of the rest if they are that near
@@ -74,7 +71,6 @@ class WrapConfig:
     max_distance: float = 0.01
     stronger_anchor: float = 3.0  #: factor on ``anchor`` of the second fit that is then tried; the closer one counts
     net: NetConfig = NetConfig()  #: numbers of the parts of the method
-    counterpart: CounterpartConfig = CounterpartConfig()
     mending: MendConfig = MendConfig()
 
     def __post_init__(self) -> None:

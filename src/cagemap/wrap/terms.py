@@ -17,16 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
+from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
 from cagemap.deform.energy import ElasticEnergy
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import Iterate
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.relax import patches
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import level_triangles
 from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import corner_sums, triangle_areas
 from cagemap.wrap.config import NetConfig, WrapConfig
 from cagemap.wrap.net import ControlNet
 
@@ -105,12 +109,12 @@ class NetTerms:
         positions[moving] = self.factors.solve((right + elastic)[moving])
         return positions
 
-    def at(self, iterate: Iterate) -> SampleTerms:
+    def at(self, positions: FloatArray, found: object, alpha: float, before: SampleTerms | None) -> SampleTerms:
         """Terms at the closest points of the source."""
         samples, images = self.samples, self.samples.images
-        guess = iterate.before.closest.triangle if isinstance(iterate.before, SampleTerms) else images.triangle
+        guess = images.triangle if before is None else before.closest.triangle
         weight = self.config.net.normal_weight
-        places = samples.rows @ iterate.positions
+        places = samples.rows @ positions
         closest = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=weight, guess=guess)
         held = samples.held | (np.linalg.norm(closest.positions - images.positions, axis=1) > samples.reach)
         across = np.where(held, 0.0, samples.weights)
@@ -166,3 +170,53 @@ class SampleTerms:
         moved = positions.copy()
         moved[moving] += step.reshape(-1, 3)
         return moved
+
+
+def counterpart(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
+    """(n1,) 1 where the map finds room on the source, 0 where it finds none.
+
+    It squeezes what the source lacks into next to nothing. What lies behind may be laid over a place that belongs to
+    another part: the back of a mouth bag, whose sides are squeezed into the corners of the lips, over the lips.
+    """
+    target = point_map.target
+    image = triangle_areas(point_map.images.positions, target.triangles)
+    sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
+    # A vertex in a squeezed part has squeezed neighbours as well; single slivers do not count.
+    for _ in range(2):
+        sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
+    ratio = np.divide(sums[:, 1], sums[:, 0], out=np.ones(target.n), where=sums[:, 0] > 0)
+    found = np.clip((ratio - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
+    found[_hollow(point_map, found >= 0.5, config)] = 0.0
+    return found
+
+
+def _hollow(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
+    """(n1,) squeezed parts with what lies behind them, where that is laid over images of the rest; ``whole`` is not."""
+    target, images = point_map.target, point_map.images.positions
+    nowhere = np.zeros(target.n, dtype=np.bool_)
+    if whole.all():
+        return nowhere
+    part, piece = patches(target.triangles, whole), patches(target.triangles, np.ones(target.n, dtype=np.bool_))
+    areas = np.bincount(part, np.where(whole, target.vertex_areas, 0.0))
+    largest = np.zeros(int(piece.max()) + 1)
+    np.maximum.at(largest, piece, areas[part])
+    behind = whole & (areas[part] < largest[piece])
+    if target.vertex_areas[behind].sum() < config.min_area:
+        return nowhere
+    distance, _ = cKDTree(images[whole & ~behind]).query(images[behind])
+    near = np.bincount(part[behind], distance <= config.among, len(areas)) > 0.5 * np.bincount(
+        part, minlength=len(areas)
+    )
+    laid_over = behind & near[part]
+    hollow = patches(target.triangles, ~whole | laid_over)
+    share = np.bincount(hollow, np.where(laid_over, target.vertex_areas, 0.0))
+    return np.asarray(share[hollow] >= config.min_area)
+
+
+def boundary_vertices(surface: TriangleSurface) -> NDArray[np.bool_]:
+    """(n,) whether a vertex lies on the boundary of a surface."""
+    triangle, opposite = np.nonzero(surface.neighbors < 0)
+    found = np.zeros(surface.n, dtype=np.bool_)
+    for k in (1, 2):
+        found[surface.triangles[triangle, (opposite + k) % 3]] = True
+    return found

@@ -1,4 +1,4 @@
-"""Wrap a target's cage onto a source along a map, and measure the distance."""
+"""Wrap a target's cage onto a source along a map; what remains of the source is detail over the wrapped surface."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
-from cagemap.subdivision import Refinement
+from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.transfer.baking import Transfer
+from cagemap.transfer.detail import Detail, detail_over, own_transfer
 from cagemap.wrap.config import WrapConfig
-from cagemap.wrap.counterpart import boundary_vertices, counterpart
 from cagemap.wrap.fit import fit_net, unchanged
 from cagemap.wrap.mend import mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
-from cagemap.wrap.terms import Samples
+from cagemap.wrap.terms import Samples, boundary_vertices, counterpart
 
 # What is said of a plain target.
 NO_CAGE = (
@@ -107,13 +108,13 @@ def wrap(
             f"{point_map.target.n}: are target and source exchanged, or of other levels?"
         )
     with ThreadPool(1) as pool:
-        found = pool.submit(counterpart, point_map, config.counterpart)
+        found = pool.submit(counterpart, point_map, config.net)
         net = control_net(target, config.level, point_map.target.scale, config.net)
         weights = found.result() * _follow(target, follow)
     boundary = boundary_vertices(point_map.target)
     samples = Samples.choose(net, point_map.images, weights, boundary, config.net)
     adjust = unchanged if symmetry is None else partial(symmetrized, symmetry)
-    follows = weights >= config.counterpart.followed
+    follows = weights >= config.net.followed
     if not follows.any():
         raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
     source = point_map.source
@@ -181,3 +182,41 @@ def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
             f"vertex of its finest level), got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
     return values if len(values) == count else np.clip(target.prolong(values, 0, target.n_levels), 0.0, 1.0)
+
+
+# Level of both surfaces at least: what most programs render a subdivision surface at.
+_RENDERED = 4
+# No finer than this, whatever the level.
+_MOST_VERTICES = 1_500_000
+
+
+def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
+    """The wrapped surface, to bake into its own layout, and the source as the detail over it.
+
+    Both surfaces are refined past the levels of the match: where it is coarse, its triangles are not the surface. Where
+    a vertex was not to follow, the detail does not count. The last value is the refined source, of the detail.
+    """
+    transfer, follow = wrapped_transfer(wrapped, target)
+    other = _refined(source, max(source.n_levels, _RENDERED))
+    triangles = level_triangles(other, other.n_levels)
+    detail = detail_over(transfer.point_map.source, other.finest.positions, triangles)
+    return transfer, replace(detail, follow=follow), other
+
+
+def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, FloatArray]:
+    """The wrapped surface as it is rendered, to bake into its own layout; and how far its vertices (n,) follow."""
+    fine = _refined(target, max(target.n_levels, _RENDERED))
+    # `refine` works on the control mesh; positions of the net are refined from their own level.
+    positions = fine.prolong(wrapped.mesh.positions, wrapped.level, fine.n_levels)
+    follow = np.clip(fine.prolong(wrapped.follow, target.n_levels, fine.n_levels), 0.0, 1.0)
+    return own_transfer(replace(fine.finest, positions=positions)), follow
+
+
+def _refined(refinement: Refinement, level: int) -> Refinement:
+    """The refinement up to a level, or up to the last one that is not too large."""
+    size = refinement.finest.n_vertices
+    while level > refinement.n_levels and size * 4 ** (level - refinement.n_levels) > _MOST_VERTICES:
+        level -= 1
+    if level == refinement.n_levels or refinement.is_plain:
+        return refinement
+    return refine(refinement.control, level, refinement.scheme)

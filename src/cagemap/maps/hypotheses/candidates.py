@@ -8,15 +8,14 @@ from dataclasses import replace
 from cagemap.deform.fit import coarse_fit, with_cost
 from cagemap.deform.multi_start import cheapest_first, refine_best
 from cagemap.deform.placement import Placement, distinct
-from cagemap.deform.pose import common_rotation
-from cagemap.deform.prepared import CoarseShape, PreparedPair
-from cagemap.deform.problem import Problem
-from cagemap.deform.starts import SpectralSides, spectral_starts, start_map
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.refit import common_rotation
+from cagemap.deform.starts import spectral_starts, start_map
 from cagemap.maps.hypotheses.limbs import Assignment, assigned_limbs
-from cagemap.maps.hypotheses.part_starts import in_place
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
+    in_place,
     nearest_axis_rotation,
     rigid_starts,
     rotation_doubt,
@@ -42,7 +41,7 @@ def least_cost(prepared: PreparedPair) -> float:
 
 def rough_problem(problem: Problem) -> Problem:
     """The same on the small graph on which all starts are tried."""
-    config = problem.prepared.elastic.hypotheses
+    config = problem.prepared.elastic.search
     return problem.staged(config.rough, config.rough_vertices)
 
 
@@ -56,7 +55,7 @@ def rough_fits(
     rotations are not doubted. ``show`` is called with the best fit that keeps the files' axes, then with the best
     of all.
     """
-    rough, config = rough_problem(problem), problem.prepared.elastic.hypotheses
+    rough, config = rough_problem(problem), problem.prepared.elastic.search
 
     def fitted(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
@@ -101,13 +100,13 @@ def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placemen
     """
     if not rough:
         return []
-    graph, sides = problem.shape.rest.graph, SpectralSides.build(problem)
-    config = problem.prepared.elastic.hypotheses
+    graph, starts = problem.shape.rest.graph, spectral_starts(problem)
+    config = problem.prepared.elastic.search
 
     def improve(one: Placement) -> list[Placement]:
         with thread_limit(1):
             own = coarse_fit(problem, one.on(graph, problem.prepared.elastic.graph))
-            coarse = cheapest_first([own, *(coarse_fit(problem, start) for start in spectral_starts(own, sides))])
+            coarse = cheapest_first([own, *(coarse_fit(problem, start) for start in starts(own))])
         return [replace(placed, name=one.name, doubt=one.doubt) for placed in coarse]
 
     improved = sorted(in_threads(improve, rough), key=lambda coarse: coarse[0].rank)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import PreparedPair
 from cagemap.maps.hypotheses.signs import TIE, findings
 from cagemap.numerics.arrays import FloatArray
 

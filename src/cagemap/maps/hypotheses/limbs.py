@@ -1,21 +1,164 @@
-"""Starts that do not depend on the pose: limbs of the target assigned to limbs of the source by intrinsic measures."""
+"""Limbs: their tips, which ones of two surfaces may correspond, and fits that tips lead.
+
+Between species the energy leaves an ear or a hoof beside its counterpart, and drags what is around it along; a short
+leg lies within a long one. So tips that lie near each other lead a fit, whose coarse stage has data terms of the source
+too. Limbs assigned to limbs by intrinsic measures are starts that do not depend on the pose.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
-from cagemap.deform.config import HypothesisConfig
+from cagemap.deform.config import SearchConfig
+from cagemap.deform.data import SourceSamples
+from cagemap.deform.fit import coarse_fit, fine_fit, with_cost
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.prepared import CoarseShape
-from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.part_starts import units_of_larger
-from cagemap.maps.hypotheses.tips import Tips
+from cagemap.deform.placement import Placement
+from cagemap.deform.problem import CoarseShape, Problem
+from cagemap.maps.hypotheses.rigid_starts import units_of_larger
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import thread_limit
+
+
+@dataclass(frozen=True, eq=False)
+class Tips:
+    """Tips of both surfaces.
+
+    Attributes
+    ----------
+    vertices : (e,) int64
+        Of the target's level that is deformed.
+    source_vertices : (e2,) int64
+        Of the source's level that is searched.
+    places : (e2, 3) float64
+        Of these.
+    """
+
+    vertices: IndexArray
+    source_vertices: IndexArray
+    places: FloatArray
+
+    @classmethod
+    def of(cls, problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
+        """Those of a least height that are neither masked, nor at a landmark, nor where a surface ends; highest first.
+
+        The height, by default the config's, is that in units of which those of target and source are ``units``.
+        """
+        (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
+        prepared, found = problem.prepared, []
+        config = prepared.elastic.search
+        least = config.tip_height if least is None else least
+        searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
+        masks = prepared.masks.at(prepared.vertices, searched)
+        meshes = prepared.mesh, prepared.source.triangles(prepared.levels[1])
+        for graph, mesh, counts, given, unit in (
+            (target, meshes[0], masks.of_target(target.n), landmarks.target.positions, units[0]),
+            (source, meshes[1], masks.of_source(source.n), landmarks.source.positions, units[1]),
+        ):
+            vertices = tip_vertices(graph, least / unit)
+            away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
+            kept = (counts[vertices] > 0) & (away > config.tip_taken) & ~mesh.boundary_vertices[vertices]
+            found.append(vertices[kept])
+        return cls(found[0], found[1], source.positions[found[1]])
+
+    def pairs(self, positions: FloatArray, config: SearchConfig) -> IndexArray:
+        """(q, 2) tips of target and source that are each other's nearest where a fit puts the target's vertices."""
+        images = positions[self.vertices]
+        if not len(images) or not len(self.places):
+            return np.zeros((0, 2), dtype=np.int64)
+        distance, there = (np.asarray(found) for found in cKDTree(self.places).query(images))
+        back = np.asarray(cKDTree(images).query(self.places)[1])
+        mutual = (distance < config.tips_near) & (back[there] == np.arange(len(images)))
+        if not np.any(distance[mutual] > config.tips_met):
+            return np.zeros((0, 2), dtype=np.int64)
+        return np.column_stack([np.flatnonzero(mutual), there[mutual]])
+
+
+def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
+    """Refit from a placement with the tips held in the coarse stage; the placement itself where it is much cheaper.
+
+    That stage is stiff and has data terms of the source as well: trunks and necks follow their ends. The fine stage
+    holds landmarks only: tips that are no counterparts slip away.
+    """
+    prepared, config = problem.prepared, problem.prepared.elastic.search
+    pairs = tips.pairs(placed.positions, config)
+    if not len(pairs):
+        return placed
+    stiff = problem.staged(config.led)
+    shape = stiff.holding(tips.vertices[pairs[:, 0]], tips.places[pairs[:, 1]])
+    leading = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
+    with thread_limit(1):
+        led = coarse_fit(stiff, placed.positions[shape.vertices], shape, leading)
+    again = replace(with_cost(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
+    return again if again.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
+
+
+def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
+    """(e,) vertices that are farther from the whole surface than all around them, highest first.
+
+    Height is the mean geodesic distance to the surface (Hilaga et al. 2001); a tip's own is taken over the highest
+    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002).
+    """
+    heights = mean_distances(graph)
+    peaks, above = prominences(heights, graph.heads, graph.tails)
+    kept = above >= least
+    return peaks[kept][np.argsort(-above[kept], kind="stable")]
+
+
+def mean_distances(graph: ElasticGraph) -> FloatArray:
+    """(n,) mean distance along the edges to the whole surface.
+
+    A piece of its own knows only itself; small ones, see `ElasticGraph.station_distances`, have 0.
+    """
+    distances = graph.station_distances
+    reached = np.isfinite(distances)
+    large = reached.any(axis=0)
+    shares = np.bincount(distances.argmin(axis=0), graph.areas * large, len(distances))
+    return np.asarray((shares @ np.where(reached, distances, 0.0)) / np.where(large, shares @ reached, 1.0))
+
+
+def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
+    """Local maxima (q,) of heights on a graph, and how far one has to come down from each to reach a higher one.
+
+    The highest of a connected piece stands over the lowest place of its piece.
+
+    Parameters
+    ----------
+    heights : (n,) float64
+    heads, tails : (2 m,) int64
+        Every edge in both directions.
+    """
+    order = np.argsort(heights, kind="stable")
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    best = rank.copy()
+    np.maximum.at(best, heads, rank[tails])
+    up = order[best]
+    while not np.array_equal(up[up], up):  # every vertex climbs to its peak
+        up = up[up]
+    peaks, basin = np.unique(up, return_inverse=True)
+    across = basin[heads] < basin[tails]
+    basins, passes = np.column_stack([basin[heads], basin[tails]])[across], np.minimum(rank[heads], rank[tails])[across]
+    descending = np.argsort(-passes, kind="stable")
+    _, highest = np.unique(basins[descending], axis=0, return_index=True)  # the highest pass between any two basins
+    above, joined = np.full(len(peaks), np.inf), np.arange(len(peaks))
+    for edge in descending[np.sort(highest)].tolist():
+        a, b = joined[basins[edge]].tolist()
+        if a != b:
+            lower, higher = (a, b) if rank[peaks[a]] < rank[peaks[b]] else (b, a)
+            above[lower] = heights[peaks[lower]] - heights[order[passes[edge]]]
+            joined[joined == lower] = higher
+    lowest, highest_ones = np.full(len(peaks), np.inf), np.isinf(above)
+    np.minimum.at(lowest, joined[basin], heights)
+    above[highest_ones] = (heights[peaks] - lowest)[highest_ones]
+    return peaks, above
+
 
 # Least length of a limb, of sqrt(area).
 LEAST_LENGTH = 0.01
@@ -46,7 +189,7 @@ class Limbs:
         landmarks: IndexArray,
         tips: IndexArray,
         unit: float = 1.0,
-        girth_part: float = HypothesisConfig.girth_part,
+        girth_part: float = SearchConfig.girth_part,
     ) -> Limbs:
         """Measure the limbs that end at some vertices (e,), beside landmarks (p,); three at least, of one piece.
 
@@ -69,7 +212,7 @@ class Limbs:
 
 
 def assignments(
-    target: Limbs, source: Limbs, config: HypothesisConfig = HypothesisConfig()
+    target: Limbs, source: Limbs, config: SearchConfig = SearchConfig()
 ) -> list[tuple[IndexArray, IndexArray]]:
     """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
 
@@ -110,7 +253,7 @@ class Assignment:
 
 def assigned_limbs(problem: Problem) -> list[Assignment]:
     """Likely assignments of a pair's limbs, the likeliest first; none where one of the surfaces has too few."""
-    units, config = units_of_larger(problem.prepared), problem.prepared.elastic.hypotheses
+    units, config = units_of_larger(problem.prepared), problem.prepared.elastic.search
     landmarks, tips = problem.landmark_vertices, Tips.of(problem, config.limb_height, units)
     ends = tips.vertices[: config.max_limbs], tips.source_vertices[: config.max_limbs]
     fewest = min(map(len, ends))

@@ -1,4 +1,4 @@
-"""Rigid starts without landmarks: rotations that align boxes and principal axes of both shapes.
+"""Rigid starts without landmarks: rotations that align boxes and principal axes of both shapes, or as the files stand.
 
 A start is a rough position on the source for every vertex of the target's coarse graph. All are orientation-preserving:
 the elastic energy cannot turn a mirrored start over, so that left stays left.
@@ -11,8 +11,9 @@ from itertools import permutations, product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cagemap.deform.config import HypothesisConfig
+from cagemap.deform.config import SearchConfig
 from cagemap.deform.placement import Placement
+from cagemap.deform.problem import PreparedPair
 from cagemap.numerics.arrays import FloatArray
 
 AS_FILED = "as the files stand"
@@ -52,7 +53,7 @@ def nearest_axis_rotation(matrix: FloatArray) -> FloatArray:
     return max(axis_rotations(), key=lambda one: float((one * matrix).sum()))
 
 
-def rotation_doubt(matrix: FloatArray, config: HypothesisConfig) -> float:
+def rotation_doubt(matrix: FloatArray, config: SearchConfig) -> float:
     """Factor on the cost of a placement that is turned by one of `axis_rotations`."""
     if matrix[1, 1] < 0.5:
         return config.other_doubt
@@ -100,3 +101,27 @@ def _principal_frame(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     frame = np.linalg.svd(points - centre, full_matrices=False)[2].T
     frame[:, 2] *= np.sign(np.linalg.det(frame)) or 1.0
     return centre, frame
+
+
+def file_ratio(prepared: PreparedPair) -> float:
+    """Factor from the target's unit to the source's by the lengths in the files; 1 where they say nothing.
+
+    Both units are sqrt(area), which of a part is not that of the whole. Of closed surfaces it is 1.
+    """
+    target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
+    if not (target.is_open or source.is_open):
+        return 1.0
+    ratio, most = source.scale / target.scale, prepared.elastic.search.max_unit_ratio
+    return ratio if 1.0 / most <= ratio <= most else 1.0
+
+
+def units_of_larger(prepared: PreparedPair) -> tuple[float, float]:
+    """Units of target and source, in that of the larger surface."""
+    ratio = file_ratio(prepared)
+    return min(ratio, 1.0), min(1.0 / ratio, 1.0)
+
+
+def in_place(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
+    """Points (k, 3) of an open pair's target where its file puts them among the source's; none if that is unknown."""
+    ratio = file_ratio(prepared)
+    return [] if ratio == 1.0 else [Placement(np.asarray(ratio * points))]

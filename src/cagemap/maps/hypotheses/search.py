@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, finished
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
+from cagemap.deform.refit import finished
 from cagemap.maps.hypotheses.candidates import least_cost, released_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.tips import Tips, led_by_tips
+from cagemap.maps.hypotheses.limbs import Tips, led_by_tips
 from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads
@@ -59,7 +60,7 @@ def search(
         best = first if first.agree else first.upsampled(problem)
         found += [*best.refined[: None if decided else 1], *(one.refined[0] for one in others)]
     least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
-    config = problem.prepared.elastic.hypotheses
+    config = problem.prepared.elastic.search
 
     def best_first(placements: Sequence[Placement]) -> list[Placement]:
         return sorted(placements, key=lambda placed: placed.doubt * max(placed.cost, least))
@@ -87,7 +88,7 @@ def found_readings(
     Positions are those of the vertices of the level that is deformed.
     """
     prepared, answers = problem.prepared, dict[str, Reading]()
-    different = prepared.elastic.hypotheses.different
+    different = prepared.elastic.search.different
     for placed in distinct(search(problem, progress, show=show), prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:

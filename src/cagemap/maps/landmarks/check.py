@@ -16,8 +16,7 @@ import numpy as np
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.starts import start_map
 from cagemap.maps.elastic import elastic_map
 from cagemap.maps.landmarks.distances import LandmarkDistances, misplaced_pairs, typical_misfit

@@ -7,27 +7,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ProjectionConfig:
-    """Closest points and landmarks; lengths are of sqrt(area)."""
+    """Closest points, landmarks, relaxation of folds; lengths are of sqrt(area), areas shares of the surface."""
 
     min_cosine: float = 0.15  #: smaller cosines between a point's normal and its own: on the wrong side of a thin part
     landmark_tolerance: float = 1e-12  #: a landmark is met when it is missed by less
     landmark_steps: int = 12  #: few suffice: the surface is nearly flat around a landmark
     landmark_normal_weight: float = 0.002  #: of the first step, which keeps to one side of a thin part
-
-
-@dataclass(frozen=True)
-class RelaxConfig:
-    """Relaxation of small folds."""
-
-    rings: tuple[int, ...] = (1, 2, 3, 5, 8)  #: rings of triangles around the folds, round by round
+    rings: tuple[int, ...] = (1, 2, 3, 5, 8)  #: rings of triangles around small folds that are relaxed, round by round
     sweeps: int = 10  #: averages over neighbours before a patch is projected again
     min_gain: float = 0.02  #: share of the flipped triangles that a round must remove for another one
-
-
-@dataclass(frozen=True)
-class FlattenConfig:
-    """Flattening of parts that fold as a whole; lengths are of sqrt(area), areas shares of the surface."""
-
     min_part: float = 1e-3  #: folded area of a part that is flattened
     max_folded: float = 0.02  #: folded area in all, above which the map is wrong and nothing is flattened
     part_distance: float = 0.02  #: folded pieces closer than this, along edges of an even mesh, are one part
@@ -37,4 +25,4 @@ class FlattenConfig:
     min_unfolded: float = 0.5  #: share of the fold that must disappear
     max_move: float = 0.05  #: vertices that move farther count as displaced
     max_displaced: float = 5.0  #: displaced area in units of the folded area (fins and ears: 0 to 1.7; limbs: 25 to 45)
-    landmark_steps: int = 50  #: steps in which landmarks move to their places
+    disc_steps: int = 50  #: steps in which landmarks of a disc move to their places

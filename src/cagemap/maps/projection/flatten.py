@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.maps.projection.config import FlattenConfig
+from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -62,7 +62,7 @@ def flatten_folded_parts(
     flipped: BoolArray,
     target: TriangleSurface,
     held: IndexArray,
-    config: FlattenConfig = FlattenConfig(),
+    config: ProjectionConfig = ProjectionConfig(),
 ) -> SurfacePoints:
     """Unfold the parts with the largest folds, each within a disc, where that removes at least half of the fold.
 
@@ -98,7 +98,7 @@ def flatten_folded_parts(
 
 
 def folded_parts(
-    target: TriangleSurface, flipped: BoolArray, config: FlattenConfig = FlattenConfig()
+    target: TriangleSurface, flipped: BoolArray, config: ProjectionConfig = ProjectionConfig()
 ) -> list[IndexArray]:
     """Vertices of flipped triangles (t,), by part, the largest first; none if more than ``max_folded`` is folded.
 
@@ -125,7 +125,7 @@ def _flattened(
     growth: float,
     target: TriangleSurface,
     held: IndexArray,
-    config: FlattenConfig,
+    config: ProjectionConfig,
 ) -> tuple[IndexArray, SurfacePoints] | None:
     """The target triangles of the disc around a part, and new images; None where either surface has no disc there."""
     centre = images.positions[part].mean(axis=0)
@@ -156,7 +156,7 @@ def _flattened(
         return None
     fixed = disc.inside & np.isin(disc.vertices, held)
     chosen = np.flatnonzero(fixed)
-    moved = moved_to(after, disc.rim, chosen, before[fixed], config.landmark_steps) if len(chosen) else after
+    moved = moved_to(after, disc.rim, chosen, before[fixed], config.disc_steps) if len(chosen) else after
     if moved is None:
         return None
     free = disc.inside & ~fixed

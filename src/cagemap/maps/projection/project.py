@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.maps.projection.config import RelaxConfig
+from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.quality import flipped_triangles, upside_down
 from cagemap.numerics.arrays import FloatArray, IndexArray, components, read_only
 from cagemap.numerics.threads import in_threads, parts
@@ -29,7 +29,7 @@ def relax_folds(
     held: IndexArray,
     *,
     normal_weight: float,
-    config: RelaxConfig = RelaxConfig(),
+    config: ProjectionConfig = ProjectionConfig(),
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
 
@@ -46,7 +46,7 @@ def relax_folds(
         Target vertices that may not move (landmarks).
     normal_weight : float
         Of the projection, see `closest_points`.
-    config : RelaxConfig
+    config : ProjectionConfig
 
     Returns
     -------

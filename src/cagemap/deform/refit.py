@@ -1,9 +1,12 @@
-"""Refit with the rest shape moved into the source's pose, so that bent joints cost no energy.
+"""Refit a placement in the source's pose, and average it with the inverse of the reverse fit.
 
 The elastic energy counts the rotation of a bent joint as a change of differentials, and less of it where the skin is
 squeezed: its minimum has shins slid towards bent knees. So a placement that found the pose is used to bring the target
 there, as rigidly as possible, and the target in that pose is fitted again. Then two bodies stand alike, for which the
 stiff coarse stage is the right one.
+
+What sliding is left, the same energy does the other way round in the reverse fit: the average of a fit and the inverse
+of that leaves half of either out (inverse consistency, Christensen and Johnson 2001).
 """
 
 from __future__ import annotations
@@ -12,14 +15,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.deform.config import PoseConfig
-from cagemap.deform.energy import ElasticEnergy, rotations
-from cagemap.deform.fit import coarse_fit, fine_fit
+from cagemap.deform.config import RefitConfig
+from cagemap.deform.energy import ElasticEnergy, VertexTerms, rotations
+from cagemap.deform.fit import coarse_fit, fine_fit, fine_stage, with_cost
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import minimise
-from cagemap.deform.prepared import RestShape
-from cagemap.deform.problem import Problem
+from cagemap.deform.placement import Placement
+from cagemap.deform.problem import Problem, RestShape
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+
+
+def finished(problem: Problem, placed: Placement) -> Placement:
+    """The placement fitted again in the source's pose, and made inverse consistent where that costs hardly more.
+
+    Its cost and positions stay as before, to compare with others'. Not under masks: what is masked would be fitted back
+    as well, and drag what is not with it.
+    """
+    prepared, posed, config = problem.prepared, placed, problem.prepared.elastic
+    if prepared.rest.masks.any:
+        return placed
+    if pose_difference(prepared.rest, placed.positions) > config.refit.difference:
+        posed = with_cost(prepared, fit_in_pose(problem, placed.positions))
+    both_ways = with_cost(prepared, inverse_consistent(problem, posed.positions))
+    cheap = both_ways.cost <= config.search.as_cheap * posed.cost
+    return replace(placed, final=(both_ways if cheap else posed).positions)
 
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
@@ -28,8 +49,8 @@ def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = Non
     Repeated as the configuration says: the better the fit, the better the pose.
     """
     stiff, rest, config = problem.stiff, problem.prepared.rest, problem.prepared.elastic
-    for _ in range(config.pose.rounds if times is None else times):
-        there = rest.at(rigid_pose(rest, positions, config.pose), config.fine.smoothing)
+    for _ in range(config.refit.rounds if times is None else times):
+        there = rest.at(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
         alike = replace(stiff, prepared=replace(stiff.prepared, rest=there))
         positions = fine_fit(alike, coarse_fit(alike, there.graph.positions[alike.shape.vertices]))
     return positions
@@ -61,7 +82,7 @@ def common_rotation(areas: FloatArray, rotations: FloatArray) -> FloatArray:
     return nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
 
 
-def rigid_pose(rest: RestShape, positions: FloatArray, config: PoseConfig = PoseConfig()) -> FloatArray:
+def rigid_pose(rest: RestShape, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
     """(n, 3) the rest shape near some positions (n, 3), as rigid as possible (Sorkine and Alexa 2007) but at joints.
 
     Minimises ``sum_i a_i |x_i - y_i|^2 + alpha sum_ij c_ij w_ij |x_i - x_j - R_ij (p_i - p_j)|^2``, R the rotations of
@@ -74,11 +95,11 @@ def rigid_pose(rest: RestShape, positions: FloatArray, config: PoseConfig = Pose
     for _ in range(config.joint_rounds):
         stiffness = edge_stiffness(graph, energy.differentials(found)[0], config)
         energy = ElasticEnergy.build(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
-        found = minimise(energy, energy.constant_terms(blocks, right), found, stage)
+        found = minimise(energy, VertexTerms(energy, blocks, right, constant=True), found, stage)
     return found
 
 
-def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: PoseConfig = PoseConfig()) -> FloatArray:
+def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
     """(2 m,) weights ``1 / (1 + k^2 / mean k^2)`` of the edges: 1 where nothing turns, least at joints.
 
     k is the length of the gradient of the vertices' rotations (n, 3, 3), smoothed.
@@ -90,3 +111,38 @@ def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: PoseConfig = 
     squared = np.maximum(graph.smoother(config.joint_smoothing).solve(graph.areas * squared), 0.0)
     stiff = 1.0 / (1.0 + squared / max(float(graph.areas @ squared), 1e-12))
     return np.asarray(np.maximum(np.sqrt(stiff[graph.heads] * stiff[graph.tails]), config.min_stiffness))
+
+
+def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
+    """Positions (n, 3) half-way between a fine placement and the inverse of the reverse fit that starts there.
+
+    Positions as they are where the source has no counterpart of much of the target: there the inverse knows nothing.
+    """
+    prepared, back = problem.prepared, problem.prepared.reversed
+    mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
+    start, _ = inverse(mesh, positions, back.mesh, config.normal_weight)
+    posed = pose_difference(back.rest, start) > config.difference
+    returned = fit_in_pose(problem.reversed, start, times=1) if posed else fine_stage(problem.reversed, start)
+    places, gaps = inverse(back.mesh, returned, mesh, config.normal_weight)
+    if graph.areas[gaps > config.far].sum() > config.max_far * graph.areas.sum():
+        return positions
+    trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
+    return positions + smoothed(graph, 0.5 * (places - positions), trust, config.smoothing)
+
+
+def inverse(
+    mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface, normal_weight: float
+) -> tuple[FloatArray, FloatArray]:
+    """Places (n2, 3) of another mesh's vertices by the inverse of a deformation (n, 3) onto it, and gaps (n2,).
+
+    The gaps are their distances from the deformed mesh.
+    """
+    tree = build_tree(deformed, mesh.triangles)
+    at, barycentric, gaps = closest_points(tree, other.positions, other.vertex_normals, normal_weight=normal_weight)
+    return np.einsum("mk,mkd->md", barycentric, mesh.positions[mesh.triangles[at]]), gaps
+
+
+def smoothed(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray, length: float) -> FloatArray:
+    """(n, 3) shifts of a mesh smoothed over a length; where trust (n,) is 0 they follow their surroundings."""
+    masses = graph.areas * np.maximum(trust, 1e-6)
+    return graph.smoother(length, masses).solve(masses[:, None] * shifts)

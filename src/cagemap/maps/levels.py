@@ -1,9 +1,36 @@
-"""Which levels of two surfaces meet: the first ones searched in full, and those on the way down."""
+"""Maps of pairs of levels, for methods that go from level to level, and which levels these are."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from cagemap.maps.pair import LevelPair, Pair
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral.surface import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """Functional map and vertex matches between one level of the target and one of the source.
+
+    Attributes
+    ----------
+    levels : (int, int)
+        Level of the target, level of the source.
+    functional_map : (k1, k2) array
+        C12 on the basis functions of these levels.
+    match : (n1,) array
+        Source vertex of every target vertex.
+    points : PointMap or None
+        The same as points of the source's triangles; None while the finer levels are not found yet.
+    """
+
+    levels: LevelPair
+    functional_map: FloatArray
+    match: IndexArray
+    points: PointMap | None = None
+
 
 # The search levels have this many functions on both sides, where the bases do.
 ENOUGH_FUNCTIONS = 50

@@ -1,7 +1,8 @@
-"""Landmarks that are mirrored as a whole: the other reading, in which left and right are exchanged, is offered."""
+"""Other answers that landmarks leave open: a limb turned about its axis, left and right exchanged."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,34 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
-from cagemap.deform.prepared import PreparedPair
-from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, Reading, cost_signs
+from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, Reading, cost_signs
 from cagemap.maps.hypotheses.search import found_readings
+from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
 from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
+
+
+def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
+    """Two answers with the same landmarks, and the vertex where they differ most; None where only one is good.
+
+    Parameters
+    ----------
+    ends : sequence of Placement
+        Cheapest first; the first became the map.
+    prepared : PreparedPair
+    """
+    best = ends[0]
+    for other in ends[1:]:
+        share = turned_share(prepared.mesh, best.positions, other.positions)
+        if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
+            readings = (Reading(AS_GIVEN, best.cost, best.answer), Reading(TURNED, other.cost, other.positions))
+            apart = np.linalg.norm(best.positions - other.positions, axis=1)
+            deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
+            return Confidence(LOOK, readings, cost_signs(readings) | {"limb_turned": share}, deciding)
+    return None
 
 
 def mirrored_readings(
