@@ -14,8 +14,9 @@ from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
+from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.elastic import elastic_map, hypothesis_map, known_map, updated_map
+from cagemap.maps.elastic import elastic_map, hypothesis_map, known_map
 from cagemap.maps.hypotheses.confidence import at_finest
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
@@ -303,25 +304,17 @@ def update_match(
             if known is not None:
                 point_map = known[0]
             else:
-                point_map = updated_map(prepared, pair, point_map, progress)
+                progress("elastic update")
+                places = linear_update(Problem(prepared, pair), point_map)
+                progress("closest points")
+                point_map = map_of_places(prepared, places, pair.landmarks)
         return _judged(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 
 def other_answer(
     before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = silent
 ) -> MatchResult:
-    """Another of the answers of a match with too few landmarks, or with mirrored ones, in place of the first.
-
-    Parameters
-    ----------
-    before : MatchResult
-        With its `confidence`.
-    index : int
-        Of ``before.confidence.readings``; 0 is the match's own answer.
-    config : MatchConfig
-        As in the match before.
-    progress : callable
-        Called with the name of each stage.
+    """Another of the answers ``before.confidence.readings`` in place of the first, which is 0.
 
     Raises
     ------

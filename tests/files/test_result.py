@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube, icosahedron
 
+from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import (
     ARRAYS,
@@ -22,7 +23,7 @@ from cagemap.files.result.folder import (
     read_result,
     write_result,
 )
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.signs import SIGNS
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
@@ -256,7 +257,10 @@ def test_hashes_depend_on_content_only(tmp_path: Path) -> None:
 
 def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: Path) -> None:
     places = result.point_map.images.positions
-    readings = (Reading("as given", 1e-4, places), Reading("mirrored", 2e-4, places, exchange=((0, 2), (2, 0))))
+    readings = (
+        Placement(places, 1e-4, name="as given"),
+        Placement(places, 2e-4, name="mirrored", exchange=((0, 2), (2, 0))),
+    )
     unsure = Confidence(TWO, readings)
     write_result(tmp_path / "R", replace(result, confidence=unsure))
     back = read_result(tmp_path / "R").confidence
@@ -266,7 +270,7 @@ def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: 
 
 def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:
     """Bounds of signs change, and older results have none."""
-    answers, bound = (Reading("", 1e-4, result.point_map.images.positions),), SIGNS["stretched"].bound
+    answers, bound = (Placement(result.point_map.images.positions, 1e-4, name=""),), SIGNS["stretched"].bound
     for name, value, verdict in (("much", bound + 0.1, LOOK), ("little", bound, SURE)):
         given = Confidence(SURE, answers, {"cost": 1.0, "stretched": value})
         write_result(tmp_path / name, replace(result, confidence=given))

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube, voxels
 
+from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.candidates import least_cost
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear, ControlMesh
@@ -135,8 +136,8 @@ def test_the_paper_s_method_asks_for_landmarks() -> None:
 
 def test_verdicts_follow_the_costs_of_all_answers() -> None:
     at = np.zeros((4, 3))
-    best = Reading("a", 1e-4, at)
-    other = Reading("b", 1.05e-4, at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]))
+    best = Placement(at, 1e-4, name="a")
+    other = Placement(at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]), 1.05e-4, name="b")
     two = Confidence.of((best, other), 3)
     assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
     assert "vertex 1" in two.message

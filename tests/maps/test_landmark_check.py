@@ -18,8 +18,8 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.folder import landmark_messages
-from cagemap.maps.hypotheses.confidence import TWO, Reading
-from cagemap.maps.landmarks import check, mirrored
+from cagemap.maps.hypotheses.confidence import TWO
+from cagemap.maps.landmarks import check, other_answers
 from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
@@ -222,8 +222,8 @@ def test_a_place_by_distances_does_not_ask_the_given_place(pair, graphs):
     found = []
     for given in (landmarks, wrong):
         distances = LandmarkDistances.measure(graphs[1], given.source)
-        placed = place_by_distances(target, distances, everywhere)
-        found.append(graphs[1].positions[distances.vertices[placed.node[3]]])
+        _, node, _ = place_by_distances(target, distances, everywhere)
+        found.append(graphs[1].positions[distances.vertices[node[3]]])
     assert np.linalg.norm(found[0] - found[1]) < 0.1  # two spacings of the coarse graph, whose cells differ
     assert np.linalg.norm(found[0] - graphs[1].positions[wrong.source[3]]) > 0.5
 
@@ -246,15 +246,15 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     points = Pair(target, source, point_pairs(target, source, landmarks))
     found = match_pair(prepared, landmarks, QUICK).point_map
     near = np.asarray(found.images.positions[: prepared.mesh.n])
-    other = Reading("another", 3e-4, near * [-1.0, 1.0, 1.0])
-    monkeypatch.setattr(mirrored, "found_readings", lambda problem, progress: (other,))
+    other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
+    monkeypatch.setattr(other_answers, "found_readings", lambda problem, progress: (other,))
     known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
-    doubt, kept = mirrored.mirrored_readings(prepared, points, dear, known)
+    doubt, kept = other_answers.mirrored_readings(prepared, points, dear, known)
     assert (doubt.verdict, kept) == (TWO, known)
     assert [reading.cost for reading in doubt.readings] == [dear.cost, other.cost]
     assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
-    none, kept = mirrored.mirrored_readings(prepared, points, cheap, known)
+    none, kept = other_answers.mirrored_readings(prepared, points, cheap, known)
     assert none is None
     assert kept.notes == ("another note",)
 

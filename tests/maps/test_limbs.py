@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.limbs import Limbs, assigned_limbs, assignments
+from cagemap.maps.hypotheses.limbs import assigned_limbs, assignments, limb_measures
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
@@ -40,15 +40,13 @@ def star(lengths: list[int], girths: list[float], trunk: int = 4) -> tuple[Elast
 
 def test_lengths_of_limbs_do_not_count_and_girths_do() -> None:
     girths = [1.0, 3.0, 2.0, 2.5, 1.0, 1.0, 4.0, 0.5]
-    target = Limbs.of(*_with_tips(star([8, 8, 9, 7, 8, 8, 10, 6], girths)))
-    source = Limbs.of(*_with_tips(star([6, 6, 9, 9, 7, 7, 12, 14], girths)))
-    np.testing.assert_allclose(source.between, target.between)
+    target = limb_measures(*_with_tips(star([8, 8, 9, 7, 8, 8, 10, 6], girths)))
+    source = limb_measures(*_with_tips(star([6, 6, 9, 9, 7, 7, 12, 14], girths)))
+    np.testing.assert_allclose(source[0], target[0])
     few = [0, 1, 6, 7]  # two at either end of the trunk, told by their girths alone
-    target, source = (
-        Limbs(side.tips[few], side.between[np.ix_(few, few)], side.girths[few]) for side in (target, source)
-    )
+    target, source = ((between[np.ix_(few, few)], own[few]) for between, own in (target, source))
     order = np.array([2, 0, 3, 1])
-    shuffled = Limbs(source.tips[order], source.between[np.ix_(order, order)], source.girths[order])
+    shuffled = source[0][np.ix_(order, order)], source[1][order]
     (own, to), *others = assignments(target, shuffled)
     np.testing.assert_array_equal(order[to], own)
     assert len(others) == SearchConfig.max_assignments - 1
@@ -60,10 +58,10 @@ def _with_tips(made: tuple[ElasticGraph, np.ndarray]) -> tuple[ElasticGraph, np.
 
 def test_the_surface_with_more_limbs_keeps_some_for_itself() -> None:
     graph, tips = star([8, 8, 9, 7, 8, 12], [1.0, 1.0, 2.0, 2.5, 1.0, 3.0])
-    more, fewer = Limbs.of(graph, NONE, tips), Limbs.of(graph, NONE, np.delete(tips, 3))
+    more, fewer = limb_measures(graph, NONE, tips), limb_measures(graph, NONE, np.delete(tips, 3))
     for target, source in ((more, fewer), (fewer, more)):
         own, to = assignments(target, source)[0]
-        np.testing.assert_allclose(target.girths[own], source.girths[to])  # two limbs are alike
+        np.testing.assert_allclose(target[1][own], source[1][to])  # two limbs are alike
         assert len(set(own)) == len(set(to)) == 5
 
 

@@ -14,7 +14,7 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence
 from cagemap.maps.hypotheses.signs import (
     JUMPING,
     SIGNS,
@@ -77,7 +77,7 @@ def across(surface: Surface) -> tuple[PointMap, FloatArray]:
 
 @pytest.mark.parametrize("name", SIGNS)
 def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
-    answers = (Reading("as the files stand", 0.0, np.zeros((4, 3))),)
+    answers = (Placement(np.zeros((4, 3)), 0.0, name="as the files stand"),)
     assert Confidence.of(answers, 3, {name: SIGNS[name].bound}).verdict == SURE
     doubt = Confidence.of(answers, 3, {name: 1.1 * SIGNS[name].bound})
     assert doubt.verdict == LOOK
@@ -146,7 +146,7 @@ def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepare
     low = mesh.positions[:, 1] < mesh.positions[lower, 1].max()
     assert low[farthest.argmax()]
     # Not sure, whatever else speaks for it.
-    best = Reading("as the files stand", 1e-4, mesh.positions)
+    best = Placement(mesh.positions, 1e-4, name="as the files stand")
     assert Confidence.of((best,), 3).verdict == SURE
     doubt = Confidence.of((best,), 3, {"jumps": share})
     assert doubt.verdict == LOOK

@@ -13,9 +13,9 @@ from cagemap.deform.config import DataConfig, SearchConfig
 from cagemap.deform.data import SourceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
-from cagemap.deform.multi_start import finished
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.refit import finished
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses.limbs import (

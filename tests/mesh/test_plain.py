@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from cagemap.deform.config import ElasticConfig
+from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.maps.hypotheses.confidence import Confidence, Reading, at_finest
+from cagemap.maps.hypotheses.confidence import Confidence, at_finest
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
@@ -419,7 +420,7 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
     mesh = animal(3)
     surface = prepare_surface(mesh, 0)
     prepared = prepare_pair(surface, surface)
-    known = Reading("as the files stand", 1e-4, prepared.mesh.positions)
+    known = Placement(prepared.mesh.positions, 1e-4, name="as the files stand")
     assert len(known.positions) < mesh.n_vertices
     told = at_finest(Confidence("sure", (known,)), prepared).readings[0]
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)

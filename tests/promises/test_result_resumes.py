@@ -10,9 +10,10 @@ import pytest
 
 import cagemap
 from cagemap import BasisConfig, Landmarks, MatchResult
+from cagemap.deform.placement import Placement
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
-from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.pipeline import other_answer
 
@@ -88,7 +89,7 @@ def test_an_update_of_what_was_read_is_that_of_the_match(
 def test_without_landmarks_other_answers_are_read(matched: MatchResult, tmp_path: Path) -> None:
     count = matched.target.control.n_vertices
     places = matched.point_map.images.positions
-    readings = tuple(Reading(name, 2e-3 + i, places + i) for i, name in enumerate(("as it lies", "turned")))
+    readings = tuple(Placement(places + i, 2e-3 + i, name=name) for i, name in enumerate(("as it lies", "turned")))
     confidence = Confidence.of(readings, count)
     cagemap.write_result(tmp_path / "R", replace(matched, confidence=confidence))
     read = cagemap.read_result(tmp_path / "R")

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.deform.placement import Placement
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
@@ -194,7 +195,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     count = result.target.control.n_vertices
     places = result.point_map.images.positions[:count]
     exchanged = places * [-1.0, 1.0, 1.0]
-    answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored & all", 1.1e-4, exchanged))
+    answers = (Placement(places, 1e-4, name="as the files stand"), Placement(exchanged, 1.1e-4, name="mirrored & all"))
     unsure = replace(result, confidence=Confidence(TWO, answers, deciding=0))
     gallery = draw_gallery(unsure, size=SIZE)
     page = build_page(unsure, gallery)
@@ -220,7 +221,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
 def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
     result: MatchResult, gallery: Gallery, verdict: str, heading: str
 ) -> None:
-    answers = tuple(Reading(name, 1e-4, result.point_map.images.positions) for name in ("one", "another"))
+    answers = tuple(Placement(result.point_map.images.positions, 1e-4, name=name) for name in ("one", "another"))
     page = build_page(replace(result, confidence=Confidence(verdict, answers, deciding=0)), gallery)
     assert heading in page
     shown = f"{verdict}: the target is aligned with the source one"
@@ -229,7 +230,7 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
 
 def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, gallery: Gallery) -> None:
     places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
-    answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored", 1.1e-4, places))
+    answers = (Placement(places, 1e-4, name="as the files stand"), Placement(places, 1.1e-4, name="mirrored"))
     free = replace(
         result,
         landmarks=Landmarks((), none, none),

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from examples.shapes import icosahedron
 
-from cagemap.maps.hypotheses.confidence import TWO, Confidence, Reading
+from cagemap.deform.placement import Placement
+from cagemap.maps.hypotheses.confidence import TWO, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
@@ -173,7 +174,7 @@ def test_troubles_are_marked_where_they_are(result: MatchResult) -> None:
 def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:
     check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
     places = result.point_map.images.positions[:8]
-    answers = (Reading("one", 1e-4, places), Reading("another", 1.1e-4, -places))
+    answers = (Placement(places, 1e-4, name="one"), Placement(-places, 1.1e-4, name="another"))
     unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
     unsure = replace(unsure, quality=replace(result.quality, landmark_errors=np.zeros(3)))
     models = report_models(unsure, seen(unsure))

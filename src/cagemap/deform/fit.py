@@ -97,17 +97,10 @@ def coarse_fit(
     shape: CoarseShape | None = None,
     samples: SourceSamples | None = None,
 ) -> Placement:
-    """Placement of the clusters by the coarse stage, from rough positions or from the landmarks alone.
+    """Placement of the clusters by the coarse stage, from rough positions (k, 3) or, if None, from the landmarks alone.
 
-    Parameters
-    ----------
-    problem : Problem
-    start : (k, 3) float64 or None
-        Rough positions on the source; None to start from the landmarks.
-    shape : CoarseShape, optional
-        Clusters with other constraints or smoothing than the problem's own.
-    samples : SourceSamples, optional
-        Points of the source that should lie on the shape too, where limbs are to reach the ends of the source's.
+    The shape may have other constraints or smoothing than the problem's own. Samples of the source should lie on it
+    too, where limbs are to reach the ends of the source's.
 
     Raises
     ------

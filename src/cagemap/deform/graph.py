@@ -35,25 +35,14 @@ MIN_PIECE_AREA = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ElasticGraph:
-    """Rest shape of the energy.
+    """Rest shape of the energy."""
 
-    Attributes
-    ----------
-    positions, normals : (n, 3) float64
-        Rest positions at unit surface area, unit normals.
-    areas : (n,) float64
-        Shares of the surface's area, sum 1.
-    heads, tails : (2 m,) int64
-        Every edge in both directions.
-    weights : (2 m,) float64, positive
-    """
-
-    positions: FloatArray
-    normals: FloatArray
-    areas: FloatArray
-    heads: IndexArray
+    positions: FloatArray  # (n, 3) at rest, at unit surface area
+    normals: FloatArray  # (n, 3) unit normals
+    areas: FloatArray  # (n,) shares of the surface's area, sum 1
+    heads: IndexArray  # (2 m,) every edge in both directions
     tails: IndexArray
-    weights: FloatArray
+    weights: FloatArray  # (2 m,) positive
 
     @property
     def n(self) -> int:

@@ -17,19 +17,11 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 @dataclass(frozen=True, eq=False)
 class SharedArea:
-    """What each of two surfaces has of the other.
+    """What each of two surfaces has of the other."""
 
-    Attributes
-    ----------
-    target, source : (n1,), (n2,) float64
-        Of every finest vertex, 1 where it has a counterpart, 0 where it has none.
-    target_share, source_share : float
-        Share of each surface's area that has one.
-    """
-
-    target: FloatArray
-    source: FloatArray
-    target_share: float
+    target: FloatArray  # (n1,) of every finest vertex, 1 where it has a counterpart, 0 where it has none
+    source: FloatArray  # (n2,)
+    target_share: float  # share of the surface's area that has one
     source_share: float
 
     @classmethod

@@ -27,27 +27,17 @@ from cagemap.surface.triangles import row_lengths, triangle_centres
 # Points closer than this, of sqrt(source area), are equal: the rounding error of six digits in a file.
 SAME = 1e-5
 # Vertices, and faces, of either surface that are asked where they are.
-_SAMPLES = 10_000
+_MOST_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class Coincidence:
-    """A target that lies on its source, in the places that their files give them.
+    """A target that lies on its source, in the places that their files give them."""
 
-    Attributes
-    ----------
-    target, source : TriangleSurface
-        What lies on each other: the finest levels, or their vertices on the faces of the control meshes.
-    gap : float
-        Mean distance of the target's area from the source, in units of sqrt(source area).
-    reach : float
-        How far `images` looks, in the same.
-    """
-
-    target: TriangleSurface
+    target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh
     source: TriangleSurface
-    gap: float
-    reach: float
+    gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
+    reach: float  # how far `images` looks, in the same
 
     @classmethod
     def find(
@@ -69,14 +59,9 @@ class Coincidence:
         return cls(shape(target), shape(source), gap, config.reach)
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
-        """Closest points that face the same way, of the target's finest vertices.
+        """Points of the finest source, closest to the target's finest vertices and facing the same way.
 
-        Parameters
-        ----------
-        source : TriangleSurface
-            The finest level, which they are points of.
-        shifts : (n1, 3) float64
-            What target vertices are moved by before, in the source's unit.
+        Vertices are moved by shifts (n1, 3) before, in the source's unit.
         """
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
@@ -113,39 +98,34 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
     return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """Points of a surface in the file's lengths, with normals (k, 3) and the area (k,) that each stands for."""
+# Points of a surface in the file's lengths, with normals (k, 3) and the area (k,) that each stands for.
+_Samples = tuple[FloatArray, FloatArray, FloatArray]
 
-    points: FloatArray
-    normals: FloatArray
-    areas: FloatArray
 
-    @classmethod
-    def of_vertices(cls, surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
-        rows = evenly_spaced(surface.n, _SAMPLES)
-        counts = 1.0 if mask is None else mask[rows]
-        areas = counts * surface.vertex_areas[rows]
-        return cls(surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas)
+def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
+    rows = evenly_spaced(surface.n, _MOST_SAMPLES)
+    areas = (1.0 if mask is None else mask[rows]) * surface.vertex_areas[rows]
+    return surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas
 
-    @classmethod
-    def of_faces(cls, surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
-        rows = evenly_spaced(len(surface.triangles), _SAMPLES)
-        corners = surface.triangles[rows]
-        counts = 1.0 if mask is None else mask[corners].mean(axis=1)
-        centres = triangle_centres(surface.positions, corners) / surface.scale
-        return cls(centres, surface.normals[rows], counts * surface.areas[rows])
 
-    def distances(self, other: TriangleSurface, unit: float, most: float) -> FloatArray:
-        """(k,) distances to the nearest points of a surface with similar normals, times ``unit``; at most ``most``."""
-        within = most * other.scale / unit
-        points = other.scale * self.points
-        far = closest_points(other.tree, points, self.normals, minimum_cosine=0.0, within=within)[2]
-        return np.minimum(far * unit / other.scale, most)
+def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
+    rows = evenly_spaced(len(surface.triangles), _MOST_SAMPLES)
+    corners = surface.triangles[rows]
+    areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * surface.areas[rows]
+    return triangle_centres(surface.positions, corners) / surface.scale, surface.normals[rows], areas
 
-    def share(self, chosen: NDArray[np.bool_]) -> float:
-        """Share of the area that some points stand for, 0 where nothing counts."""
-        return float(self.areas @ chosen / max(self.areas.sum(), 1e-300))
+
+def _distances(samples: _Samples, other: TriangleSurface, unit: float, most: float) -> FloatArray:
+    """(k,) distances to the nearest points of a surface with similar normals, times ``unit``; at most ``most``."""
+    points, normals, _ = samples
+    within = most * other.scale / unit
+    far = closest_points(other.tree, other.scale * points, normals, minimum_cosine=0.0, within=within)[2]
+    return np.minimum(far * unit / other.scale, most)
+
+
+def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
+    """Share of areas (k,) that is chosen, 0 where nothing counts."""
+    return float(areas @ chosen / max(areas.sum(), 1e-300))
 
 
 def _gap(
@@ -156,16 +136,16 @@ def _gap(
     A coarse mesh is made with its vertices on a fine surface, and its faces cut through it: vertices are asked, and of
     faces only that they are near.
     """
-    unit, faces = source.scale, _Samples.of_faces(target, mask)
-    apart = faces.distances(source, unit, config.near)
-    if faces.share(apart < config.near) < config.share:
+    unit, faces = source.scale, _on_faces(target, mask)
+    apart = _distances(faces, source, unit, config.near)
+    if _share(faces[2], apart < config.near) < config.share:
         return None
-    gap = float(faces.areas @ apart / faces.areas.sum())
-    for samples, other in ((_Samples.of_vertices(target, mask), source), (_Samples.of_vertices(source), target)):
-        between = samples.distances(other, unit, config.near)
-        close = samples.areas @ between <= config.mean_gap * samples.areas.sum()
-        if close and samples.share(between < config.max_gap) >= config.share:
+    gap = float(faces[2] @ apart / faces[2].sum())
+    for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
+        between, areas = _distances(samples, other, unit, config.near), samples[2]
+        close = areas @ between <= config.mean_gap * areas.sum()
+        if close and _share(areas, between < config.max_gap) >= config.share:
             return gap
-    clothed = _Samples.of_faces(source)
-    covered = clothed.share(clothed.distances(target, unit, config.near) < config.near)
+    clothed = _on_faces(source)
+    covered = _share(clothed[2], _distances(clothed, target, unit, config.near) < config.near)
     return gap if covered < config.clothed else None

@@ -28,16 +28,9 @@ NORMAL_WEIGHT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class SurfaceCurve:
-    """A polyline on a finest surface.
+    """A polyline on a finest surface."""
 
-    Attributes
-    ----------
-    points : SurfacePoints
-        (m,) along it.
-    closed : bool
-    """
-
-    points: SurfacePoints
+    points: SurfacePoints  # (m,) along it
     closed: bool
 
     @kept
@@ -66,14 +59,7 @@ class CurvePair:
 
 @dataclass(frozen=True)
 class CurveMiss:
-    """How far a map leads a curve from the one that it belongs to.
-
-    Attributes
-    ----------
-    name : str
-    mean, worst : float
-        Distance between the image of the target's curve and the source's curve, both ways, of sqrt(area).
-    """
+    """How far a map leads a curve from the one that it belongs to, both ways, of sqrt(area)."""
 
     name: str
     mean: float
@@ -122,20 +108,7 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
 
 
 def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
-    """Vertices of a level along control edges.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    ends : (e, 2) int64
-        Control vertices.
-    level : int
-
-    Returns
-    -------
-    (e, 2^level + 1) int64
-        Rows of -1 where the two vertices have no edge.
-    """
+    """(e, 2^level + 1) vertices of a level along control edges (e, 2); -1 where two control vertices have no edge."""
     count = refinement.control.n_vertices
     edges = edge_table(refinement.control).vertices
     chains = np.where(np.isin(pair_keys(ends, count), pair_keys(edges, count))[:, None], ends, -1)
@@ -149,17 +122,10 @@ def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> Index
 
 
 def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> IndexArray:
-    """Vertex of the next level in the middle of edges of a level; -1 where there is no such edge.
+    """(e,) vertex of the next level in the middle of edges (e, 2) of a level; -1 where there is no such edge.
 
     Rows of S^l stand in the order vertices, edges, faces: an edge's vertex is the one of the second kind that touches
     both ends.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    level : int
-    ends : (e, 2) int64
-        Vertices of the level; -1 for none.
     """
     here, finer = refinement.levels[level], refinement.levels[level + 1]
     assert finer.faces is not None

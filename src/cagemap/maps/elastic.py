@@ -14,7 +14,7 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.maps.coincidence import SAME
 from cagemap.maps.curves import curve_miss
-from cagemap.maps.hypotheses.confidence import SURE, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import SURE, Confidence
 from cagemap.maps.hypotheses.search import found_readings, search
 from cagemap.maps.hypotheses.signs import SIGNS, jump_share, jumps, median_distortion, mirrored_gain
 from cagemap.maps.masks import WHOLE, Masks
@@ -36,13 +36,15 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
     Landmarks and curves move closest points a little, and landmarks are met exactly. Where they are missed by more than
     `LandmarkConfig.confirmed`, or masks keep different parts, they contradict: a map is fitted then.
     """
-    masks, landmarks = prepared.masks, pair.landmarks
+    masks, landmarks, count = prepared.masks, pair.landmarks, pair.target.control.n_vertices
+    target, source = pair.target.finest_triangles, pair.source.finest_triangles
     if same_surface(pair, masks):
-        return identity_map(prepared, pair)
+        moved = (source.positions - target.positions).mean(axis=0)
+        reading = Placement(prepared.mesh.positions + moved, 0.0, name=ONE_SURFACE)
+        return PointMap.from_vertices(target, source, np.arange(target.n)), Confidence.of((reading,), count)
     found = prepared.coincidence
     if found is None:
         return None
-    target, source = pair.target.finest_triangles, prepared.source.finest_triangles
     point_map = PointMap(target, found.images(source))
     missed = _missed(point_map, pair)
     if missed > prepared.elastic.landmarks.confirmed or not _joint(point_map, masks):
@@ -54,8 +56,8 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
         point_map = PointMap(target, snap_landmarks(found.images(source, shifts), landmarks))
     apart = f"{100 * found.gap:.2f} % of the model's size apart"
     name = f"as it stands, {apart}: vertices go to the closest points of the same side"
-    reading = Reading(name, found.gap**2, point_map.images.at(prepared.vertices).positions)
-    return point_map, Confidence.of((reading,), pair.target.control.n_vertices)
+    reading = Placement(point_map.images.at(prepared.vertices).positions, found.gap**2, name=name)
+    return point_map, Confidence.of((reading,), count)
 
 
 def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
@@ -75,15 +77,6 @@ def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
     return not pair.landmarks.curves and bool(np.abs(rest).max() < SAME)
 
 
-def identity_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]:
-    """Every vertex to itself, and how sure that is."""
-    target, source = pair.target.finest_triangles, pair.source.finest_triangles
-    found = PointMap.from_vertices(target, source, np.arange(target.n))
-    moved = (source.positions - target.positions).mean(axis=0)
-    reading = Reading(ONE_SURFACE, 0.0, prepared.mesh.positions + moved)
-    return found, Confidence.of((reading,), pair.target.control.n_vertices)
-
-
 def _missed(point_map: PointMap, pair: Pair) -> float:
     """By how much a map misses the landmark or curve that it misses most."""
     misses = [curve_miss(curve, point_map).worst for curve in pair.landmarks.curves]
@@ -101,10 +94,7 @@ def _joint(point_map: PointMap, masks: Masks) -> bool:
 def elastic_map(
     problem: Problem, progress: Progress = silent, start: FloatArray | None = None
 ) -> tuple[PointMap, list[Placement]]:
-    """Point map T12 of the finest levels, and the placements that `search` found; the first is the map's own.
-
-    ``start`` as in `search`.
-    """
+    """Point map T12 of the finest levels, and the placements that `search` found; the first is the map's own."""
     placements = search(problem, progress, start)
     progress("closest points")
     return map_of_places(problem.prepared, placements[0].answer, problem.pair.landmarks), placements
@@ -119,41 +109,16 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> Floa
     return search(Problem(prepared, pair), progress)[0].answer
 
 
-def updated_map(prepared: PreparedPair, pair: Pair, before: PointMap, progress: Progress = silent) -> PointMap:
-    """Point map T12 of the finest levels after landmarks changed, from the one before.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-        With the landmarks as they are now.
-    before : PointMap
-        Of the finest levels.
-    progress : callable
-    """
-    progress("elastic update")
-    moved = linear_update(Problem(prepared, pair), before)
-    progress("closest points")
-    return map_of_places(prepared, moved, pair.landmarks)
-
-
 def hypothesis_map(
     prepared: PreparedPair,
     pair: Pair,
     progress: Progress = silent,
     preview: Callable[[PointMap], None] | None = None,
 ) -> tuple[PointMap, Confidence]:
-    """Point map T12 of the finest levels by the cheapest hypothesis, which meets the landmarks there are.
+    """Point map T12 of the finest levels by the cheapest alignment, which meets the landmarks there are; its verdict.
 
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-        With any number of landmarks; meant for fewer than `FEWEST_LANDMARKS`.
-    progress : callable
-        Called with the name of each stage.
-    preview : callable, optional
-        Called during the search with approximate maps: of the alignment in the files, then of the best rough fit.
+    ``preview`` is called during the search with approximate maps: of the alignment in the files, then of the best rough
+    fit.
     """
     problem = Problem(prepared, pair)
 

@@ -139,13 +139,7 @@ TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 
 
 def checked(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """A point map of the finest levels, C12 (k1, k2), or source vertices (n,) of a level's target vertices.
-
-    Raises
-    ------
-    ParameterError
-        If it is none of these for this pair.
-    """
+    """A point map of the finest levels, C12 (k1, k2), or source vertices (n,) of a level; refuses all else."""
     target, source = pair.target, pair.source
     if isinstance(given, PointMap):
         if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):

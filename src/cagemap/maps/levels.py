@@ -12,24 +12,12 @@ from cagemap.spectral.surface import Surface
 
 @dataclass(frozen=True, eq=False)
 class LevelMap:
-    """Functional map and vertex matches between one level of the target and one of the source.
+    """Functional map and vertex matches between one level of the target and one of the source."""
 
-    Attributes
-    ----------
-    levels : (int, int)
-        Level of the target, level of the source.
-    functional_map : (k1, k2) array
-        C12 on the basis functions of these levels.
-    match : (n1,) array
-        Source vertex of every target vertex.
-    points : PointMap or None
-        The same as points of the source's triangles; None while the finer levels are not found yet.
-    """
-
-    levels: LevelPair
-    functional_map: FloatArray
-    match: IndexArray
-    points: PointMap | None = None
+    levels: LevelPair  # of target and source
+    functional_map: FloatArray  # (k1, k2) C12 on the basis functions of these levels
+    match: IndexArray  # (n1,) source vertex of every target vertex
+    points: PointMap | None = None  # the same as points of the source; None while the finer levels are not found yet
 
 
 # The search levels have this many functions on both sides, where the bases do.
@@ -41,13 +29,7 @@ COMPARABLE = 2.5
 def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
     """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions.
 
-    Parameters
-    ----------
-    target, source : Surface
-    vertices : int
-        Of either.
-    source_vertices : int
-        Of the source, if not 0.
+    ``source_vertices`` are those of the source, if not 0.
     """
 
     def first(surface: Surface, wanted: int) -> int:

@@ -136,20 +136,9 @@ class Pair:
 def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
     """(m,) different finest vertices that points lie on or near: for steps that know no other points.
 
-    All are vertices of the level below too. Points between vertices get a free vertex of a level that basis and search
-    have in common, coarse enough to be one of theirs and fine enough to be near.
-
-    Parameters
-    ----------
-    points : SurfacePoints
-    surface : Surface
-    finest : int, optional
-        Level that has all these vertices, where that is a coarser one.
-
-    Raises
-    ------
-    ParameterError
-        If there are more points than vertices.
+    All are vertices of the level below too, and of the level ``finest`` where that is given. Points between vertices
+    get a free vertex of a level that basis and search have in common, coarse enough to be one of theirs and fine enough
+    to be near.
     """
     vertices, levels = vertices_at(points), surface.hierarchy
     if (levels.on_level(0, vertices) >= 0).all():

@@ -54,12 +54,6 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
 
     The control mesh is laid through its vertices' places on the surface; its nearest point is corrected by what
     `located` misses with it, and the nearest of all steps is kept.
-
-    Parameters
-    ----------
-    surface : Surface
-    points : SurfacePoints
-        Of the finest surface.
     """
     finest = surface.finest_triangles
     triangles, _ = cage_triangles(surface.control)

@@ -152,24 +152,12 @@ def covered_share(
     source: TriangleSurface,
     masks: Masks = WHOLE,
 ) -> float:
-    """Share of the source's area that the image of the target covers.
+    """Share of the source's area, of what masks count of it, that images (n1, 3) of the target's vertices cover.
 
     `COVERAGE_SAMPLES` points of the source are judged, each of the same area. One is covered where an image triangle
     that faces the same way lies above or below it: in a direction less than 60 degrees from its normal, and no farther
     than half the longest edge of the triangle, on the target and in the image. So flat triangles of a coarse target
     cover the curved surface under them, and triangles stretched over a gap do not.
-
-    Parameters
-    ----------
-    target : (n1, 3) float64
-        The target's vertices.
-    image : (n1, 3) float64
-        Where they go.
-    triangles : (t1, 3) int64
-        Of the target.
-    source : TriangleSurface
-    masks : Masks
-        The share is that of what counts of the source.
     """
     points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)
     normals = normalized(points.interpolate(source.vertex_normals))
@@ -214,14 +202,7 @@ def trust_field(
     """(n1,) 1 where the map is unfolded and stretches by at most ``TRUSTED_STRETCH`` either way, falling to 0 at folds.
 
     A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with delta its `distortion`, zero where flipped; a
-    vertex takes the area-weighted mean of its triangles.
-
-    Parameters
-    ----------
-    target : TriangleSurface
-    sigma : two (t,) arrays
-        From :func:`stretches`, surfaces at unit area.
-    flipped : (t,) bool
+    vertex takes the area-weighted mean of its triangles. ``sigma`` are the `stretches` of unit areas.
     """
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
     areas = target.areas
@@ -237,18 +218,10 @@ def measure_quality(
     coarse_triangles: IndexArray | None = None,
     masks: Masks = WHOLE,
 ) -> QualityFigures:
-    """Measure a map without ground truth.
+    """Measure a map without ground truth; shares are those of what masks count.
 
-    Parameters
-    ----------
-    point_map : PointMap
-    landmarks : PointPairs, optional
-    landmark_names : sequence of str, optional
-        Used in warnings.
-    coarse_triangles : (t, 3) int64, optional
-        A coarser level's triangles between vertices of the target: what coverage asks, on dense meshes.
-    masks : Masks
-        Shares are those of what counts; trust and the landmarks' errors do not ask.
+    On dense meshes ``coarse_triangles`` (t, 3), those of a coarser level between vertices of the target, are asked for
+    coverage.
     """
     target, images = point_map.target, point_map.images
     image, normals, areas = images.positions, _source_normals(images), target.areas

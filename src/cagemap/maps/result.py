@@ -29,19 +29,11 @@ from cagemap.subdivision.level_meshes import truncated
 
 @dataclass(frozen=True, eq=False)
 class SpectralMap:
-    """A map as the bases see it.
+    """A map as the bases see it."""
 
-    Attributes
-    ----------
-    functional_map : (k1, k2) float64
-        C12, takes source coefficients to target coefficients.
-    target_eigenvalues, source_eigenvalues : (k1,), (k2,) float64
-        Of the unit-area surfaces.
-    """
-
-    functional_map: FloatArray
-    target_eigenvalues: FloatArray
-    source_eigenvalues: FloatArray
+    functional_map: FloatArray  # (k1, k2) C12, takes source coefficients to target coefficients
+    target_eigenvalues: FloatArray  # (k1,) of the unit-area surface
+    source_eigenvalues: FloatArray  # (k2,)
 
     def __repr__(self) -> str:
         return f"SpectralMap({self.functional_map.shape[0]} x {self.functional_map.shape[1]} functions)"

@@ -42,8 +42,10 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
     terms = NetTerms.build(net.graph, samples, config, attached if pieces else None)
     energy = replace(net.energy, admissible=similar_at(free))
     positions = terms.start(energy)
-    local = LocalFit(net, samples, config, free, np.ones(net.graph.n))
-    positions = local.moved(positions, np.setdiff1d(free, detached), config.net.carrying_rounds)
+    moving = np.setdiff1d(free, detached)
+    positions = moved_locally(
+        net, samples, config, free, np.ones(net.graph.n), positions, moving, config.net.carrying_rounds
+    )
     positions = adjust(carried(net.graph, pieces, positions, config.net))
     positions = rounds(energy, terms, positions, config.rounds, adjust)
     return adjust(carried(net.graph, pieces, positions, config.net)) if pieces else positions
@@ -66,13 +68,7 @@ def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
 
 
 def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
-    """Connected pieces of free points (k,) alone, such as eyes or teeth; no equation says where they are.
-
-    Raises
-    ------
-    ParameterError
-        If that is all of the graph.
-    """
+    """Connected pieces of free points (k,) alone, such as eyes or teeth; that is not all of the graph."""
     pieces = whole_pieces(graph, free)
     if sum(map(len, pieces)) == graph.n:
         raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
@@ -131,38 +127,37 @@ class FixedMaps:
         return self.maps
 
 
-@dataclass(frozen=True, eq=False)
-class LocalFit:
-    """Fits of parts of a net, with similarities at some points (k,) and a stiffness (n,) of all."""
+def moved_locally(
+    net: ControlNet,
+    samples: Samples,
+    config: WrapConfig,
+    similar: IndexArray,
+    stiffness: FloatArray,
+    positions: FloatArray,
+    moving: IndexArray,
+    count: int,
+    *,
+    fixed: bool = False,
+) -> FloatArray:
+    """(n, 3) a net after some rounds in which few points (m,) move, with similarities at some points (k,).
 
-    net: ControlNet
-    samples: Samples
-    config: WrapConfig
-    similar: IndexArray
-    stiffness: FloatArray
-
-    def moved(self, positions: FloatArray, moving: IndexArray, count: int, *, fixed: bool = False) -> FloatArray:
-        """(n, 3) the net after some rounds in which few points (m,) move.
-
-        Their differentials are those of a part around them, as stiff as it is and anew in every round; or fixed, those
-        of the whole net at the positions before, which costs no factorisation.
-        """
-        if not len(moving):
-            return positions
-        net = self.net
-        part = net.graph.rings(moving, self.config.net.around)
-        graph = net.graph.part(part, self.stiffness)
-        moves = np.zeros(net.graph.n)
-        moves[moving] = 1.0
-        seen = np.flatnonzero((self.samples.rows @ moves > 0) & (self.samples.weights > 0))
-        samples = self.samples.of_part(seen, part)
-        terms = NetTerms.build(graph, samples, self.config, np.searchsorted(part, moving))
-        admissible = similar_at(np.searchsorted(part, np.intersect1d(part, self.similar)))
-        energy: Energy
-        if fixed:
-            energy = FixedMaps(graph, admissible(net.energy.maps(positions)[part], graph.normals))
-        else:
-            energy = ElasticEnergy.build(graph, self.config.net.smoothing, admissible)
-        moved = positions.copy()
-        moved[part] = rounds(energy, terms, positions[part], count)
-        return moved
+    Their differentials are those of a part around them, as stiff as it is (n,) and anew in every round; or fixed, those
+    of the whole net at the positions before, which costs no factorisation.
+    """
+    if not len(moving):
+        return positions
+    part = net.graph.rings(moving, config.net.around)
+    graph = net.graph.part(part, stiffness)
+    moves = np.zeros(net.graph.n)
+    moves[moving] = 1.0
+    seen = np.flatnonzero((samples.rows @ moves > 0) & (samples.weights > 0))
+    terms = NetTerms.build(graph, samples.of_part(seen, part), config, np.searchsorted(part, moving))
+    admissible = similar_at(np.searchsorted(part, np.intersect1d(part, similar)))
+    energy: Energy
+    if fixed:
+        energy = FixedMaps(graph, admissible(net.energy.maps(positions)[part], graph.normals))
+    else:
+        energy = ElasticEnergy.build(graph, config.net.smoothing, admissible)
+    moved = positions.copy()
+    moved[part] = rounds(energy, terms, positions[part], count)
+    return moved

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.wrap.config import MendConfig, WrapConfig
-from cagemap.wrap.fit import Adjust, LocalFit, carried, detached_pieces, free_points, unchanged, whole_pieces
+from cagemap.wrap.fit import Adjust, carried, detached_pieces, free_points, moved_locally, unchanged, whole_pieces
 from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
 from cagemap.wrap.terms import Samples
 
@@ -57,14 +58,14 @@ def mend(
             if sum(map(len, pieces)) > len(detached):
                 positions, detached = adjust(carried(graph, pieces, positions, config.net)), np.concatenate(pieces)
         similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
-        local = LocalFit(net, samples, config, similar, stiffness)
+        moved = partial(moved_locally, net, samples, config, similar, stiffness)
         moving = np.setdiff1d(graph.rings(corners, rings), detached)
         again = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
         flat = _laid_flat(graph, positions, np.intersect1d(again, moving))
-        positions = local.moved(flat, moving, 1, fixed=many)
+        positions = moved(flat, moving, 1, fixed=many)
         near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
         # What is carried along has further to go.
-        positions = adjust(local.moved(positions, near, numbers.release_rounds, fixed=many))
+        positions = adjust(moved(positions, near, numbers.release_rounds, fixed=many))
     return _without_folds(net, positions, folded_at_rest, detached, adjust, numbers)
 
 

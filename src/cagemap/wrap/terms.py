@@ -29,7 +29,6 @@ from cagemap.numerics.factorization import Factorization, factor
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import level_triangles
 from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, triangle_areas
 from cagemap.wrap.config import NetConfig, WrapConfig
 from cagemap.wrap.net import ControlNet
@@ -211,12 +210,3 @@ def _hollow(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) ->
     hollow = patches(target.triangles, ~whole | laid_over)
     share = np.bincount(hollow, np.where(laid_over, target.vertex_areas, 0.0))
     return np.asarray(share[hollow] >= config.min_area)
-
-
-def boundary_vertices(surface: TriangleSurface) -> NDArray[np.bool_]:
-    """(n,) whether a vertex lies on the boundary of a surface."""
-    triangle, opposite = np.nonzero(surface.neighbors < 0)
-    found = np.zeros(surface.n, dtype=np.bool_)
-    for k in (1, 2):
-        found[surface.triangles[triangle, (opposite + k) % 3]] = True
-    return found

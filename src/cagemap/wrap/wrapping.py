@@ -23,7 +23,7 @@ from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.fit import fit_net, unchanged
 from cagemap.wrap.mend import mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
-from cagemap.wrap.terms import Samples, boundary_vertices, counterpart
+from cagemap.wrap.terms import Samples, counterpart
 
 # What is said of a plain target.
 NO_CAGE = (
@@ -111,8 +111,7 @@ def wrap(
         found = pool.submit(counterpart, point_map, config.net)
         net = control_net(target, config.level, point_map.target.scale, config.net)
         weights = found.result() * _follow(target, follow)
-    boundary = boundary_vertices(point_map.target)
-    samples = Samples.choose(net, point_map.images, weights, boundary, config.net)
+    samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config.net)
     adjust = unchanged if symmetry is None else partial(symmetrized, symmetry)
     follows = weights >= config.net.followed
     if not follows.any():

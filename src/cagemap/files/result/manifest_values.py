@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.deform.placement import Placement
 from cagemap.files.schema import BasisRecord, ConfidenceRecord, LandmarkCheckRecord, QualityRecord
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence
 from cagemap.maps.hypotheses.signs import findings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
@@ -74,10 +75,10 @@ def stored_confidence(
     places = [answer.images.at(slice(controls)).positions, *(answer.source.scale * other for other in others)]
     nowhere = np.zeros((0, 3))
     readings = tuple(
-        Reading(
-            reading.name,
-            1e-4 * reading.cost,
+        Placement(
             places[i] if i < len(places) else nowhere,
+            1e-4 * reading.cost,
+            name=reading.name,
             exchange=tuple((a, b) for a, b in reading.exchange),
         )
         for i, reading in enumerate(record.readings)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.maps.hypotheses.signs import TIE, findings
-from cagemap.numerics.arrays import FloatArray
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
 # Names of answers that landmarks decide.
@@ -22,61 +22,21 @@ NOT_JUDGED = "it was matched by an older version of cagemap: match again"
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """One alignment of the target with the source, fitted.
-
-    Attributes
-    ----------
-    name : str
-        Where it started, in words.
-    cost : float
-        Mean squared distances between the surfaces both ways, and the elastic energy; of unit areas.
-    positions : (n, 3) float64
-        Of the vertices of the target's fitted level, near the source at unit area; in a result, of all vertices of a
-        plain target.
-    doubt : float
-        Factor on the cost by which answers are ranked: above 1 where the files' axes are turned.
-    exchange : tuple of (int, int)
-        Places of landmarks whose target points belong to the source points of others, in this alignment.
-    """
-
-    name: str
-    cost: float
-    positions: FloatArray
-    doubt: float = 1.0
-    exchange: tuple[tuple[int, int], ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class Confidence:
-    """The verdict on a map that landmarks alone do not decide.
+    """The verdict on a map that landmarks alone do not decide."""
 
-    Attributes
-    ----------
-    verdict : str
-        "sure", "look at it" or "two answers".
-    readings : tuple of Reading
-        The answer, then the different ones, by cost and doubt.
-    signs : dict of str to float
-        Measured values of `SIGNS`.
-    deciding : int or None
-        Control vertex of the target where a landmark decides.
-    file_vertex : int or None
-        Number of `deciding` in the target's file, where the target is a part of it.
-    part : str
-        Whose answer this is, where a result has several parts.
-    """
-
-    verdict: str
-    readings: tuple[Reading, ...]
-    signs: Mapping[str, float] = field(default_factory=dict)
-    deciding: int | None = None
-    file_vertex: int | None = None
-    part: str = ""
+    verdict: str  #: "sure", "look at it" or "two answers"
+    #: The answer, then the different ones, by cost and doubt: of the vertices of the level that is deformed; in a
+    #: result, of all vertices of a plain target
+    readings: tuple[Placement, ...]
+    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGNS`
+    deciding: int | None = None  #: control vertex of the target where a landmark decides
+    file_vertex: int | None = None  #: its number in the target's file, where the target is a part of that
+    part: str = ""  #: whose answer this is, where a result has several parts
 
     @classmethod
     def of(
-        cls, readings: tuple[Reading, ...], control_vertices: int, signs: Mapping[str, float] | None = None
+        cls, readings: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
     ) -> Confidence:
         """Judge answers that are all different, best first, by the costs and further signs of the best."""
         signs = cost_signs(readings) | dict(signs or {})
@@ -139,7 +99,7 @@ class Confidence:
         }
 
 
-def cost_signs(readings: tuple[Reading, ...]) -> dict[str, float]:
+def cost_signs(readings: tuple[Placement, ...]) -> dict[str, float]:
     """Signs that the costs of the answers are, the first one's."""
     best, *others = readings
     cost = 1e4 * best.cost
@@ -158,7 +118,7 @@ def at_finest(confidence: Confidence, prepared: PreparedPair) -> Confidence:
     if not target.refinement.is_plain:
         return confidence
 
-    def prolonged(reading: Reading) -> Reading:
+    def prolonged(reading: Placement) -> Placement:
         places = np.array(target.hierarchy.prolong(reading.positions, prepared.levels[0], target.finest))
         places[prepared.vertices] = reading.positions  # prolonged, those that are known would be smoothed
         return replace(reading, positions=places)

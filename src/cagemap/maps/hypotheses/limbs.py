@@ -28,21 +28,11 @@ from cagemap.numerics.threads import thread_limit
 
 @dataclass(frozen=True, eq=False)
 class Tips:
-    """Tips of both surfaces.
+    """Tips of both surfaces."""
 
-    Attributes
-    ----------
-    vertices : (e,) int64
-        Of the target's level that is deformed.
-    source_vertices : (e2,) int64
-        Of the source's level that is searched.
-    places : (e2, 3) float64
-        Of these.
-    """
-
-    vertices: IndexArray
-    source_vertices: IndexArray
-    places: FloatArray
+    vertices: IndexArray  # (e,) of the target's level that is deformed
+    source_vertices: IndexArray  # (e2,) of the source's level that is searched
+    places: FloatArray  # (e2, 3) of these
 
     @classmethod
     def of(cls, problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
@@ -124,15 +114,9 @@ def mean_distances(graph: ElasticGraph) -> FloatArray:
 
 
 def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Local maxima (q,) of heights on a graph, and how far one has to come down from each to reach a higher one.
+    """Local maxima (q,) of heights (n,) on a graph, and how far one has to come down from each to reach a higher one.
 
     The highest of a connected piece stands over the lowest place of its piece.
-
-    Parameters
-    ----------
-    heights : (n,) float64
-    heads, tails : (2 m,) int64
-        Every edge in both directions.
     """
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), dtype=np.int64)
@@ -162,70 +146,54 @@ def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tu
 
 # Least length of a limb, of sqrt(area).
 LEAST_LENGTH = 0.01
+# Of e limbs beside p landmarks, lengths of sqrt(area): geodesic distances (p + e, p + e) between the places where limbs
+# join, landmarks first, which are limbs too; and girths (e,), area by length.
+LimbMeasures = tuple[FloatArray, FloatArray]
 
 
-@dataclass(frozen=True, eq=False)
-class Limbs:
-    """Landmarks and limbs of one surface; lengths are of sqrt(area).
+def limb_measures(
+    graph: ElasticGraph,
+    landmarks: IndexArray,
+    tips: IndexArray,
+    unit: float = 1.0,
+    girth_part: float = SearchConfig.girth_part,
+) -> LimbMeasures:
+    """Measure the limbs that end at tips (e,), beside landmarks (p,), in a unit; three at least, of one piece.
 
-    Attributes
-    ----------
-    tips : (e,) int64
-        Vertices of the graph, without the landmarks.
-    between : (p + e, p + e) float64
-        Geodesic distances between the places where limbs join; landmarks first, which are limbs too.
-    girths : (e,) float64
-        Area by length.
+    A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
+    product, as in neighbour joining).
     """
-
-    tips: IndexArray
-    between: FloatArray
-    girths: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        graph: ElasticGraph,
-        landmarks: IndexArray,
-        tips: IndexArray,
-        unit: float = 1.0,
-        girth_part: float = SearchConfig.girth_part,
-    ) -> Limbs:
-        """Measure the limbs that end at some vertices (e,), beside landmarks (p,); three at least, of one piece.
-
-        A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
-        product, as in neighbour joining).
-        """
-        ends = np.concatenate([landmarks, tips])
-        lengths = np.linalg.norm(graph.edges, axis=1)
-        edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
-        distances = dijkstra(edges, indices=ends)
-        apart = distances[:, ends]
-        products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
-        every = np.arange(len(ends))
-        products[every, every, :] = products[every, :, every] = products[:, every, every] = np.inf
-        own = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
-        between = apart - own[:, None] - own
-        between[every, every] = 0.0
-        part, limbs = girth_part * own[len(landmarks) :], distances[len(landmarks) :]
-        return cls(tips, unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part))
+    ends = np.concatenate([landmarks, tips])
+    lengths = np.linalg.norm(graph.edges, axis=1)
+    edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
+    distances = dijkstra(edges, indices=ends)
+    apart = distances[:, ends]
+    products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
+    every = np.arange(len(ends))
+    products[every, every, :] = products[every, :, every] = products[:, every, every] = np.inf
+    own = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
+    between = apart - own[:, None] - own
+    between[every, every] = 0.0
+    part, limbs = girth_part * own[len(landmarks) :], distances[len(landmarks) :]
+    return unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part)
 
 
 def assignments(
-    target: Limbs, source: Limbs, config: SearchConfig = SearchConfig()
+    target: LimbMeasures, source: LimbMeasures, config: SearchConfig = SearchConfig()
 ) -> list[tuple[IndexArray, IndexArray]]:
     """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
 
     Ranked by how far the joints' distances differ, and the girths. Lengths of limbs do not count: a hippo has short
     legs and a cougar a long tail.
     """
-    if len(target.tips) > len(source.tips):
+    (between, girths), (source_between, source_girths) = target, source
+    if len(girths) > len(source_girths):
         return [(i, j) for j, i in assignments(source, target, config)]
-    count, landmarks = len(target.tips), len(target.between) - len(target.tips)
-    to = np.array(list(permutations(range(len(source.tips)), count)))
+    count, landmarks = len(girths), len(between) - len(girths)
+    to = np.array(list(permutations(range(len(source_girths)), count)))
     ends = np.hstack([np.tile(np.arange(landmarks), (len(to), 1)), landmarks + to])
-    apart = np.abs(source.between[ends[:, :, None], ends[:, None, :]] - target.between).sum(axis=(1, 2))
-    ratios = np.log(source.girths[to] / target.girths)
+    apart = np.abs(source_between[ends[:, :, None], ends[:, None, :]] - between).sum(axis=(1, 2))
+    ratios = np.log(source_girths[to] / girths)
     ratios -= np.median(ratios, axis=1, keepdims=True)
     ranked = np.argsort(apart + config.girth_weight * np.abs(ratios).sum(axis=1), kind="stable")
     return [(np.arange(count), to[row]) for row in ranked[: config.max_assignments]]
@@ -233,18 +201,11 @@ def assignments(
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """Limbs of the target on limbs of the source.
+    """Limbs of the target on limbs of the source."""
 
-    Attributes
-    ----------
-    vertices : (p + k,) int64, (p + k,) int64
-        Landmarks and tips, of the levels of target and source that are searched.
-    places : (k, 3) float64
-        Of the tips on the source.
-    """
-
+    # (p + k,) Landmarks and tips, of the levels of target and source that are searched
     vertices: tuple[IndexArray, IndexArray]
-    places: FloatArray
+    places: FloatArray  # (k, 3) of the tips on the source
 
     def shape(self, problem: Problem) -> CoarseShape:
         """Clusters of a problem's coarse stage that hold the landmarks and the tips."""
@@ -261,7 +222,7 @@ def assigned_limbs(problem: Problem) -> list[Assignment]:
     if fewest < 1 or len(landmarks[0]) + fewest < needed:
         return []
     sides = zip(problem.prepared.graphs, landmarks, ends, units, strict=True)
-    target, source = (Limbs.of(*side, config.girth_part) for side in sides)
+    target, source = (limb_measures(*side, config.girth_part) for side in sides)
     return [
         Assignment(
             (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])), tips.places[j]

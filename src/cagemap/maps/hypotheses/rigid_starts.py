@@ -61,17 +61,10 @@ def rotation_doubt(matrix: FloatArray, config: SearchConfig) -> float:
 
 
 def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
-    """Placements with both shapes' bounding boxes and principal frames laid on each other, in all 24 ways.
+    """Placements of points (k, 3) with bounding boxes and principal frames laid on the source's (m, 3), in all 24 ways.
 
     Boxes agree in their diagonal (one scale) or along every axis (three scales); principal frames, for files whose axes
     mean nothing, keep unit area.
-
-    Parameters
-    ----------
-    points : (k, 3) float64
-        Of the target, at unit area.
-    source_points : (m, 3) float64
-        Of the source, at unit area.
     """
     starts = []
     for matrix in axis_rotations():

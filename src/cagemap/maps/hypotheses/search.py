@@ -9,7 +9,6 @@ from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
 from cagemap.deform.refit import finished
 from cagemap.maps.hypotheses.candidates import least_cost, released_fits, rough_fits
-from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.limbs import Tips, led_by_tips
 from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
@@ -31,15 +30,8 @@ def search(
     limbs in the ways that the landmarks leave, and the cheapest placement wins. The best one is led to the tips that it
     missed and finished, unless bodies of one kind stand alike.
 
-    Parameters
-    ----------
-    problem : Problem
-    progress : callable
-    start : (k, 3) float64, optional
-        Places on the source of the coarse shape's vertices, instead of the spectral map of the landmarks; no others are
-        tried. It alone counts where there are fewer than `FEWEST_LANDMARKS`.
-    show : callable
-        Called during the search with placements of the small graph that rough fits use.
+    ``start`` are places (k, 3) of the coarse shape's vertices instead of the spectral map of the landmarks: no others
+    are tried, and it alone counts where landmarks are too few. ``show`` is called with placements of the small graph.
     """
     decided = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
     fits, found = list[AnchoredFits](), list[Placement]()
@@ -82,16 +74,13 @@ def search(
 
 def found_readings(
     problem: Problem, progress: Progress = silent, show: Callable[[Placement], None] = lambda _: None
-) -> tuple[Reading, ...]:
-    """Different alignments of the target with the source, best first, by `search`.
-
-    Positions are those of the vertices of the level that is deformed.
-    """
-    prepared, answers = problem.prepared, dict[str, Reading]()
+) -> tuple[Placement, ...]:
+    """Different alignments of the target with the source, best first, by `search`."""
+    prepared, answers = problem.prepared, dict[str, Placement]()
     different = prepared.elastic.search.different
     for placed in distinct(search(problem, progress, show=show), prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY
-        answers[name] = Reading(name, placed.cost, placed.answer, placed.doubt)
+        answers[name] = Placement(placed.answer, placed.cost, name=name, doubt=placed.doubt)
     return tuple(answers.values())

@@ -26,18 +26,10 @@ from cagemap.surface.triangles import vertex_normals
 
 @dataclass(frozen=True)
 class Sign:
-    """One sign of a wrong map.
+    """One sign of a wrong map."""
 
-    Attributes
-    ----------
-    bound : float
-        Largest value of a map that is sure.
-    finding : str
-        What a user reads beyond the bound; ``{value}`` and ``{percent}`` stand for the value.
-    """
-
-    bound: float
-    finding: str
+    bound: float  # largest value of a map that is sure
+    finding: str  # what a user reads beyond the bound; ``{value}`` and ``{percent}`` stand for the value
 
 
 # In the order in which a message names them. Where each bound was chosen and judged: docs/lab/judge.md.

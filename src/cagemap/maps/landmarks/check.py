@@ -63,29 +63,14 @@ EVIDENCE = {
 
 @dataclass(frozen=True)
 class LandmarkSuspect:
-    """A pair that was left out of a map.
-
-    Attributes
-    ----------
-    name : str
-    pair : int
-        Its place among the landmarks given.
-    distance : float
-        How far from the given source vertex the map puts the target vertex, of sqrt(area).
-    nearest_vertex : int
-        Source control vertex nearest to where the map puts the target vertex.
-    source_vertex : int
-        Source control vertex that was given.
-    evidence : str
-        "distances": to the other landmarks, before the map; "sides": the sense in which these lie around it.
-    """
+    """A pair that was left out of a map."""
 
     name: str
-    pair: int
-    distance: float
-    nearest_vertex: int
-    source_vertex: int
-    evidence: str
+    pair: int  # its place among the landmarks given
+    distance: float  # how far from the given source vertex the map puts the target vertex, of sqrt(area)
+    nearest_vertex: int  # source control vertex nearest to where the map puts the target vertex
+    source_vertex: int  # source control vertex that was given
+    evidence: str  # "distances": to the other landmarks; "sides": the sense in which these lie around it
 
     def __str__(self) -> str:
         """One sentence for a user: what was found and the remedy."""
@@ -100,21 +85,12 @@ class LandmarkSuspect:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkCheck:
-    """What is known about the landmarks of a map.
+    """What is known about the landmarks of a map."""
 
-    Attributes
-    ----------
-    suspects : tuple of LandmarkSuspect
-        Pairs left out.
-    notes : tuple of str
-        What else a user should know.
-    strains : (p,) float64
-        How far every pair would move if it alone were let go, of sqrt(area); 0 for those left out, and for those that
-        an update added or moved. Empty if unknown.
-    """
-
-    suspects: tuple[LandmarkSuspect, ...] = ()
-    notes: tuple[str, ...] = ()
+    suspects: tuple[LandmarkSuspect, ...] = ()  # pairs left out
+    notes: tuple[str, ...] = ()  # what else a user should know
+    # (p,) How far every pair would move if it alone were let go, of sqrt(area); 0 for those left out, and those that an
+    # update added or moved. Empty if unknown
     strains: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def trusted(self, landmarks: Landmarks) -> Landmarks:
@@ -155,16 +131,7 @@ class LandmarkCheck:
 def checked_map(
     prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = silent
 ) -> tuple[PointMap, LandmarkCheck, list[Placement]]:
-    """`elastic_map` without the landmark pairs that turn out to be wrong.
-
-    Returns
-    -------
-    point_map : PointMap
-        Of the trusted pairs.
-    check : LandmarkCheck
-    ends : list of Placement
-        The map's own end, and others that were finished.
-    """
+    """`elastic_map` of the pairs that do not turn out to be wrong, what is known of all, and its placements."""
     problem, count, config = Problem(prepared, pair), len(names), prepared.elastic.landmarks
     if count < config.fewest_judged:
         note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
@@ -207,13 +174,8 @@ def checked_map(
 def accused_pairs(problem: Problem, distances: tuple[LandmarkDistances, LandmarkDistances]) -> dict[int, str] | None:
     """Places of pairs that do not fit the others, with the evidence; None where it is not known which are right.
 
-    Where distances accuse none, two that were exchanged are looked for by the sense in which the others surround them.
-
-    Parameters
-    ----------
-    problem : Problem
-    distances : (LandmarkDistances, LandmarkDistances)
-        Of its landmarks on target and source.
+    Where distances on target and source accuse none, two that were exchanged are looked for by the sense in which the
+    others surround them.
     """
     every, config = np.arange(len(problem.pair.landmarks)), problem.prepared.elastic.landmarks
     if typical_misfit(*distances, every) > config.unrelated:
@@ -280,21 +242,10 @@ def checked_changes(
     check: LandmarkCheck,
     before: PointMap,
 ) -> LandmarkCheck:
-    """A check of the landmarks of an update: pairs that are new or moved, by their distances to the others.
+    """A check of the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
 
-    Only those are left out that the map from before puts elsewhere too; `checked_map` asks a map of its own.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-        With all landmarks, as they are now.
-    names : sequence of str
-    changed : (c,) int64
-        Places of the pairs to ask about.
-    check : LandmarkCheck
-        What still holds of the last one.
-    before : PointMap
+    Only those are left out that the map from before puts elsewhere too; `checked_map` asks a map of its own. ``check``
+    is what still holds of the last one.
     """
     config = prepared.elastic.landmarks
     if not len(changed) or len(pair.landmarks) < config.fewest_judged:

@@ -24,58 +24,18 @@ MOST_TERMS = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class PlacesByDistance:
-    """Where the other landmarks put each one.
-
-    Attributes
-    ----------
-    misfit : (p,) float64
-        Of the given source vertex: weighted mean of the capped |log ratios| of distances.
-    least : (p,) float64
-        The smallest misfit that any source vertex has.
-    node : (p,) int64
-        That vertex, of the source graph.
-    distance : (p,) float64
-        From the given vertex to it along the surface.
-    """
-
-    misfit: FloatArray
-    least: FloatArray
-    node: IndexArray
-    distance: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class LandmarkDistances:
-    """Geodesic distances from p landmarks on one surface.
+    """Geodesic distances from p landmarks on one surface."""
 
-    Attributes
-    ----------
-    to_nodes : (p, m) float64
-        To every vertex of the coarse graph; the landmarks are its first p vertices.
-    vertices : (m,) int64
-        Mesh vertices of those.
-    config : LandmarkConfig
-        By which they are judged.
-    """
-
-    to_nodes: FloatArray
-    vertices: IndexArray
-    config: LandmarkConfig = LandmarkConfig()
+    to_nodes: FloatArray  # (p, m) to every vertex of the coarse graph; the landmarks are its first p vertices
+    vertices: IndexArray  # (m,) mesh vertices of those
+    config: LandmarkConfig = LandmarkConfig()  # by which they are judged
 
     @classmethod
     def measure(
         cls, graph: ElasticGraph, landmarks: IndexArray, config: LandmarkConfig = LandmarkConfig()
     ) -> LandmarkDistances:
-        """Shortest paths on a coarser graph that keeps the landmarks.
-
-        Parameters
-        ----------
-        graph : ElasticGraph
-            Of a mesh at unit area.
-        landmarks : (p,) int64
-        config : LandmarkConfig
-        """
+        """Shortest paths from landmarks (p,) on a graph coarser than that of a mesh at unit area, which keeps them."""
         coarse, vertices = cluster_graph(graph, min(config.distance_vertices, graph.n), landmarks)
         lengths = np.linalg.norm(coarse.edges, axis=1)
         edges = sparse.csr_array((lengths, (coarse.heads, coarse.tails)), shape=(coarse.n, coarse.n))
@@ -93,27 +53,37 @@ class LandmarkDistances:
         return bool(away[near].max() <= away[landmark] + self.config.tip_slack)
 
 
-def place_by_distances(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> PlacesByDistance:
+def place_by_distances(
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
+) -> tuple[FloatArray, IndexArray, FloatArray]:
     """Place every trusted landmark on the source by its distances to the other trusted ones.
 
     The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, m)``, weights
     w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the `short` and
     `max_misfit` of `LandmarkConfig`. Near landmarks count most, and a cap keeps a second wrong pair from deciding.
-    Pairs that are not trusted get a misfit of 0.
+
+    Returns
+    -------
+    gain : (p,) float64
+        Misfit of the given source vertex less the least one that any has; 0 of pairs that are not trusted.
+    node : (p,) int64
+        The vertex that has it, of the source graph.
+    distance : (p,) float64
+        From the given vertex to it along the surface.
     """
     p, short = len(target.to_nodes), target.config.short
     near = target.between + short
     wanted, found = np.log(near), np.log(source.to_nodes + short)
     shift = float(np.median((wanted - found[:, :p])[_pairs(trusted)]))
-    misfit, least, distance, node = np.zeros(p), np.zeros(p), np.zeros(p), np.arange(p)
+    gain, distance, node = np.zeros(p), np.zeros(p), np.arange(p)
     for i in trusted:
         others = trusted[trusted != i]
         weights = 1.0 / near[i, others]
         ratios = np.abs(wanted[i, others, None] - shift - found[others])
         misfits = (weights / weights.sum()) @ np.minimum(ratios, target.config.max_misfit)
         node[i] = np.argmin(misfits)
-        misfit[i], least[i], distance[i] = misfits[i], misfits[node[i]], source.to_nodes[i, node[i]]
-    return PlacesByDistance(misfit, least, node, distance)
+        gain[i], distance[i] = misfits[i] - misfits[node[i]], source.to_nodes[i, node[i]]
+    return gain, node, distance
 
 
 def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> float:
@@ -149,12 +119,12 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
 
 def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
     """Up to so many trusted pairs whose given place fits much worse than the best one, worst first."""
-    placed, config = place_by_distances(target, source, trusted), target.config
-    gain = np.where(placed.distance >= config.min_distance, placed.misfit - placed.least, 0.0)
+    (gain, node, distance), config = place_by_distances(target, source, trusted), target.config
+    gain = np.where(distance >= config.min_distance, gain, 0.0)
     found: list[int] = []
     while len(found) < count:
         worst = int(np.argmax(gain))
-        if gain[worst] > 0.0 and farther_out(target, source, trusted, placed, worst):
+        if gain[worst] > 0.0 and farther_out(target, source, trusted, worst, int(node[worst]), distance[worst]):
             gain[worst] = 0.0
             continue
         others = trusted[trusted != worst]
@@ -166,14 +136,20 @@ def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: 
 
 
 def farther_out(
-    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, placed: PlacesByDistance, landmark: int
+    target: LandmarkDistances,
+    source: LandmarkDistances,
+    trusted: IndexArray,
+    landmark: int,
+    node: int,
+    distance: float,
 ) -> bool:
     """Whether a tip's given place lies farther out on the limb that has the best one: limbs of other lengths.
 
-    The way to the tip of a long tail leads past the place that a short tail's tip would have on it.
+    The best one is a node of the source at a distance. The way to the tip of a long tail leads past the place that a
+    short tail's tip would have on it.
     """
     others = trusted[trusted != landmark]
-    through = source.to_nodes[others, placed.node[landmark]] + placed.distance[landmark]
+    through = source.to_nodes[others, node] + distance
     past = float(np.median(through - source.to_nodes[others, landmark])) < target.config.detour
     return past and target.is_tip(landmark, others) and source.is_tip(landmark, others)
 

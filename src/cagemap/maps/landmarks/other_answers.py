@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, Reading, cost_signs
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, cost_signs
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
@@ -23,17 +23,16 @@ from cagemap.surface.triangle_surface import TriangleSurface
 def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Two answers with the same landmarks, and the vertex where they differ most; None where only one is good.
 
-    Parameters
-    ----------
-    ends : sequence of Placement
-        Cheapest first; the first became the map.
-    prepared : PreparedPair
+    The ends are cheapest first; the first became the map.
     """
     best = ends[0]
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
-            readings = (Reading(AS_GIVEN, best.cost, best.answer), Reading(TURNED, other.cost, other.positions))
+            readings = (
+                Placement(best.answer, best.cost, name=AS_GIVEN),
+                Placement(other.positions, other.cost, name=TURNED),
+            )
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
             deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
             return Confidence(LOOK, readings, cost_signs(readings) | {"limb_turned": share}, deciding)
@@ -43,24 +42,9 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
 def mirrored_readings(
     prepared: PreparedPair, pair: Pair, given: Placement, check: LandmarkCheck, progress: Progress = silent
 ) -> tuple[Confidence | None, LandmarkCheck]:
-    """Two answers for landmarks that seem mirrored: as they are, and with those exchanged that shapes alone suggest.
+    """Two answers for landmarks that seem mirrored: as given, and with those exchanged that shapes alone suggest.
 
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-        With the landmarks.
-    given : Placement
-        Of these landmarks.
-    check : LandmarkCheck
-    progress : callable
-
-    Returns
-    -------
-    confidence : Confidence or None
-        None where shapes put too few landmarks near others, or landmarks cost nothing.
-    check : LandmarkCheck
-        Without the note that they seem mirrored, where they cost nothing.
+    None where shapes put too few landmarks near others, or landmarks cost nothing: the check loses its note then.
     """
     free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
     best = found_readings(Problem(prepared, free), progress)[0]
@@ -71,8 +55,8 @@ def mirrored_readings(
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     readings = (
-        Reading(AS_GIVEN, given.cost, given.answer),
-        Reading(EXCHANGED, best.cost, best.positions, exchange=tuple(map(tuple, exchange.tolist()))),
+        Placement(given.answer, given.cost, name=AS_GIVEN),
+        Placement(best.positions, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
     )
     return Confidence(TWO, readings, cost_signs(readings)), check
 

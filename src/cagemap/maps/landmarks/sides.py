@@ -24,12 +24,6 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     and k, so that three landmarks in a line with the surface's normal say nothing. Hands exchange their sides where
     arms are crossed: so triples vote once more, those the less whose distances in space differ, and the larger result
     counts.
-
-    Parameters
-    ----------
-    target, source : pair of (p, 3) arrays
-        Positions and unit normals of the landmarks.
-    config : LandmarkConfig
     """
     p, changed = len(target[0]), _changed_squared(target[0], source[0], config.short)
     agreed, counted = np.zeros(2), np.zeros(2)
@@ -47,12 +41,7 @@ def exchanged_sides(
 ) -> tuple[int, int] | None:
     """The two pairs around which orientations disagree and, with their source points exchanged, agree well; if any.
 
-    Parameters
-    ----------
-    distances : (LandmarkDistances, LandmarkDistances)
-        Of target and source: only exchanges that they hardly mind are asked about, those first that gain most.
-    target, source : pair of (p, 3) arrays
-        As in `orientation_agreement`.
+    Only exchanges that distances hardly mind are asked about, those first that gain most.
     """
     p, config = len(target[0]), distances[0].config
     apart = np.minimum(*(side.between for side in distances)) > config.side_apart

@@ -33,23 +33,12 @@ class ReducedEnergy:
 
     H is the Schur complement ``K_ll - K_fl^T K_ff^-1 K_fl`` of the whole quadratic problem, of which only products and
     diagonal blocks are made: with thousands of landmarks it would fill the memory.
-
-    Attributes
-    ----------
-    own : (3 p, 3 p) CSC array
-        K_ll; rows are landmarks times coordinates.
-    coupling : (m, 3 p) CSC array
-        K_fl.
-    others : Factorization
-        Of K_ff.
-    load : (3 p,) float64
-        ``H l_0``, where l_0 are the places that no landmark held would take.
     """
 
-    own: sparse.csc_array
-    coupling: sparse.csc_array
-    others: Factorization
-    load: FloatArray
+    own: sparse.csc_array  # (3 p, 3 p) K_ll; rows are landmarks times coordinates
+    coupling: sparse.csc_array  # (m, 3 p) K_fl
+    others: Factorization  # of K_ff
+    load: FloatArray  # (3 p,) ``H l_0``, where l_0 are the places that no landmark held would take
 
     @classmethod
     def of(cls, matrix: sparse.csc_array, right: FloatArray, landmarks: IndexArray) -> ReducedEnergy:
@@ -77,13 +66,7 @@ class ReducedEnergy:
         return blocks
 
     def released(self, places: FloatArray, held: IndexArray) -> FloatArray:
-        """(p, 3) displacements u_i of every held landmark let go alone; zero for those not held, which are free.
-
-        Parameters
-        ----------
-        places : (p, 3) float64
-        held : (q,) int64
-        """
+        """(p, 3) displacements u_i of every held landmark (q,) let go alone; zero for those not held: they are free."""
         force, blocks = self.times(places.ravel()) - self.load, self.blocks
         free = np.setdiff1d(np.arange(len(places)), held)
         if len(free):  # eliminated as well
@@ -106,16 +89,10 @@ def reduced_energy(
     landmarks: IndexArray,
     config: LandmarkConfig = LandmarkConfig(),
 ) -> ReducedEnergy:
-    """Eliminate everything but the landmarks from the quadratic problem at a map.
+    """Eliminate everything but the landmarks (p,) from the quadratic problem at a map.
 
-    Parameters
-    ----------
-    graph : ElasticGraph
-        Of the target's mesh, at unit area.
-    images, normals : (n, 3) float64
-        Where the map takes its vertices on the source, and the source's unit normals there.
-    landmarks : (p,) int64
-    config : LandmarkConfig
+    Images and normals (n, 3) are where the map takes the graph's vertices on the source, and the source's normals
+    there.
     """
     coarse, vertices = cluster_graph(graph, min(config.strain_vertices, graph.n), landmarks)
     plane = normals[vertices]
@@ -137,14 +114,7 @@ def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkCon
     """The landmark that would move far if let go, and alone so; None where there is none.
 
     The others are asked again with it let go, because a wrong landmark pulls at its neighbours. Fewer than
-    `fewest_strained` landmarks are not judged: the others are too far away to know better.
-
-    Parameters
-    ----------
-    energy : ReducedEnergy
-    places : (p, 3) float64
-        Where the map holds the landmarks.
-    config : LandmarkConfig
+    `fewest_strained` landmarks, held at places (p, 3), are not judged: the others are too far away to know better.
     """
     held = np.arange(len(places))
     if len(held) < config.fewest_strained:

@@ -20,26 +20,13 @@ def suggested_vertices(
     """Control vertices of the target at which landmarks would tell most, the most telling first.
 
     A vertex counts by how far other answers put it, as far as no landmark is near, and by its distance to the nearest
-    landmark times its doubt. Each suggestion counts as a landmark for the next.
-
-    Parameters
-    ----------
-    places : (n_0, 3) float64
-        Of the target's control vertices, at unit area.
-    images : (n_0, 3) float64
-        Where the map takes them on the source, at unit area.
-    others : (r, n_0, 3) float64
-        Where other answers, or the way back, take them.
-    trust : (n_0,) float64
-        1 where the map is to be trusted, down to 0.
-    known : (p,) int64
-        Vertices that are landmarks.
-    count : int
+    landmark times its doubt. Each suggestion counts as a landmark for the next. At unit area: places and images
+    (n_0, 3) of the control vertices on target and source, and images (r, n_0, 3) by other answers, or the way back.
 
     Raises
     ------
     ParameterError
-        If there are not so many vertices left.
+        If there are not so many vertices beside the known ones (p,).
     """
     if not 1 <= count <= len(places) - len(known):
         raise ParameterError(f"count: expected 1 to {len(places) - len(known)} further landmarks, got {count}")

@@ -30,24 +30,12 @@ from cagemap.surface.triangles import row_lengths
 
 @dataclass(frozen=True, eq=False)
 class Disc:
-    """A piece of a surface that is topologically a disc.
+    """A piece of a surface that is topologically a disc."""
 
-    Attributes
-    ----------
-    vertices : (n,) int64
-        Of the surface.
-    chosen : (t,) int64
-        Triangles of the surface.
-    triangles : (t, 3) int64
-        The same, numbered within the piece.
-    rim : (r,) int64
-        Vertices on its border in counter-clockwise order, numbered within the piece.
-    """
-
-    vertices: IndexArray
-    chosen: IndexArray
-    triangles: IndexArray
-    rim: IndexArray
+    vertices: IndexArray  # (n,) of the surface
+    chosen: IndexArray  # (t,) triangles of the surface
+    triangles: IndexArray  # (t, 3) the same, numbered within the piece
+    rim: IndexArray  # (r,) vertices on its border in counter-clockwise order, numbered within the piece
 
     @property
     def inside(self) -> BoolArray:
@@ -67,17 +55,7 @@ def flatten_folded_parts(
     """Unfold the parts with the largest folds, each within a disc, where that removes at least half of the fold.
 
     A limb beyond a ring of folds is a tiny place of the disc, where small changes move it far: a result that displaces
-    much more area than is folded is discarded.
-
-    Parameters
-    ----------
-    images : SurfacePoints
-        Of all target vertices.
-    flipped : (t1,) bool
-        Target triangles that lie upside down.
-    target : TriangleSurface
-    held : (p,) int64
-        Target vertices that may not move (landmarks).
+    much more area than is folded is discarded. Held vertices (p,) stay (landmarks).
     """
     for part in folded_parts(target, flipped, config):
         for growth in config.growths:
@@ -100,14 +78,7 @@ def flatten_folded_parts(
 def folded_parts(
     target: TriangleSurface, flipped: BoolArray, config: ProjectionConfig = ProjectionConfig()
 ) -> list[IndexArray]:
-    """Vertices of flipped triangles (t,), by part, the largest first; none if more than ``max_folded`` is folded.
-
-    Parameters
-    ----------
-    target : TriangleSurface
-    flipped : (t,) bool
-        Pieces closer than ``part_distance`` are one part.
-    """
+    """Vertices of flipped triangles (t,), by part, the largest first; none if more than ``max_folded`` is folded."""
     triangles, areas = target.triangles, target.areas[flipped]
     if not config.min_part <= areas.sum() <= config.max_folded:
         return []
@@ -178,11 +149,6 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
 
     Mean value coordinates (Floater 2003), which reproduce a vertex's place, where the disc is not folded around it and
     from there to the rim; equal weights elsewhere.
-
-    Parameters
-    ----------
-    places : (n, 2) float64
-    disc : Disc
     """
     triangles, inside = disc.triangles, disc.inside
     n = len(places)
@@ -210,10 +176,7 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
 def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
     """(n, 2) places where every vertex inside is the given combination (v, n) of all, and the others stay.
 
-    Raises
-    ------
-    SolverError
-        If some vertices are combinations of each other alone.
+    Raises SolverError if some vertices are combinations of each other alone.
     """
     if not inside.any():  # a disc so small that all its vertices are on the rim
         return places

@@ -143,15 +143,7 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
 
 
 def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:
-    """(n_f, 3) finest vertices of the subdivision surface that passes through points of the vertices of one level.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    level : int
-    points : (n_l, 3) float64
-        Points of the finest surface, not control points.
-    """
+    """(n_f, 3) finest vertices of the subdivision surface that passes through points (n_l, 3) of a level's vertices."""
     chosen = sparse.csr_array(sparse.eye_array(len(points), refinement.finest.n_vertices, format="csr"))
     for matrix in reversed(refinement.matrices[level:]):
         chosen = sparse.csr_array(chosen @ matrix)
@@ -181,13 +173,6 @@ def facing_points(
 
     Normals separate the two sides of thin parts. Their weight is small: a normal that differs from the source's moves
     the closest point sideways, the farther the less the surface bends.
-
-    Parameters
-    ----------
-    surface : TriangleSurface
-    points, normals : (m, 3) float64
-    weights : (float, float)
-        Normal weights of the first search, and of the second.
     """
     found = SurfacePoints.nearest(surface, points, normals, normal_weight=weights[0])
     away = np.flatnonzero(np.einsum("md,md->m", found.normals, normals) < config.min_cosine)

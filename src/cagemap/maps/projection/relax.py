@@ -31,28 +31,10 @@ def relax_folds(
     normal_weight: float,
     config: ProjectionConfig = ProjectionConfig(),
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
-    """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
+    """Reduce the flipped triangles of a map; vertices far from a flip and held ones (p,) keep their image.
 
     A connected patch keeps its new image only if fewer of its triangles are flipped than before. Patches grow in every
-    round, until a round removes few flips.
-
-    Parameters
-    ----------
-    images : SurfacePoints
-        Where the map takes the target's vertices.
-    triangles : (t1, 3) int64
-        Of the target.
-    held : (p,) int64
-        Target vertices that may not move (landmarks).
-    normal_weight : float
-        Of the projection, see `closest_points`.
-    config : ProjectionConfig
-
-    Returns
-    -------
-    images : SurfacePoints
-    flipped : (t1,) bool
-        Target triangles that still are.
+    round, until a round removes few flips. Also which target triangles (t1,) still are flipped.
     """
     flipped = flipped_triangles(images, triangles)
     if not flipped.any():
