@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.paper.data import PAIR, Judged, picture, prepared, verdict, with_landmarks
-from cagemap.maps.levels import LevelMap
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles
+from cagemap.maps.result import LevelMap
 from cagemap.paper.descriptors import choose_filters, landmark_descriptors
 from cagemap.paper.method import paper_map
 from cagemap.pictures import BALANCE, position_colors, scalar_colors

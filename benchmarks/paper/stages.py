@@ -13,13 +13,13 @@ import numpy as np
 
 from benchmarks.accuracy.data import HUMANS, HumanPair
 from benchmarks.truth import Truth, compare_with_truth, true_map
-from cagemap.maps.levels import LevelMap, ladder
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
 from cagemap.paper.constraints import DescriptorConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.levels import recover_points, search_full, search_level
+from cagemap.paper.levels import ladder, recover_points, search_full, search_level
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
 from cagemap.spectral import Surface

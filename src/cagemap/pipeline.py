@@ -21,7 +21,6 @@ from cagemap.maps.hypotheses.confidence import at_finest
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.other_answers import mirrored_readings, turned_limbs
-from cagemap.maps.levels import search_levels
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
@@ -35,6 +34,7 @@ from cagemap.numerics.brief import Brief
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.levels import search_levels
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.paper.operators import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
@@ -231,25 +231,25 @@ def match_pair(
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, target.control, source.control)
     check, confidence, timings = LandmarkCheck(), None, {} if timings is None else timings
-    pair = Pair(target, source, point_pairs(target, source, landmarks))
+    problem = Problem(prepared, Pair(target, source, point_pairs(target, source, landmarks)))
     with one_blas_thread():
         with _timed(timings, "map"):
-            known = known_map(prepared, pair)
+            known = known_map(problem)
             if known is not None:
                 point_map, confidence = known
                 places = confidence.readings[0].positions
             elif len(landmarks) < FEWEST_LANDMARKS:
-                point_map, confidence = hypothesis_map(prepared, pair, progress, preview)
+                point_map, confidence = hypothesis_map(problem, progress, preview)
                 places = confidence.readings[0].positions
             elif config.check_landmarks:
-                point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
+                point_map, check, ends = checked_map(problem, landmarks.names, progress)
                 places = ends[0].answer
                 confidence = turned_limbs(ends, prepared)
                 if MIRRORED_NOTE in check.notes:
-                    mirrored, check = mirrored_readings(prepared, pair, ends[0], check, progress)
+                    mirrored, check = mirrored_readings(problem, ends[0], check, progress)
                     confidence = mirrored or confidence
             else:
-                point_map, ends = elastic_map(Problem(prepared, pair), progress)
+                point_map, ends = elastic_map(problem, progress)
                 places = ends[0].answer
         shared = SharedArea.of_fit(prepared, places)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
@@ -295,19 +295,19 @@ def update_match(
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.check_landmarks:
-                every = Pair(target, source, point_pairs(target, source, landmarks))
+                every = Problem(prepared, Pair(target, source, point_pairs(target, source, landmarks)))
                 changed = landmarks.new_since(before.landmarks)
-                check = checked_changes(prepared, every, landmarks.names, changed, check, point_map)
+                check = checked_changes(every, landmarks.names, changed, check, point_map)
             trusted = check.trusted(landmarks)
-            pair = Pair(target, source, point_pairs(target, source, trusted))
-            known = known_map(prepared, pair)
+            problem = Problem(prepared, Pair(target, source, point_pairs(target, source, trusted)))
+            known = known_map(problem)
             if known is not None:
                 point_map = known[0]
             else:
                 progress("elastic update")
-                places = linear_update(Problem(prepared, pair), point_map)
+                places = linear_update(problem, point_map)
                 progress("closest points")
-                point_map = map_of_places(prepared, places, pair.landmarks)
+                point_map = map_of_places(prepared, places, problem.pair.landmarks)
         return _judged(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 

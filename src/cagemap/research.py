@@ -28,7 +28,6 @@ from cagemap.maps.functional_maps import (
     to_bases,
     zoomed_out,
 )
-from cagemap.maps.levels import LevelMap, ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of
 from cagemap.maps.point_map import PointMap
@@ -36,6 +35,7 @@ from cagemap.maps.projection.project import held_vertices
 from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
+from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
@@ -43,7 +43,7 @@ from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights,
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.levels import basis_sizes, recover_points, search_full, search_level
+from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_full, search_level, search_levels
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface

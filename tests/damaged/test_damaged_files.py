@@ -37,9 +37,8 @@ from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, 
 from cagemap.jobs import Task, read_job
 from cagemap.jobs.consistency import Consistency, read_consistency, write_consistency
 from cagemap.jobs.run import kept_outcome
-from cagemap.maps.levels import LevelMap
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.result import MatchResult
+from cagemap.maps.result import LevelMap, MatchResult
 from cagemap.mesh.landmarks import on_cage
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import prepare_surface

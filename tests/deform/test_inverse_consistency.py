@@ -9,9 +9,9 @@ from examples.shapes import creature
 from cagemap.deform.config import StartConfig
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import inverse, inverse_consistent, smoothed
-from cagemap.maps.curves import CurvePair, SurfaceCurve
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, PointPairs
+from cagemap.maps.places import CurvePair, SurfaceCurve
 from cagemap.mesh.parts import extract
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis

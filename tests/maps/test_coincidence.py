@@ -11,6 +11,7 @@ from examples.shapes import voxels
 from scipy import sparse
 
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine, update_match
+from cagemap.deform.problem import Problem
 from cagemap.example import example_pair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.coincidence import Coincidence
@@ -145,7 +146,7 @@ def test_landmarks_move_closest_points_or_contradict_them(surface: Surface, reto
     def known(targets: np.ndarray, sources: np.ndarray) -> np.ndarray | None:
         landmarks = point_pairs(prepared.target, prepared.source, marked(targets, sources))
         pair = Pair(prepared.target, prepared.source, landmarks)
-        found = known_map(prepared, pair)
+        found = known_map(Problem(prepared, pair))
         return None if found is None else landmark_errors(found[0], landmarks)
 
     off = known(np.array([*MARKS, middle]), np.array([*MARKS, vertex]))
@@ -165,7 +166,7 @@ def test_masks_that_keep_different_parts_contradict_closest_points(surface: Surf
         masks = Masks(left.astype(float), source.astype(float))
         prepared = prepare_pair(retopology, surface, MatchConfig(masks=masks))
         pair = Pair(retopology, surface, point_pairs(retopology, surface, Landmarks.none()))
-        assert (known_map(prepared, pair) is not None) == lies
+        assert (known_map(Problem(prepared, pair)) is not None) == lies
 
 
 def test_both_sides_of_a_thin_part_stay_apart() -> None:

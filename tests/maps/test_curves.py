@@ -24,8 +24,8 @@ from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
-from cagemap.maps.curves import curve_pairs, edge_vertices, refined_edges
 from cagemap.maps.pair import Pair, point_pairs
+from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
 from cagemap.mesh.join import join_meshes

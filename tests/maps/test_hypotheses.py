@@ -12,9 +12,9 @@ from examples.shapes import creature, cube, voxels
 from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.maps.hypotheses.candidates import least_cost
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.maps.hypotheses.search import least_cost
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear, ControlMesh
 from cagemap.mesh.join import join_meshes

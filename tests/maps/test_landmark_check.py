@@ -15,18 +15,19 @@ from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import level_graph
+from cagemap.deform.problem import Problem, level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.folder import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check, other_answers
 from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
-from cagemap.maps.landmarks.distances import (
+from cagemap.maps.landmarks.outliers import (
     LandmarkDistances,
+    exchanged_sides,
     misplaced_pairs,
+    orientation_agreement,
     place_by_distances,
 )
-from cagemap.maps.landmarks.sides import exchanged_sides, orientation_agreement
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.mesh import ControlMesh
@@ -250,11 +251,11 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     monkeypatch.setattr(other_answers, "found_readings", lambda problem, progress: (other,))
     known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
-    doubt, kept = other_answers.mirrored_readings(prepared, points, dear, known)
+    doubt, kept = other_answers.mirrored_readings(Problem(prepared, points), dear, known)
     assert (doubt.verdict, kept) == (TWO, known)
     assert [reading.cost for reading in doubt.readings] == [dear.cost, other.cost]
     assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
-    none, kept = other_answers.mirrored_readings(prepared, points, cheap, known)
+    none, kept = other_answers.mirrored_readings(Problem(prepared, points), cheap, known)
     assert none is None
     assert kept.notes == ("another note",)
 

@@ -7,18 +7,16 @@ import tracemalloc
 import numpy as np
 
 from cagemap.deform.config import LandmarkConfig
-from cagemap.maps.landmarks import distances
-from cagemap.maps.landmarks.distances import (
+from cagemap.maps.landmarks import outliers
+from cagemap.maps.landmarks.outliers import (
     LandmarkDistances,
-    best_exchanges,
-    misplaced_pairs,
-    typical_misfit,
-)
-from cagemap.maps.landmarks.sides import (
     Marks,
     agreement_around,
+    best_exchanges,
     exchanged_sides,
+    misplaced_pairs,
     orientation_agreement,
+    typical_misfit,
 )
 
 CONFIG = LandmarkConfig()
@@ -226,8 +224,8 @@ def test_slips_among_hundreds_are_found_several_at_a_time(monkeypatch) -> None:
     others = np.random.default_rng(8).random((400, 3))
     target, source = distances_of(points, others), distances_of(moved, others)
     wrong = {*misplaced, *(landmark for pair in exchanged for landmark in pair)}
-    passes, gains = [], distances.exchange_gains
-    monkeypatch.setattr(distances, "exchange_gains", lambda *given: (passes.append(1), gains(*given))[1])
+    passes, gains = [], outliers.exchange_gains
+    monkeypatch.setattr(outliers, "exchange_gains", lambda *given: (passes.append(1), gains(*given))[1])
     assert set(misplaced_pairs(target, source).tolist()) == wrong
     assert len(passes) <= 3
 

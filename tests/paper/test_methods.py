@@ -14,12 +14,12 @@ from examples import shapes
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
-from cagemap.maps.levels import search_levels
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import hfm, method
 from cagemap.paper.constraints import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
+from cagemap.paper.levels import search_levels
 from cagemap.paper.method import PaperConfig, orthonormal, paper_map
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig

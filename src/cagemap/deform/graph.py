@@ -61,6 +61,16 @@ class ElasticGraph:
         return sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights)
 
     @kept
+    def edge_lengths(self) -> sparse.csr_array:
+        """(n, n) length of every edge."""
+        lengths = np.linalg.norm(self.edges, axis=1)
+        return sparse.csr_array((lengths, (self.heads, self.tails)), shape=(self.n, self.n))
+
+    def distances(self, vertices: IndexArray) -> FloatArray:
+        """(k, n) distances along the edges from vertices (k,); infinite if unreached."""
+        return np.asarray(dijkstra(self.edge_lengths, indices=vertices))
+
+    @kept
     def station_distances(self) -> FloatArray:
         """(s, n) distances along the edges from `STATIONS` vertices, each far from the others; infinite if unreached.
 
@@ -68,11 +78,9 @@ class ElasticGraph:
         """
         piece = components(self.heads, self.tails, self.n)
         sizes = np.bincount(piece, self.areas)
-        lengths = np.linalg.norm(self.edges, axis=1)
-        edges = sparse.csr_array((lengths, (self.heads, self.tails)), shape=(self.n, self.n))
         rows, nearest = [], np.where(sizes >= min(MIN_PIECE_AREA, sizes.max()), np.inf, -1.0)[piece]
         for _ in range(min(STATIONS, self.n)):
-            rows.append(dijkstra(edges, indices=[int(nearest.argmax())])[0])
+            rows.append(self.distances(nearest.argmax(keepdims=True))[0])
             nearest = np.minimum(nearest, rows[-1])
         return read_only(np.array(rows))
 

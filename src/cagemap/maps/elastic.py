@@ -13,12 +13,12 @@ from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.maps.coincidence import SAME
-from cagemap.maps.curves import curve_miss
 from cagemap.maps.hypotheses.confidence import SURE, Confidence
 from cagemap.maps.hypotheses.search import found_readings, search
 from cagemap.maps.hypotheses.signs import SIGNS, jump_share, jumps, median_distortion, mirrored_gain
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, Progress, silent
+from cagemap.maps.places import curve_miss
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places, snap_landmarks
 from cagemap.maps.quality import landmark_errors
@@ -30,12 +30,13 @@ LEAST_JOINT = 0.5
 ONE_SURFACE = "vertex on vertex: they are one surface"
 
 
-def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence] | None:
+def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     """The map of surfaces that lie on each other, and how sure it is; None of all others.
 
     Landmarks and curves move closest points a little, and landmarks are met exactly. Where they are missed by more than
     `LandmarkConfig.confirmed`, or masks keep different parts, they contradict: a map is fitted then.
     """
+    prepared, pair = problem.prepared, problem.pair
     masks, landmarks, count = prepared.masks, pair.landmarks, pair.target.control.n_vertices
     target, source = pair.target.finest_triangles, pair.source.finest_triangles
     if same_surface(pair, masks):
@@ -50,7 +51,7 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
     if missed > prepared.elastic.landmarks.confirmed or not _joint(point_map, masks):
         return None
     if missed > SAME:
-        moved = linear_update(Problem(prepared, pair), point_map)
+        moved = linear_update(problem, point_map)
         shifts = moved - point_map.images.at(prepared.vertices).positions
         shifts = pair.target.hierarchy.prolong(shifts, prepared.levels[0], pair.target.finest)
         point_map = PointMap(target, snap_landmarks(found.images(source, shifts), landmarks))
@@ -110,8 +111,7 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> Floa
 
 
 def hypothesis_map(
-    prepared: PreparedPair,
-    pair: Pair,
+    problem: Problem,
     progress: Progress = silent,
     preview: Callable[[PointMap], None] | None = None,
 ) -> tuple[PointMap, Confidence]:
@@ -120,7 +120,7 @@ def hypothesis_map(
     ``preview`` is called during the search with approximate maps: of the alignment in the files, then of the best rough
     fit.
     """
-    problem = Problem(prepared, pair)
+    prepared, pair = problem.prepared, problem.pair
 
     def show(rough: Placement) -> None:
         if preview is not None:

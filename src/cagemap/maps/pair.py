@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.maps.curves import CurvePair, curve_pairs
-from cagemap.maps.places import located
+from cagemap.maps.places import CurvePair, curve_pairs, located
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads

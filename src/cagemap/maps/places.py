@@ -1,13 +1,22 @@
-"""Points of control meshes as points of the finest surfaces."""
+"""Points and curves of control meshes on the finest surfaces, and how far a map misses a curve."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.topology import edge_table
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.numerics.threads import kept
 from cagemap.spectral import Surface
+from cagemap.subdivision import Refinement
+from cagemap.surface.polylines import Polyline
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalized
@@ -77,3 +86,152 @@ def _chosen(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> Ca
     return CagePoints(
         np.where(better[:, None], one.corners, other.corners), np.where(better[:, None], one.weights, other.weights)
     )
+
+
+# Curves are those of the first level with so many vertices: finer than the level that is deformed.
+CURVE_VERTICES = 15_000
+# Pieces of a straight line between two points of a curve that no edge joins.
+STRAIGHT_PIECES = 8
+# Length, of sqrt(area), that opposite normals count when such a line is put on the surface.
+NORMAL_WEIGHT = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceCurve:
+    """A polyline on a finest surface."""
+
+    points: SurfacePoints  # (m,) along it
+    closed: bool
+
+    @kept
+    def line(self) -> Polyline:
+        """Its places in space, at unit area."""
+        return Polyline(self.points.positions, self.closed)
+
+    @property
+    def shares(self) -> FloatArray:
+        """(m,) share of its length that every point stands for, sum 1."""
+        return self.line.shares / self.line.length
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePair:
+    """Two curves that correspond as a whole."""
+
+    name: str
+    target: SurfaceCurve
+    source: SurfaceCurve
+
+    def reversed(self) -> CurvePair:
+        """The same with the source in the target's place."""
+        return CurvePair(self.name, self.source, self.target)
+
+
+@dataclass(frozen=True)
+class CurveMiss:
+    """How far a map leads a curve from the one that it belongs to, both ways, of sqrt(area)."""
+
+    name: str
+    mean: float
+    worst: float
+
+
+def curve_pairs(target: Surface, source: Surface, curves: Curves) -> tuple[CurvePair, ...]:
+    """Curves of control meshes as curves of the finest surfaces."""
+    sides = [
+        surface_curves(surface.refinement, surface.finest_triangles, lines) if len(lines) else ()
+        for surface, lines in ((target, curves.target), (source, curves.source))
+    ]
+    return tuple(CurvePair(*made) for made in zip(curves.names, *sides, strict=True))
+
+
+def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: CageCurves) -> tuple[SurfaceCurve, ...]:
+    """Curves of a control mesh on the finest surface.
+
+    A piece along an edge follows what subdivision makes of that edge. Another one is a straight line that is put on
+    the surface.
+    """
+    level = refinement.coarsest_level(CURVE_VERTICES)
+    vertices = curves.points.vertices
+    segments = curves.segments
+    ends = vertices[segments]
+    # An edge of a plain mesh is straight already.
+    chains = np.full((len(ends), 1), -1) if refinement.is_plain else refined_edges(refinement, ends, level)
+    on_edge = chains[:, -1] >= 0
+    at_ends = on_surface(finest, curves.points)
+    found = []
+    for i, closed in enumerate(curves.closed.tolist()):
+        own = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)
+        pieces = [
+            SurfacePoints.from_vertices(finest, chains[row, :-1])
+            if on_edge[row]
+            else _straight(at_ends.at(segments[row, :1]), at_ends.at(segments[row, 1:]))
+            for row in own
+        ]
+        if not closed:
+            pieces.append(at_ends.at(segments[own[-1:], 1]))
+        points = SurfacePoints(
+            finest, np.concatenate([piece.triangle for piece in pieces]), np.vstack([p.barycentric for p in pieces])
+        )
+        found.append(SurfaceCurve(points, closed))
+    return tuple(found)
+
+
+def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
+    """(e, 2^level + 1) vertices of a level along control edges (e, 2); -1 where two control vertices have no edge."""
+    count = refinement.control.n_vertices
+    edges = edge_table(refinement.control).vertices
+    chains = np.where(np.isin(pair_keys(ends, count), pair_keys(edges, count))[:, None], ends, -1)
+    for number in range(level):
+        joined = np.stack([chains[:, :-1], chains[:, 1:]], axis=2)
+        middle = edge_vertices(refinement, number, joined.reshape(-1, 2)).reshape(joined.shape[:2])
+        finer = np.empty((len(chains), 2 * chains.shape[1] - 1), dtype=np.int64)
+        finer[:, ::2], finer[:, 1::2] = chains, middle
+        chains = finer
+    return chains
+
+
+def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> IndexArray:
+    """(e,) vertex of the next level in the middle of edges (e, 2) of a level; -1 where there is no such edge.
+
+    Rows of S^l stand in the order vertices, edges, faces: an edge's vertex is the one of the second kind that touches
+    both ends.
+    """
+    here, finer = refinement.levels[level], refinement.levels[level + 1]
+    assert finer.faces is not None
+    faces_have_vertices = finer.faces.shape[1] == 4
+    past = finer.n_vertices - (here.n_faces if faces_have_vertices else 0)
+    wanted = np.zeros(finer.n_vertices, dtype=bool)
+    wanted[ends[ends >= 0]] = True
+    tails, heads = finer.faces.ravel(), np.roll(finer.faces, -1, axis=1).ravel()
+    tails, heads = np.concatenate([tails, heads]), np.concatenate([heads, tails])
+    own = wanted[tails] & (tails < here.n_vertices) & (heads >= here.n_vertices) & (heads < past)
+    touching = np.unique(heads[own] * here.n_vertices + tails[own])
+    middle, end = np.divmod(touching, here.n_vertices)
+    both = np.flatnonzero(middle[1:] == middle[:-1])
+    keys = end[both] * here.n_vertices + end[both + 1]  # ascending within a pair
+    order = np.argsort(keys)
+    asked = pair_keys(ends, here.n_vertices)
+    if not len(keys):
+        return np.full(len(ends), -1, dtype=np.int64)
+    place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)
+    known = (keys[order][place] == asked) & (ends >= 0).all(axis=1)
+    return np.where(known, middle[both][order][place], -1)
+
+
+def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:
+    """How far a map leads a pair's target curve from its source curve, and leaves that one uncovered."""
+    image = Polyline(pair.target.points.interpolate(point_map.images.positions), pair.target.closed)
+    there = np.linalg.norm(pair.source.line.nearest(image.positions).places - image.positions, axis=1)
+    back = np.linalg.norm(image.nearest(pair.source.line.positions).places - pair.source.line.positions, axis=1)
+    mean = 0.5 * (pair.target.shares @ there + pair.source.shares @ back)
+    return CurveMiss(pair.name, float(mean), float(max(there.max(), back.max())))
+
+
+def _straight(start: SurfacePoints, stop: SurfacePoints) -> SurfacePoints:
+    """Points of the surface nearest to those of the straight line between two of its points, without the second."""
+    share = np.arange(STRAIGHT_PIECES)[:, None] / STRAIGHT_PIECES
+    places = (1.0 - share) * start.positions + share * stop.positions
+    normals = (1.0 - share) * start.normals + share * stop.normals
+    near = SurfacePoints.nearest(start.surface, places, normals, normal_weight=NORMAL_WEIGHT)
+    return near.replaced(np.array([0]), start)

@@ -10,13 +10,12 @@ import numpy as np
 from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
-from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
-from cagemap.maps.levels import LevelMap
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import point_pairs
+from cagemap.maps.pair import LevelPair, point_pairs
+from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, measure_quality
 from cagemap.mesh.curves import Curves
@@ -37,6 +36,16 @@ class SpectralMap:
 
     def __repr__(self) -> str:
         return f"SpectralMap({self.functional_map.shape[0]} x {self.functional_map.shape[1]} functions)"
+
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """Functional map and vertex matches between one level of the target and one of the source."""
+
+    levels: LevelPair  # of target and source
+    functional_map: FloatArray  # (k1, k2) C12 on the basis functions of these levels
+    match: IndexArray  # (n1,) source vertex of every target vertex
+    points: PointMap | None = None  # the same as points of the source; None while the finer levels are not found yet
 
 
 @dataclass(frozen=True, eq=False)

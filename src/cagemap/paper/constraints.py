@@ -9,8 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.maps.curves import SurfaceCurve
 from cagemap.maps.pair import Pair
+from cagemap.maps.places import SurfaceCurve
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads

@@ -18,15 +18,15 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import MapLike
-from cagemap.maps.levels import LevelMap, ladder, search_levels
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
+from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.levels import FEWEST_FUNCTIONS, start_map
+from cagemap.paper.levels import FEWEST_FUNCTIONS, ladder, search_levels, start_map
 from cagemap.paper.search import functions_at, spectral_rows
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import (

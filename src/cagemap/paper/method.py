@@ -9,9 +9,9 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import MapLike
-from cagemap.maps.levels import LevelMap, ladder
 from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
@@ -19,6 +19,7 @@ from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.levels import (
     FEWEST_FUNCTIONS,
     basis_sizes,
+    ladder,
     recover_points,
     refit,
     search_full,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.maps.curves import surface_curves
 from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.places import surface_curves
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.array_specs import ArraySpec, check_arrays, lie_in_triangles
 from cagemap.files.schema import LevelMapRecord
-from cagemap.maps.levels import LevelMap
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.result import MatchResult
+from cagemap.maps.result import LevelMap, MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
@@ -164,9 +162,7 @@ def limb_measures(
     product, as in neighbour joining).
     """
     ends = np.concatenate([landmarks, tips])
-    lengths = np.linalg.norm(graph.edges, axis=1)
-    edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
-    distances = dijkstra(edges, indices=ends)
+    distances = graph.distances(ends)
     apart = distances[:, ends]
     products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
     every = np.arange(len(ends))

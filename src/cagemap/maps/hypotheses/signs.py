@@ -12,8 +12,8 @@ from cagemap.deform.constraints import Constraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.maps.hypotheses.candidates import rough_problem
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
+from cagemap.maps.hypotheses.search import rough_problem
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray

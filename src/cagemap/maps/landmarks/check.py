@@ -16,11 +16,17 @@ import numpy as np
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.problem import Problem
 from cagemap.deform.starts import start_map
 from cagemap.maps.elastic import elastic_map
-from cagemap.maps.landmarks.distances import LandmarkDistances, misplaced_pairs, typical_misfit
-from cagemap.maps.landmarks.sides import Marks, exchanged_sides, orientation_agreement
+from cagemap.maps.landmarks.outliers import (
+    LandmarkDistances,
+    Marks,
+    exchanged_sides,
+    misplaced_pairs,
+    orientation_agreement,
+    typical_misfit,
+)
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.maps.pair import Pair, Progress, silent, vertices_at
 from cagemap.maps.point_map import PointMap
@@ -129,10 +135,10 @@ class LandmarkCheck:
 
 
 def checked_map(
-    prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = silent
+    problem: Problem, names: Sequence[str], progress: Progress = silent
 ) -> tuple[PointMap, LandmarkCheck, list[Placement]]:
     """`elastic_map` of the pairs that do not turn out to be wrong, what is known of all, and its placements."""
-    problem, count, config = Problem(prepared, pair), len(names), prepared.elastic.landmarks
+    pair, count, config = problem.pair, len(names), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
         note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
         found, ends = elastic_map(problem, progress)
@@ -235,8 +241,7 @@ def strain_note(name: str, distance: float) -> str:
 
 
 def checked_changes(
-    prepared: PreparedPair,
-    pair: Pair,
+    problem: Problem,
     names: Sequence[str],
     changed: IndexArray,
     check: LandmarkCheck,
@@ -247,12 +252,12 @@ def checked_changes(
     Only those are left out that the map from before puts elsewhere too; `checked_map` asks a map of its own. ``check``
     is what still holds of the last one.
     """
-    config = prepared.elastic.landmarks
+    pair, config = problem.pair, problem.prepared.elastic.landmarks
     if not len(changed) or len(pair.landmarks) < config.fewest_judged:
         return check
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
-    others = Problem(prepared, pair.without(out))
+    others = problem.without(out)
     accused = accused_pairs(others, _distances(others))
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))

@@ -15,7 +15,7 @@ from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
-from cagemap.maps.pair import Pair, PointPairs, Progress, silent
+from cagemap.maps.pair import PointPairs, Progress, silent
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -40,14 +40,14 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
 
 
 def mirrored_readings(
-    prepared: PreparedPair, pair: Pair, given: Placement, check: LandmarkCheck, progress: Progress = silent
+    problem: Problem, given: Placement, check: LandmarkCheck, progress: Progress = silent
 ) -> tuple[Confidence | None, LandmarkCheck]:
     """Two answers for landmarks that seem mirrored: as given, and with those exchanged that shapes alone suggest.
 
     None where shapes put too few landmarks near others, or landmarks cost nothing: the check loses its note then.
     """
-    free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
-    best = found_readings(Problem(prepared, free), progress)[0]
+    prepared, pair = problem.prepared, problem.pair
+    best = found_readings(problem.without(range(len(pair.landmarks))), progress)[0]
     config = prepared.elastic.landmarks
     if given.cost < config.mirrored_cost * best.cost:
         return None, replace(check, notes=tuple(note for note in check.notes if note != MIRRORED_NOTE))
