@@ -80,7 +80,7 @@ class ElasticGraph:
         sizes = np.bincount(piece, self.areas)
         rows, nearest = [], np.where(sizes >= min(MIN_PIECE_AREA, sizes.max()), np.inf, -1.0)[piece]
         for _ in range(min(STATIONS, self.n)):
-            rows.append(self.distances(nearest.argmax(keepdims=True))[0])
+            rows.append(self.distances(np.array([nearest.argmax()]))[0])
             nearest = np.minimum(nearest, rows[-1])
         return read_only(np.array(rows))
 
