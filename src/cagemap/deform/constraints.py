@@ -112,10 +112,7 @@ def add_curves(
 def with_clusters(
     curves: Sequence[CurveConstraint], held: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
-    """Vertices (p + c,), all different, that a coarse graph should keep, and the curves on that graph.
-
-    The held ones (p,) come first; the coarse graph numbers them in this order.
-    """
+    """Vertices (p + c,) that a coarse graph keeps, the held ones (p,) first, and the curves on that graph."""
     each = max(vertices // config.curve_share // max(len(curves), 1), config.min_curve_points)
     thinned = [curve.thinned(each) for curve in curves]
     listed = np.concatenate([held, *(curve.anchors.corners[:, 0] for curve in thinned)])

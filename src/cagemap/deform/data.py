@@ -152,9 +152,8 @@ def source_to_clusters(
     """Term of source samples, each on the coarse vertex that is nearest to it in position and normal.
 
     Target-to-source distances cannot see a short leg inside a long one; the uncovered end is seen only from the source.
-    The plane in which the vertex should lie has the mean of both normals (symmetric ICP, Rusinkiewicz 2019): that of
-    the point alone lies outside of a round part. A share of the term is towards the point itself: few points at a leg's
-    end face along it.
+    The plane has the mean of both normals (symmetric ICP, Rusinkiewicz 2019). A share of the term is towards the point
+    itself: few points at a leg's end face along it.
     """
     points, planes = samples.points, samples.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
@@ -200,10 +199,7 @@ def received_weights(
 def round_trip_weights(
     trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
 ) -> FloatArray:
-    """(m,) weights from 1 down to 0 of source points, by how far from them a round trip to the target ends.
-
-    `trusted` with a smaller scale for points inside the target: it cannot grow into them.
-    """
+    """(m,) weights of source points by their round trips, less of those inside the target: it cannot grow into them."""
     return trusted(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
 
 

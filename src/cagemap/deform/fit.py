@@ -32,9 +32,8 @@ Guesses = tuple[IndexArray | None, IndexArray | None]
 class SurfaceTerms:
     """Data terms and constraints of a rest shape on the source.
 
-    A mesh has data terms both ways: every deformed vertex lies on the source, and every source sample on the deformed
-    target, which fills fingers, ears and lips; parts of either without a counterpart have none
-    (`cagemap.deform.data`). Clusters have source samples only where they are given.
+    A mesh has data terms both ways: source samples on the target fill fingers, ears and lips. Clusters have source
+    samples only where they are given.
     """
 
     rest: RestShape
@@ -134,10 +133,7 @@ def fine_stage(problem: Problem, start: FloatArray) -> FloatArray:
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
-    """(k, 3) the clusters carried by those that are held alone: a similarity, then the elastic energy without data.
-
-    It knows the twist of limbs, which coordinates on the surface do not: a hand with one landmark keeps its turn.
-    """
+    """(k, 3) the clusters carried by held ones alone: a similarity, then the energy, which knows the twist of limbs."""
     graph, places, held = shape.rest.graph, shape.constraints.places, shape.constraints.anchors.corners[:, 0]
     rotation, scale, shift = similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
@@ -160,11 +156,7 @@ def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, floa
 
 
 def with_cost(prepared: PreparedPair, positions: FloatArray) -> Placement:
-    """A placement of the mesh with its cost: `vertex_costs`, and the mean squared distance of source samples from it.
-
-    The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other. Where a surface
-    is open, `stretch_costs` are added.
-    """
+    """A placement of the mesh with its `vertex_costs`, the distances of source samples, and `stretch_costs` if open."""
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
     samples = prepared.source_samples
     costs = vertex_costs(rest, prepared.source_surface, positions, rest.energy.maps(positions), config)
@@ -198,10 +190,7 @@ def _capped(squared: FloatArray, other: TriangleSurface, config: ElasticConfig) 
 
 
 def stretch_costs(rest: RestShape, positions: FloatArray, config: ElasticConfig) -> FloatArray:
-    """(n,) how much a placement stretches unlike its mean: the variance of the logarithms of both stretches.
-
-    A part may lie anywhere on a whole that it fits by stretching, which costs no energy where it is affine.
-    """
+    """(n,) variance of logarithms of stretches: a part may lie anywhere on a whole that it fits by stretching."""
     graph = rest.graph
     stretches = np.linalg.svd(rest.energy.maps(positions), compute_uv=False)[:, :2]
     logs = np.log(np.maximum(stretches, config.graph.min_stretch**4))

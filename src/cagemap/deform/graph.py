@@ -72,10 +72,7 @@ class ElasticGraph:
 
     @kept
     def station_distances(self) -> FloatArray:
-        """(s, n) distances along the edges from `STATIONS` vertices, each far from the others; infinite if unreached.
-
-        Pieces with less than `MIN_PIECE_AREA` of the area have none.
-        """
+        """(s, n) distances along the edges from `STATIONS` vertices, far from each other, on no small piece."""
         piece = components(self.heads, self.tails, self.n)
         sizes = np.bincount(piece, self.areas)
         rows, nearest = [], np.where(sizes >= min(MIN_PIECE_AREA, sizes.max()), np.inf, -1.0)[piece]
@@ -162,7 +159,7 @@ def cluster_graph(
     apart; a cell's most central vertex stands for it. An edge between two cells takes the sum of the fine edges'
     weights, scaled by squared lengths so that a linear function keeps its energy.
     """
-    cell = _cells(fine, count, config)
+    cell = _cells(fine, min(count, fine.n), config)
     cell[held] = -1 - np.arange(len(held))[::-1]  # smallest numbers, so that np.unique puts them first, in order
     _, cell = np.unique(cell, return_inverse=True)
     k = int(cell.max()) + 1
@@ -235,9 +232,8 @@ def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
 def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
     """(n,) cells split into their connected pieces, tiny pieces joined to a neighbour.
 
-    Parts of a body that touch, a hand on a thigh, share cells of a grid though nothing joins them: such a cell would
-    hold them together, and shorten the ways between them. A tiny piece goes to the neighbour that it shares most edge
-    weight with: what a cell's border cuts off would else be a stiff dot.
+    Parts of a body that touch share cells of a grid though nothing joins them. A tiny piece goes to the neighbour that
+    it shares most edge weight with: it would be a stiff dot.
     """
     inside = cell[graph.heads] == cell[graph.tails]
     piece = components(graph.heads[inside], graph.tails[inside], graph.n)

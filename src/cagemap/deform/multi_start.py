@@ -86,10 +86,7 @@ class AnchoredFits:
 def refine_best(
     problem: Problem, coarse: Sequence[Placement], most: int | None = None, refined: Sequence[Placement] = ()
 ) -> list[Placement]:
-    """The fine stage from the cheapest coarse placements that are apart, by the cost of the mesh, beside refined ones.
-
-    Where a cheaper one can be made of the best parts of all (`best_parts`), it comes first.
-    """
+    """The fine stage from the cheapest coarse placements that are apart, with refined ones and their `best_parts`."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
     ranked, areas = cheapest_first(coarse), problem.shape.rest.graph.areas
     areas = areas if ranked[0].graph is None else ranked[0].graph.areas

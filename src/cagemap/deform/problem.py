@@ -220,7 +220,7 @@ class Problem:
         rest, landmarks, config = self.prepared.rest, self.pair.landmarks, self.prepared.elastic
         held = np.concatenate([self.landmark_vertices[0], vertices])
         every, curves = with_clusters(self.prepared.curves(landmarks), held, config.coarse_vertices, config.data)
-        coarse, chosen = cluster_graph(rest.graph, min(config.coarse_vertices, rest.graph.n), every, config.graph)
+        coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
         anchors = Anchors.of_vertices(np.arange(len(held)))
         return CoarseShape(

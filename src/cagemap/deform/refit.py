@@ -28,10 +28,9 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 
 def finished(problem: Problem, placed: Placement) -> Placement:
-    """The placement fitted again in the source's pose, and made inverse consistent where that costs hardly more.
+    """The placement refitted in the source's pose, and made inverse consistent where that costs hardly more.
 
-    Its cost and positions stay as before, to compare with others'. Not under masks: what is masked would be fitted back
-    as well, and drag what is not with it.
+    Not under masks: what is masked would be fitted back as well, and drag what is not with it.
     """
     prepared, posed, config = problem.prepared, placed, problem.prepared.elastic
     if prepared.rest.masks.any:
@@ -44,10 +43,7 @@ def finished(problem: Problem, placed: Placement) -> Placement:
 
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
-    """Positions (n, 3) by the coarse and the fine stage of the target in the pose of a placement.
-
-    Repeated as the configuration says: the better the fit, the better the pose.
-    """
+    """Positions (n, 3) by the coarse and the fine stage of the target in the pose of a placement, so many times."""
     stiff, rest, config = problem.stiff, problem.prepared.rest, problem.prepared.elastic
     for _ in range(config.refit.rounds if times is None else times):
         there = rest.at(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
@@ -100,10 +96,7 @@ def rigid_pose(rest: RestShape, positions: FloatArray, config: RefitConfig = Ref
 
 
 def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
-    """(2 m,) weights ``1 / (1 + k^2 / mean k^2)`` of the edges: 1 where nothing turns, least at joints.
-
-    k is the length of the gradient of the vertices' rotations (n, 3, 3), smoothed.
-    """
+    """(2 m,) ``1 / (1 + k^2 / mean k^2)`` of edges, k the smoothed gradient of rotations (n, 3, 3): least at joints."""
     changes = ((turns[graph.heads] - turns[graph.tails]) ** 2).sum(axis=(1, 2))
     covered = np.bincount(graph.heads, graph.weights * (graph.edges**2).sum(axis=1), graph.n)
     covered = np.maximum(covered, 1e-12 * covered.mean())  # where faces are points nothing is seen to turn
@@ -116,7 +109,7 @@ def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig =
 def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     """Positions (n, 3) half-way between a fine placement and the inverse of the reverse fit that starts there.
 
-    Positions as they are where the source has no counterpart of much of the target: there the inverse knows nothing.
+    As they are where the source has no counterpart of much of the target: there the inverse knows nothing.
     """
     prepared, back = problem.prepared, problem.prepared.reversed
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
@@ -133,10 +126,7 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
 def inverse(
     mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface, normal_weight: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Places (n2, 3) of another mesh's vertices by the inverse of a deformation (n, 3) onto it, and gaps (n2,).
-
-    The gaps are their distances from the deformed mesh.
-    """
+    """Places (n2, 3) of another mesh by the inverse of a deformation (n, 3) onto it, and distances (n2,) from that."""
     tree = build_tree(deformed, mesh.triangles)
     at, barycentric, gaps = closest_points(tree, other.positions, other.vertex_normals, normal_weight=normal_weight)
     return np.einsum("mk,mkd->md", barycentric, mesh.positions[mesh.triangles[at]]), gaps

@@ -20,10 +20,7 @@ from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced, ne
 def start_map(
     problem: Problem, shape: CoarseShape | None = None, held: tuple[IndexArray, IndexArray] | None = None
 ) -> FloatArray:
-    """(k, 3) places on the source of a coarse shape's vertices: nearest landmark coordinates, refined by ZoomOut.
-
-    The shape and the vertices of both levels that correspond are the problem's own where none are given.
-    """
+    """(k, 3) places on the source of a coarse shape's vertices: nearest coordinates of held vertices, then ZoomOut."""
     prepared, shape = problem.prepared, shape or problem.shape
     vertices, held = shape.vertices, held or problem.landmark_vertices
     levels, areas = prepared.levels, shape.rest.graph.areas

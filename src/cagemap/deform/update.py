@@ -50,10 +50,7 @@ def displacement_response(
 
 
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
-    """Positions (n, 3) of a map of the finest levels, moved so that landmarks and curves are where they should be.
-
-    Near the source, of the target's vertices of the level that is deformed; project them for a map.
-    """
+    """Positions (n, 3), of the level that is deformed, of a map moved so that it meets landmarks and curves."""
     prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.landmark_vertices[0]
     graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)

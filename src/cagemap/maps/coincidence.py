@@ -59,10 +59,7 @@ class Coincidence:
         return cls(shape(target), shape(source), gap, config.reach)
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
-        """Points of the finest source, closest to the target's finest vertices and facing the same way.
-
-        Vertices are moved by shifts (n1, 3) before, in the source's unit.
-        """
+        """Points of the source closest to the target's vertices, moved by shifts (n1, 3), that face the same way."""
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
         return SurfacePoints(source, near.triangle, _snapped(near))

@@ -62,10 +62,7 @@ def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
 
 
 def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
-    """Whether both finest surfaces have the same faces and vertices, in their order, and nobody says anything else.
-
-    Landmarks, curves and masks may: the left arm alone of the target and the right arm alone of the source differ.
-    """
+    """Whether both finest surfaces have the same faces and vertices, and landmarks, curves and masks do not object."""
     target, source = pair.target.finest_triangles, pair.source.finest_triangles
     if target.n != source.n or not np.array_equal(target.triangles, source.triangles):
         return False
@@ -115,11 +112,7 @@ def hypothesis_map(
     progress: Progress = silent,
     preview: Callable[[PointMap], None] | None = None,
 ) -> tuple[PointMap, Confidence]:
-    """Point map T12 of the finest levels by the cheapest alignment, which meets the landmarks there are; its verdict.
-
-    ``preview`` is called during the search with approximate maps: of the alignment in the files, then of the best rough
-    fit.
-    """
+    """The map by the cheapest alignment, and how sure it is; ``preview`` gets approximate maps during the search."""
     prepared, pair = problem.prepared, problem.pair
 
     def show(rough: Placement) -> None:

@@ -135,9 +135,8 @@ class Pair:
 def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
     """(m,) different finest vertices that points lie on or near: for steps that know no other points.
 
-    All are vertices of the level below too, and of the level ``finest`` where that is given. Points between vertices
-    get a free vertex of a level that basis and search have in common, coarse enough to be one of theirs and fine enough
-    to be near.
+    All are vertices of the level below too, and of the level ``finest``. Points between vertices get a free vertex of a
+    level that basis and search have in common.
     """
     vertices, levels = vertices_at(points), surface.hierarchy
     if (levels.on_level(0, vertices) >= 0).all():

@@ -59,11 +59,7 @@ def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
 
 
 def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
-    """The inverse of `located`: points of the control mesh that lie at, or very near, points of the finest surface.
-
-    The control mesh is laid through its vertices' places on the surface; its nearest point is corrected by what
-    `located` misses with it, and the nearest of all steps is kept.
-    """
+    """The inverse of `located`, corrected step by step; the nearest points of all steps are kept."""
     finest = surface.finest_triangles
     triangles, _ = cage_triangles(surface.control)
     cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
@@ -146,11 +142,7 @@ def curve_pairs(target: Surface, source: Surface, curves: Curves) -> tuple[Curve
 
 
 def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: CageCurves) -> tuple[SurfaceCurve, ...]:
-    """Curves of a control mesh on the finest surface.
-
-    A piece along an edge follows what subdivision makes of that edge. Another one is a straight line that is put on
-    the surface.
-    """
+    """Curves of a control mesh on the finest surface: along subdivided edges, and straight between other vertices."""
     level = refinement.coarsest_level(CURVE_VERTICES)
     vertices = curves.points.vertices
     segments = curves.segments

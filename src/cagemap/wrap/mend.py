@@ -93,10 +93,7 @@ def _without_folds(
 
 
 def _laid_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> FloatArray:
-    """(n, 3) a net in which some points (m,) are the means of their neighbours; pieces of nothing else stay.
-
-    Tutte's placement: in a plane, inside a convex border, no face of a patch folds whose points are such means.
-    """
+    """(n, 3) a net in which points (m,) are the means of their neighbours, which unfolds a patch (Tutte 1963)."""
     flat = np.setdiff1d(flat, np.concatenate([flat[:0], *whole_pieces(graph, flat)]))
     if not len(flat):
         return positions

@@ -97,10 +97,7 @@ class NetTerms:
         return cls(samples, config, moving, transposed, graph.laplacian, factor(sparse.csc_array(matrix)))
 
     def start(self, energy: ElasticEnergy) -> FloatArray:
-        """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy; what does not move is at rest.
-
-        What moves is whole pieces of the net: nothing else acts on them.
-        """
+        """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy; what does not move is at rest."""
         samples, moving, positions = self.samples, self.moving, energy.graph.positions.copy()
         right = self.transposed @ (samples.weights[:, None] * samples.images.positions)
         positions[moving] = self.factors.solve(right[moving])

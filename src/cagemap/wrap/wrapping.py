@@ -190,10 +190,9 @@ _MOST_VERTICES = 1_500_000
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
-    """The wrapped surface, to bake into its own layout, and the source as the detail over it.
+    """The wrapped surface, to bake into its own layout, the source as detail over it, and the refined source.
 
-    Both surfaces are refined past the levels of the match: where it is coarse, its triangles are not the surface. Where
-    a vertex was not to follow, the detail does not count. The last value is the refined source, of the detail.
+    Both are refined past the levels of the match. Where a vertex was not to follow, the detail does not count.
     """
     transfer, follow = wrapped_transfer(wrapped, target)
     other = _refined(source, max(source.n_levels, _RENDERED))

@@ -108,10 +108,7 @@ def cost_signs(readings: tuple[Placement, ...]) -> dict[str, float]:
 
 
 def at_finest(confidence: Confidence, prepared: PreparedPair) -> Confidence:
-    """Answers for the level that is deformed, as answers for all vertices of a plain target.
-
-    The vertex that decides gets its number in the target's file too, where the target is a part of it.
-    """
+    """Answers for all vertices of a plain target, from those of a level; the deciding vertex also as in its file."""
     target, numbers = prepared.target, prepared.target.control.file_vertices
     if numbers is not None and confidence.deciding is not None:
         confidence = replace(confidence, file_vertex=int(numbers[confidence.deciding]))

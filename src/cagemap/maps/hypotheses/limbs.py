@@ -34,10 +34,7 @@ class Tips:
 
     @classmethod
     def of(cls, problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
-        """Those of a least height that are neither masked, nor at a landmark, nor where a surface ends; highest first.
-
-        The height, by default the config's, is that in units of which those of target and source are ``units``.
-        """
+        """Tips of a least height in ``units``, neither masked, nor at a landmark, nor at a boundary; highest first."""
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
         prepared, found = problem.prepared, []
         config = prepared.elastic.search
@@ -71,8 +68,7 @@ class Tips:
 def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     """Refit from a placement with the tips held in the coarse stage; the placement itself where it is much cheaper.
 
-    That stage is stiff and has data terms of the source as well: trunks and necks follow their ends. The fine stage
-    holds landmarks only: tips that are no counterparts slip away.
+    The fine stage holds landmarks only: tips that are no counterparts slip away.
     """
     prepared, config = problem.prepared, problem.prepared.elastic.search
     pairs = tips.pairs(placed.positions, config)
@@ -100,10 +96,7 @@ def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) ->
 
 
 def mean_distances(graph: ElasticGraph) -> FloatArray:
-    """(n,) mean distance along the edges to the whole surface.
-
-    A piece of its own knows only itself; small ones, see `ElasticGraph.station_distances`, have 0.
-    """
+    """(n,) mean distance along the edges to the whole of a vertex' piece; 0 on small pieces."""
     distances = graph.station_distances
     reached = np.isfinite(distances)
     large = reached.any(axis=0)
@@ -112,10 +105,7 @@ def mean_distances(graph: ElasticGraph) -> FloatArray:
 
 
 def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Local maxima (q,) of heights (n,) on a graph, and how far one has to come down from each to reach a higher one.
-
-    The highest of a connected piece stands over the lowest place of its piece.
-    """
+    """Local maxima (q,) of heights (n,), and how far each stands over its highest pass to a higher one."""
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
@@ -179,8 +169,7 @@ def assignments(
 ) -> list[tuple[IndexArray, IndexArray]]:
     """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
 
-    Ranked by how far the joints' distances differ, and the girths. Lengths of limbs do not count: a hippo has short
-    legs and a cougar a long tail.
+    Joints' distances count, and girths. Lengths do not: a hippo has short legs and a cougar a long tail.
     """
     (between, girths), (source_between, source_girths) = target, source
     if len(girths) > len(source_girths):

@@ -63,8 +63,7 @@ def rotation_doubt(matrix: FloatArray, config: SearchConfig) -> float:
 def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
     """Placements of points (k, 3) with bounding boxes and principal frames laid on the source's (m, 3), in all 24 ways.
 
-    Boxes agree in their diagonal (one scale) or along every axis (three scales); principal frames, for files whose axes
-    mean nothing, keep unit area.
+    Boxes agree in their diagonal (one scale) or along every axis (three scales); principal frames keep unit area.
     """
     starts = []
     for matrix in axis_rotations():
@@ -97,10 +96,7 @@ def _principal_frame(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def file_ratio(prepared: PreparedPair) -> float:
-    """Factor from the target's unit to the source's by the lengths in the files; 1 where they say nothing.
-
-    Both units are sqrt(area), which of a part is not that of the whole. Of closed surfaces it is 1.
-    """
+    """Factor from the target's unit, sqrt(area), to the source's by lengths in the files; 1 of closed surfaces."""
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
     if not (target.is_open or source.is_open):
         return 1.0

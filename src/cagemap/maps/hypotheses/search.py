@@ -30,8 +30,7 @@ from cagemap.numerics.threads import in_threads, thread_limit
 def least_cost(prepared: PreparedPair) -> float:
     """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
 
-    What costs less is as good as what costs as much: a box turned upon itself stretches affinely, which is free, and
-    its samples may fall better. Under masks a fit costs less because less of it counts, and so does this.
+    Masks count in it as in a fit: less of the surface costs less.
     """
     target, rest, own = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
     surface = target.triangles(target.hierarchy.coarsest_level(prepared.elastic.source_vertices))
@@ -51,10 +50,9 @@ def rough_fits(
 ) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
     """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
 
-    Assignments are released too: tips of limbs of unlike length are no counterparts. Of rigid starts how the files
-    stand is enough, unless no assignment is plausible. With landmarks enough it always is: then ``rigid`` is false, and
-    rotations are not doubted. ``show`` is called with the best fit that keeps the files' axes, then with the best
-    of all.
+    Assignments are released too: tips of limbs of unlike length are no counterparts. Rotations are tried, and doubted,
+    where ``rigid`` is true and no assignment is plausible. ``show`` gets the best fit that keeps the files' axes, then
+    the best of all.
     """
     rough, config = rough_problem(problem), problem.prepared.elastic.search
 
@@ -95,10 +93,7 @@ def rough_fits(
 
 
 def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
-    """The fine stage from rough placements that end apart, the best of each.
-
-    Coarse placements start where a rough one is, and from what spectral upsampling makes of that.
-    """
+    """The fine stage from rough placements, and their spectral upsampling, that end apart; the best of each."""
     if not rough:
         return []
     graph, starts = problem.shape.rest.graph, spectral_starts(problem)
@@ -136,11 +131,9 @@ def search(
     """Placements of the target's mesh, best first by cost and doubt; all of them hold the landmarks.
 
     Enough landmarks start fits of their own. Where these disagree, or landmarks are too few, limbs are assigned to
-    limbs in the ways that the landmarks leave, and the cheapest placement wins. The best one is led to the tips that it
-    missed and finished, unless bodies of one kind stand alike.
-
-    ``start`` are places (k, 3) of the coarse shape's vertices instead of the spectral map of the landmarks: no others
-    are tried, and it alone counts where landmarks are too few. ``show`` is called with placements of the small graph.
+    limbs in the ways that the landmarks leave. The best one is led to tips that it missed and finished, unless bodies
+    of one kind stand alike. Places ``start`` (k, 3) of the coarse shape's vertices stand for the landmarks' spectral
+    map, and nothing else is tried. ``show`` is called with placements of the small graph.
     """
     decided = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
     fits, found = list[AnchoredFits](), list[Placement]()

@@ -86,9 +86,8 @@ def median_distortion(found: PointMap, counts: FloatArray | None = None) -> floa
 def jumps(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
     """(n,) how far a map jumps at the vertices of the level that is deformed, of sqrt(area); 0 where it does not.
 
-    It jumps where neighbours map to places that are far from each other along the source, and where places that are far
-    from each other along the target map to one. All costs are Euclidean: a jump across a contact costs nothing. Only
-    finest vertices with ``counts`` (n1,) above 0 are compared, by default those that are not masked.
+    It jumps where neighbours on one surface are far from each other along the other: no cost sees that at a contact.
+    Only finest vertices with ``counts`` (n1,) above 0 are compared, by default those that are not masked.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
@@ -159,8 +158,7 @@ ACROSS = np.array([-1.0, 1.0, 1.0])
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     """How many times more the target costs on the source than on its mirror image, both on the small graph.
 
-    On either from the starts that begin nearest to it, on the source from known positions (n, 3) as well: from one
-    start alone, two bodies of a kind that stand alike seemed 1.13 times better mirrored.
+    A left shoe on a right one folds no map and costs little more. From one start alone, like bodies seem mirrored.
     """
     rough, source = rough_problem(problem), problem.prepared.source_surface
     graph, constraints = rough.shape.rest.graph, rough.shape.constraints

@@ -178,11 +178,7 @@ def checked_map(
 
 
 def accused_pairs(problem: Problem, distances: tuple[LandmarkDistances, LandmarkDistances]) -> dict[int, str] | None:
-    """Places of pairs that do not fit the others, with the evidence; None where it is not known which are right.
-
-    Where distances on target and source accuse none, two that were exchanged are looked for by the sense in which the
-    others surround them.
-    """
+    """Places of pairs that distances, else sides, accuse, with the evidence; None where no right ones are known."""
     every, config = np.arange(len(problem.pair.landmarks)), problem.prepared.elastic.landmarks
     if typical_misfit(*distances, every) > config.unrelated:
         return None
@@ -202,8 +198,7 @@ def coarse_map_cost(problem: Problem) -> float:
 def grown_together(pair: Pair, config: LandmarkConfig) -> bool:
     """Whether one surface has handles that the other lacks, as where a scan joins a hand to the hip that it touches.
 
-    Ways along it are too short there, and a map that meets the landmarks has to tear: neither tells a slip. Handles of
-    noise, which fit into a cell of half the distance by which distances accuse, shorten none of these ways.
+    Distances along it are too short there. Small handles, of noise, do not count.
     """
     target, source = pair.target.control, pair.source.control
     return handle_count(target) != handle_count(source) and large_handles(target, config) != large_handles(
@@ -249,8 +244,7 @@ def checked_changes(
 ) -> LandmarkCheck:
     """A check of the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
 
-    Only those are left out that the map from before puts elsewhere too; `checked_map` asks a map of its own. ``check``
-    is what still holds of the last one.
+    Only those are left out that the map from before puts elsewhere too.
     """
     pair, config = problem.pair, problem.prepared.elastic.landmarks
     if not len(changed) or len(pair.landmarks) < config.fewest_judged:

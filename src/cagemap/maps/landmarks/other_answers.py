@@ -21,10 +21,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 
 def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
-    """Two answers with the same landmarks, and the vertex where they differ most; None where only one is good.
-
-    The ends are cheapest first; the first became the map.
-    """
+    """Two answers with the same landmarks, and the vertex where they differ most; None where only the first is good."""
     best = ends[0]
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
@@ -62,10 +59,7 @@ def mirrored_readings(
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
-    """(q, 2) numbers of landmarks i, j such that the image of i's target point is near j's source point, one to one.
-
-    ``images`` (n, 3) are those of the vertices of the target's mesh; near is a distance below ``within``.
-    """
+    """(q, 2) landmarks i, j such that the image of i's target point is near j's source point, one to one."""
     near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
     images, wanted = images[near], landmarks.source.positions
     distance, there = cKDTree(wanted).query(images)

@@ -38,7 +38,7 @@ class LandmarkDistances:
         cls, graph: ElasticGraph, landmarks: IndexArray, config: LandmarkConfig = LandmarkConfig()
     ) -> LandmarkDistances:
         """Shortest paths from landmarks (p,) on a graph coarser than that of a mesh at unit area, which keeps them."""
-        coarse, vertices = cluster_graph(graph, min(config.distance_vertices, graph.n), landmarks)
+        coarse, vertices = cluster_graph(graph, config.distance_vertices, landmarks)
         return cls(coarse.distances(np.arange(len(landmarks))), vertices, config)
 
     @property
@@ -96,8 +96,7 @@ def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted
 def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> IndexArray:
     """Pairs out of proportion to the others: two that were exchanged, then single ones, worst first.
 
-    What is found is set aside and the others are judged again. At least `fewest_judged` - 1 pairs stay; with fewer than
-    `fewest_judged` none is judged. A tip that only lies farther out on its limb is none, see `farther_out`.
+    What is found is set aside and the others are judged again, while `fewest_judged` are left.
     """
     trusted, config = np.arange(len(target.to_nodes)), target.config
     wrong: list[int] = []
@@ -171,8 +170,7 @@ def best_exchanges(target: LandmarkDistances, source: LandmarkDistances, trusted
 def exchange_gains(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> FloatArray:
     """(q, q) what any two of q trusted pairs gain by exchanging their source vertices; -inf on the diagonal.
 
-    The gain for pairs i and j is the misfit of both (see `place_by_distances`, neither asked about the other) minus the
-    misfit of both exchanged. Close mirror images, whose misfit alone says little, are told by it.
+    The misfit of both (see `place_by_distances`, neither asked about the other) minus the misfit of both exchanged.
     """
     square = np.ix_(trusted, trusted)
     short, most = target.config.short, target.config.max_misfit
@@ -216,9 +214,8 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored, 0 not known.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
-    and k, so that three landmarks in a line with the surface's normal say nothing. Hands exchange their sides where
-    arms are crossed: so triples vote once more, those the less whose distances in space differ, and the larger result
-    counts.
+    and k. Triples vote once more, those the less whose distances in space differ, as where arms are crossed; the larger
+    result counts.
     """
     p, changed = len(target[0]), _changed_squared(target[0], source[0], config.short)
     agreed, counted = np.zeros(2), np.zeros(2)
@@ -234,10 +231,7 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
 def exchanged_sides(
     distances: tuple[LandmarkDistances, LandmarkDistances], target: Marks, source: Marks
 ) -> tuple[int, int] | None:
-    """The two pairs around which orientations disagree and, with their source points exchanged, agree well; if any.
-
-    Only exchanges that distances hardly mind are asked about, those first that gain most.
-    """
+    """The two pairs around which orientations agree well with source points exchanged, and do not as given; if any."""
     p, config = len(target[0]), distances[0].config
     apart = np.minimum(*(side.between for side in distances)) > config.side_apart
     gains = np.triu(np.where(apart, exchange_gains(*distances, np.arange(p)) - config.side_min_gain, 0.0), 1).ravel()
@@ -254,10 +248,7 @@ def exchanged_sides(
 
 
 def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray, flat: float) -> float:
-    """`orientation_agreement` of the triples that have one of two landmarks among them.
-
-    A triple (i; j, k) weighs as much as j and k are near i (p, p): far ones turn where bodies bend.
-    """
+    """`orientation_agreement` of triples with one of two landmarks, by nearness (p, p): bodies bend far off."""
     agreed = counted = asked = 0.0
     for i in places:
         for turns, weights in ((_turns, near[i, :, None] * near[i]), (_turns_to, near[:, i, None] * near)):
@@ -271,8 +262,7 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
 def _changed_squared(positions: FloatArray, others: FloatArray, short: float) -> FloatArray:
     """(p, p) squared log ratios of distances in space, the common scale taken out.
 
-    Their median counts the diagonal's zeros, which say that surfaces of unit area have one scale: without them as many
-    correct sets of 6 to 30 landmarks are called mirrored (9 of 1500, docs/lab/accuracy.md), and 6 mirrored ones fewer.
+    Their median counts the diagonal's zeros: surfaces of unit area have one scale (docs/lab/accuracy.md).
     """
     apart = (np.linalg.norm(places[:, None] - places, axis=2) + short for places in (positions, others))
     ratios = np.log(np.divide(*apart))

@@ -89,12 +89,8 @@ def reduced_energy(
     landmarks: IndexArray,
     config: LandmarkConfig = LandmarkConfig(),
 ) -> ReducedEnergy:
-    """Eliminate everything but the landmarks (p,) from the quadratic problem at a map.
-
-    Images and normals (n, 3) are where the map takes the graph's vertices on the source, and the source's normals
-    there.
-    """
-    coarse, vertices = cluster_graph(graph, min(config.strain_vertices, graph.n), landmarks)
+    """Eliminate all but the landmarks (p,) from the problem at images (n, 3) with the source's normals (n, 3) there."""
+    coarse, vertices = cluster_graph(graph, config.strain_vertices, landmarks)
     plane = normals[vertices]
     blocks = coarse.areas[:, None, None] * plane[:, :, None] * plane[:, None, :]
     blocks = blocks + config.strain_ridge / coarse.n * np.eye(3)

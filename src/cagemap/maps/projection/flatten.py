@@ -174,10 +174,7 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
 
 
 def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
-    """(n, 2) places where every vertex inside is the given combination (v, n) of all, and the others stay.
-
-    Raises SolverError if some vertices are combinations of each other alone.
-    """
+    """(n, 2) places where every vertex inside is the combination (v, n) of all, and the others stay; or SolverError."""
     if not inside.any():  # a disc so small that all its vertices are on the rim
         return places
     held = np.where(inside[:, None], 0.0, places)
