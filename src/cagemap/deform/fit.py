@@ -137,9 +137,8 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     graph, places, held = shape.rest.graph, shape.constraints.places, shape.constraints.anchors.corners[:, 0]
     rotation, scale, shift = similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
-    blocks[held] = config.landmark_weight * np.eye(3)
-    right[held] = config.landmark_weight * places
     start = scale * graph.positions @ rotation.T + shift
+    shape.constraints.anchors.hold(blocks, right, start, places, config.landmark_weight)
     energy = shape.rest.energy
     return minimise(energy, VertexTerms(energy, blocks, right, constant=True), start, config.landmark_start)
 

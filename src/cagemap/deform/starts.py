@@ -29,24 +29,17 @@ def start_map(
     candidates = evenly_spaced(n_searched, prepared.start.samples)
     candidates = np.union1d(candidates, held[1])
     of_curves = curve_vertices(problem)
-    sides = [
-        (prepared.target, levels[0], held[0], of_curves[0], vertices, areas),
-        (prepared.source, levels[1], held[1], of_curves[1], candidates, np.ones(len(candidates))),
-    ]
 
-    def with_coordinates(
-        surface: Surface,
-        level: int,
-        points: IndexArray,
-        curves: list[IndexArray],
-        chosen: IndexArray,
-        areas: FloatArray,
-    ) -> Samples:
+    def samples(side: int, chosen: IndexArray, areas: FloatArray) -> Samples:
+        surface, level = (prepared.target, prepared.source)[side], levels[side]
         operators = surface.operators
-        coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], points, curves)
+        coordinates = landmark_coordinates(
+            operators.stiffness[level], operators.mass[level], held[side], of_curves[side]
+        )
         return Samples(basis_rows(surface, level, chosen), areas, coordinates[chosen])
 
-    target, source = in_threads(lambda side: with_coordinates(*side), sides)
+    sides = (0, vertices, areas), (1, candidates, np.ones(len(candidates)))
+    target, source = in_threads(lambda side: samples(*side), sides)
     match = zoomout(target, source, nearest_coordinates(target, source), prepared.start.zoomout)
     return prepared.source.triangles(levels[1]).positions[candidates[match]]
 

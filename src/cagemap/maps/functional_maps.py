@@ -23,6 +23,11 @@ from cagemap.spectral.zoomout import (
     zoomout,
 )
 
+MapLike = PointMap | ArrayLike
+
+# Samples of the target, and of the source, that ZoomOut searches.
+TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
+
 
 @kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
@@ -72,7 +77,8 @@ def from_bases(
     ParameterError
         If the functions are not those of the levels' vertices, or fewer than the map takes.
     """
-    matrix, (target, source) = _sides(pair, functional_map, (target_functions, source_functions), levels)
+    matrix = real_numbers(functional_map, "functional map")
+    target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
     k1, k2 = min(matrix.shape[0], pair.target.basis.count), min(matrix.shape[1], pair.source.basis.count)
     ours, theirs, areas = target
     to_ours = _coefficients(ours[:, :k1], theirs, areas)
@@ -97,8 +103,7 @@ def to_bases(
     """
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(one, "functions") for one in (target_functions, source_functions)]
-    shape = tuple(one.shape[-1] for one in given)
-    _, (target, source) = _sides(pair, np.zeros(shape), (given[0], given[1]), levels)
+    target, source = _sides(pair, tuple(one.shape[-1] for one in given), (given[0], given[1]), levels)
     ours, theirs, areas = target
     to_theirs = _coefficients(theirs, ours[:, : matrix.shape[0]], areas)
     ours, theirs, areas = source
@@ -106,36 +111,28 @@ def to_bases(
 
 
 def _sides(
-    pair: Pair, functional_map: FloatArray, functions: tuple[FloatArray, FloatArray], levels: LevelPair | None
-) -> tuple[FloatArray, list[tuple[FloatArray, FloatArray, FloatArray]]]:
-    """The map, and of both sides our functions, theirs and areas, at sampled vertices."""
-    matrix = real_numbers(functional_map, "functional map")
-    surfaces = pair.target, pair.source
-    found = []
+    pair: Pair, shape: tuple[int, ...], functions: tuple[FloatArray, FloatArray], levels: LevelPair | None
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Of both sides our functions, theirs for a map of a shape, and areas, at sampled vertices."""
+    surfaces, found = (pair.target, pair.source), []
     for i, name in enumerate(("target", "source")):
         surface, level = surfaces[i], surfaces[i].finest if levels is None else levels[i]
         triangles, theirs = surface.triangles(level), real_numbers(functions[i], f"{name} functions")
-        if matrix.ndim != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < matrix.shape[i]:
+        if len(shape) != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < shape[i]:
             raise ParameterError(
                 f"{name} functions: expected {triangles.n} rows, the vertices of level {level}, and as many columns as "
-                f"the functional map {matrix.shape} takes, got {theirs.shape}; pyFM's mesh1 is the source, mesh2 the "
+                f"the functional map {shape} takes, got {theirs.shape}; pyFM's mesh1 is the source, mesh2 the "
                 "target"
             )
         chosen = evenly_spaced(triangles.n, FIT_SAMPLES)
         rows = surface.basis.rows(surface.finest, surface.hierarchy.on_finest(level)[chosen])
-        found.append((rows, theirs[chosen, : matrix.shape[i]], triangles.vertex_areas[chosen]))
-    return matrix, found
+        found.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
+    return found
 
 
 def _coefficients(basis: FloatArray, functions: FloatArray, areas: FloatArray) -> FloatArray:
     """Coefficients of functions (m, q) in a basis (m, k), in the least-squares sense; (k, q)."""
     return fit_functional_map(Samples(basis, areas, np.zeros((len(basis), 0))), functions, basis.shape[1])
-
-
-MapLike = PointMap | ArrayLike
-
-# Samples of the target, and of the source, that ZoomOut searches.
-TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 
 
 def checked(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:

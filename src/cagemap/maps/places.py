@@ -27,6 +27,10 @@ LANDMARK_NORMAL_WEIGHT = 0.01
 LANDMARK_STEPS = 4
 # Corrections that find a point of the control mesh for one of the surface.
 INVERSE_STEPS = 8
+# Curves are those of the first level with so many vertices: finer than the level that is deformed.
+CURVE_VERTICES = 15_000
+# Pieces of a straight line between two points of a curve that no edge joins.
+STRAIGHT_PIECES = 8
 
 
 def located(surface: Surface, points: CagePoints) -> SurfacePoints:
@@ -82,14 +86,6 @@ def _chosen(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> Ca
     return CagePoints(
         np.where(better[:, None], one.corners, other.corners), np.where(better[:, None], one.weights, other.weights)
     )
-
-
-# Curves are those of the first level with so many vertices: finer than the level that is deformed.
-CURVE_VERTICES = 15_000
-# Pieces of a straight line between two points of a curve that no edge joins.
-STRAIGHT_PIECES = 8
-# Length, of sqrt(area), that opposite normals count when such a line is put on the surface.
-NORMAL_WEIGHT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,5 +221,5 @@ def _straight(start: SurfacePoints, stop: SurfacePoints) -> SurfacePoints:
     share = np.arange(STRAIGHT_PIECES)[:, None] / STRAIGHT_PIECES
     places = (1.0 - share) * start.positions + share * stop.positions
     normals = (1.0 - share) * start.normals + share * stop.normals
-    near = SurfacePoints.nearest(start.surface, places, normals, normal_weight=NORMAL_WEIGHT)
+    near = SurfacePoints.nearest(start.surface, places, normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
     return near.replaced(np.array([0]), start)

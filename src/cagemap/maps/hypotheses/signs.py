@@ -181,13 +181,8 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
     given = least(source, constraints, positions[rough.shape.vertices])
-    return given / least(mirrored, mirrored_constraints(constraints))
-
-
-def mirrored_constraints(constraints: Constraints) -> Constraints:
-    """The same points and curves on the source's mirror image."""
     curves = (
         replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
         for curve in constraints.curves
     )
-    return replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves))
+    return given / least(mirrored, replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves)))

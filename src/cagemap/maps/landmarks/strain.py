@@ -62,7 +62,8 @@ class ReducedEnergy:
             rows = slice(3 * part.start, 3 * part.stop)
             coupling = self.coupling[:, rows]
             found = self.own[rows, rows].toarray() - coupling.T @ self.others.solve(coupling.toarray())
-            blocks[part] = _diagonal_blocks(np.asarray(found))
+            some = np.arange(part.stop - part.start)
+            blocks[part] = np.asarray(found).reshape(len(some), 3, len(some), 3)[some, :, some]
         return blocks
 
     def released(self, places: FloatArray, held: IndexArray) -> FloatArray:
@@ -124,12 +125,6 @@ def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkCon
 def _rows(landmarks: IndexArray) -> IndexArray:
     """Rows of H of some landmarks."""
     return np.asarray((3 * landmarks[:, None] + np.arange(3)).ravel())
-
-
-def _diagonal_blocks(matrix: FloatArray) -> FloatArray:
-    """(q, 3, 3) of a matrix (3 q, 3 q)."""
-    count = len(matrix) // 3
-    return np.asarray(matrix.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)])
 
 
 def _spread(rows: IndexArray) -> IndexArray:

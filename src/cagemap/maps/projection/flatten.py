@@ -9,7 +9,6 @@ Floater 2003). Around vertices that are not folded the weights are mean value co
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,14 +103,14 @@ def _flattened(
     radius = growth * away[part].max()
     ball = away < radius
     ball[part] = True
-    disc = _disc_in(ball, target.triangles, part, touched_triangles, config.max_disc)
+    disc = _disc_in(ball, target.triangles, part, config.max_disc)
     if disc is None:
         return None
     now, source = images.at(disc.vertices), images.surface
     needed = now.corners.ravel()
     distance = row_lengths(source.positions - centre)
     around_it = distance <= max(config.margin * radius, distance[needed].max())
-    below = _disc_in(around_it, source.triangles, needed[:1], _whole_triangles, config.max_disc)
+    below = _disc_in(around_it, source.triangles, needed[:1], config.max_disc, whole=True)
     if below is None:
         return None
     number = np.full(len(source.triangles), -1)
@@ -235,25 +234,17 @@ def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tu
 
 
 def _disc_in(
-    ball: BoolArray,
-    triangles: IndexArray,
-    seeds: IndexArray,
-    choose: Callable[[IndexArray, BoolArray], BoolArray],
-    max_share: float,
+    ball: BoolArray, triangles: IndexArray, seeds: IndexArray, max_share: float, *, whole: bool = False
 ) -> Disc | None:
-    """The disc of triangles chosen by their corners, in that part of a ball that is connected with the seeds."""
+    """The disc of triangles with one corner, or all, in that part of a ball that is connected with the seeds."""
     patch = patches(triangles, ball)
     inside = ball & np.isin(patch, patch[seeds])
 
     def disc(inside: BoolArray) -> Disc | None:
-        return _disc(triangles, np.flatnonzero(choose(triangles, inside)), max_share * len(inside))
+        chosen = inside[triangles].all(axis=1) if whole else touched_triangles(triangles, inside)
+        return _disc(triangles, np.flatnonzero(chosen), max_share * len(inside))
 
     return disc(inside) or disc(_filled(triangles, inside))
-
-
-def _whole_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
-    """(t,) triangles with all corners inside."""
-    return np.asarray(inside[triangles].all(axis=1))
 
 
 def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:

@@ -50,7 +50,7 @@ def relax_folds(
     places = np.hstack([local.positions, local.normals])
     for ring in config.rings:
         before = folded.sum()
-        inside = _around_by_means(means, local_triangles[folded], ring) & movable
+        inside = around(local_triangles, folded, ring, len(vertices)) & movable
         moved = np.flatnonzero(inside)
         new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight, config.sweeps)
         tried = places.copy()
@@ -75,15 +75,6 @@ def _renumbered(triangles: IndexArray, n: int) -> tuple[IndexArray, IndexArray]:
     used = np.zeros(n, dtype=bool)
     used[triangles] = True
     return np.flatnonzero(used), (np.cumsum(used) - 1)[triangles]
-
-
-def _around_by_means(means: sparse.csr_array, folded: IndexArray, rings: int) -> BoolArray:
-    """`around` of folded triangles (f, 3), from a matrix that is positive where vertices are neighbours."""
-    inside = np.zeros(means.shape[0])
-    inside[folded.ravel()] = 1.0
-    for _ in range(rings):
-        inside += means @ inside
-    return np.asarray(inside > 0.0)
 
 
 def _relaxed(
