@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from cagemap.cli.app import app
 from cagemap.deform.config import StartConfig
 from cagemap.deform.constraints import Anchors, CurveConstraint
+from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.deform.starts import curve_vertices
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points

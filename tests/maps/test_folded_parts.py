@@ -7,8 +7,8 @@ import pytest
 from scipy import sparse
 from scipy.spatial import Delaunay
 
+from cagemap.deform.config import ProjectionConfig
 from cagemap.errors import SolverError
-from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.flatten import (
     Disc,
     combined,

@@ -7,10 +7,9 @@ import pytest
 from examples.shapes import creature
 from scipy import sparse
 
-from cagemap.deform.config import ElasticConfig
+from cagemap.deform.config import ElasticConfig, ProjectionConfig
 from cagemap.maps.pair import Pair
 from cagemap.maps.projection import relax as folds
-from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.project import control_points, project
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.maps.quality import flipped_triangles

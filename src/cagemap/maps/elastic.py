@@ -54,7 +54,9 @@ def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
         moved = linear_update(problem, point_map)
         shifts = moved - point_map.images.at(prepared.vertices).positions
         shifts = pair.target.hierarchy.prolong(shifts, prepared.levels[0], pair.target.finest)
-        point_map = PointMap(target, snap_landmarks(found.images(source, shifts), landmarks))
+        point_map = PointMap(
+            target, snap_landmarks(found.images(source, shifts), landmarks, prepared.elastic.projection)
+        )
     apart = f"{100 * found.gap:.2f} % of the model's size apart"
     name = f"as it stands, {apart}: vertices go to the closest points of the same side"
     reading = Placement(point_map.images.at(prepared.vertices).positions, found.gap**2, name=name)

@@ -6,11 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from cagemap.deform.fit import coarse_fit, with_cost
-from cagemap.deform.multi_start import FEWEST_LANDMARKS, AnchoredFits, cheapest_first, refine_best
+from cagemap.deform.multi_start import (
+    FEWEST_LANDMARKS,
+    AnchoredFits,
+    cheapest_first,
+    refine_best,
+    spectral_starts,
+    start_map,
+)
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.deform.refit import common_rotation, finished
-from cagemap.deform.starts import spectral_starts, start_map
 from cagemap.maps.hypotheses.limbs import Assignment, Tips, assigned_limbs, led_by_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,

@@ -15,9 +15,9 @@ import numpy as np
 
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
+from cagemap.deform.multi_start import start_map
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
-from cagemap.deform.starts import start_map
 from cagemap.maps.elastic import elastic_map
 from cagemap.maps.landmarks.outliers import (
     LandmarkDistances,

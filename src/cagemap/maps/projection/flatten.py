@@ -16,8 +16,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import Delaunay
 
+from cagemap.deform.config import ProjectionConfig
 from cagemap.errors import SolverError
-from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.deform.config import ElasticConfig
+from cagemap.deform.config import ElasticConfig, ProjectionConfig
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.config import ProjectionConfig
 from cagemap.maps.projection.flatten import flatten_folded_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
@@ -50,10 +49,11 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     target = prepared.target.finest_triangles
     positions = carried_to_finest(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
+    config = prepared.elastic
     found = facing_points(
-        prepared.source.finest_triangles, positions, normals, prepared.elastic.projection_normal_weights
+        prepared.source.finest_triangles, positions, normals, config.projection_normal_weights, config.projection
     )
-    return PointMap(target, snap_landmarks(found, landmarks))
+    return PointMap(target, snap_landmarks(found, landmarks, config.projection))
 
 
 def snap_landmarks(
@@ -119,9 +119,11 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     held = whole_numbers(held, "held")
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
         raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
-    weight = config.projection_normal_weights[0]
-    images, flipped = relax_folds(point_map.images, point_map.target.triangles, held, normal_weight=weight)
-    return PointMap(point_map.target, flatten_folded_parts(images, flipped, point_map.target, held))
+    weight, target = config.projection_normal_weights[0], point_map.target
+    images, flipped = relax_folds(
+        point_map.images, target.triangles, held, normal_weight=weight, config=config.projection
+    )
+    return PointMap(target, flatten_folded_parts(images, flipped, target, held, config.projection))
 
 
 def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.maps.projection.config import ProjectionConfig
+from cagemap.deform.config import ProjectionConfig
 from cagemap.maps.quality import flipped_triangles, upside_down
 from cagemap.numerics.arrays import FloatArray, IndexArray, components, read_only
 from cagemap.numerics.threads import in_threads, parts
