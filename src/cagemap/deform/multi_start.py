@@ -26,6 +26,9 @@ from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced, nearest_coordinates, zoomout
 
+# With fewer landmarks, they only help to choose among hypotheses; from here on they start a fit of their own.
+FEWEST_LANDMARKS = 3
+
 
 def start_map(
     problem: Problem, shape: CoarseShape | None = None, held: tuple[IndexArray, IndexArray] | None = None
@@ -36,8 +39,7 @@ def start_map(
     levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
-    candidates = evenly_spaced(n_searched, prepared.start.samples)
-    candidates = np.union1d(candidates, held[1])
+    candidates = np.union1d(evenly_spaced(n_searched, prepared.start.samples), held[1])
     of_curves = curve_vertices(problem)
 
     def samples(side: int, chosen: IndexArray, areas: FloatArray) -> Samples:
@@ -108,10 +110,6 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
     """(q, k) values of all basis functions at vertices of a level, which are vertices of all finer ones."""
     fine = max(level, surface.basis.last_level)
     return surface.basis.rows(fine, surface.hierarchy.vertices_on(fine, level)[vertices])
-
-
-# With fewer landmarks, they only help to choose among hypotheses; from here on they start a fit of their own.
-FEWEST_LANDMARKS = 3
 
 
 @dataclass(frozen=True, eq=False)

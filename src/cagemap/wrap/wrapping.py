@@ -35,6 +35,11 @@ NO_CAGE = (
 # Triangles, barycentric coordinates and distances of closest points.
 Closest = tuple[IndexArray, FloatArray, FloatArray]
 
+# Level of both surfaces at least: what most programs render a subdivision surface at.
+_RENDERED = 4
+# No finer than this, whatever the level.
+_MOST_VERTICES = 1_500_000
+
 
 @dataclass(frozen=True)
 class Residual:
@@ -181,12 +186,6 @@ def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
             f"vertex of its finest level), got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
     return values if len(values) == count else np.clip(target.prolong(values, 0, target.n_levels), 0.0, 1.0)
-
-
-# Level of both surfaces at least: what most programs render a subdivision surface at.
-_RENDERED = 4
-# No finer than this, whatever the level.
-_MOST_VERTICES = 1_500_000
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:

@@ -23,6 +23,12 @@ from cagemap.maps.hypotheses.rigid_starts import units_of_larger
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import thread_limit
 
+# Least length of a limb, of sqrt(area).
+LEAST_LENGTH = 0.01
+# Of e limbs beside p landmarks, lengths of sqrt(area): geodesic distances (p + e, p + e) between the places where limbs
+# join, landmarks first, which are limbs too; and girths (e,), area by length.
+LimbMeasures = tuple[FloatArray, FloatArray]
+
 
 @dataclass(frozen=True, eq=False)
 class Tips:
@@ -130,13 +136,6 @@ def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tu
     np.minimum.at(lowest, joined[basin], heights)
     above[highest_ones] = (heights[peaks] - lowest)[highest_ones]
     return peaks, above
-
-
-# Least length of a limb, of sqrt(area).
-LEAST_LENGTH = 0.01
-# Of e limbs beside p landmarks, lengths of sqrt(area): geodesic distances (p + e, p + e) between the places where limbs
-# join, landmarks first, which are limbs too; and girths (e,), area by length.
-LimbMeasures = tuple[FloatArray, FloatArray]
 
 
 def limb_measures(

@@ -32,6 +32,9 @@ from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
+# Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
+ANOTHER_WAY = " in another way"
+
 
 def least_cost(prepared: PreparedPair) -> float:
     """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
@@ -122,10 +125,6 @@ def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placemen
         return replace(found, name=coarse[0].name, doubt=coarse[0].doubt)
 
     return in_threads(finish, [*hopeful[: config.max_finished], *as_filed[:1]])
-
-
-# Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
-ANOTHER_WAY = " in another way"
 
 
 def search(

@@ -68,6 +68,8 @@ TURNED_DEGREES = 60.0
 # How the warning begins.
 JUMPING = "the map jumps between parts that only touch"
 
+ACROSS = np.array([-1.0, 1.0, 1.0])
+
 
 def findings(signs: Mapping[str, float]) -> list[str]:
     """What a user should know of the signs that are beyond their bounds."""
@@ -150,9 +152,6 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
     for row in np.where(np.isfinite(distances), distances, np.nan):
         apart = np.fmax(apart, np.abs(row[pairs[:, 0]] - row[pairs[:, 1]]))
     return apart
-
-
-ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
