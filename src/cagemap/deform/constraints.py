@@ -39,8 +39,8 @@ class Anchors(CagePoints):
     ) -> None:
         """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
 
-        A vertex has no other term. Between vertices the residual r = y - sum_k b_k x_k is given to each corner
-        with weight b_k, as in `source_to_target`: an upper bound, equal at the current positions.
+        A vertex has no other term. Between vertices every corner gets the residual with weight b_k, as in
+        `source_to_target`.
         """
         at_vertex = self.weights[:, 0] == 1.0
         held = self.corners[at_vertex, 0]
@@ -73,10 +73,8 @@ class CurveConstraint:
     def terms(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Term of the curve on its points: B (m, 3, 3) of ``sum_i (x_i - y_i)^T B_i (x_i - y_i)``, and B (y - x).
 
-        Closest points of the two polylines, both ways, as planes across the curve: x_i should lie on the source's
-        tangent line at its closest point, and the target's on every source point q. The residual of q is given to the
-        two points beside its closest point, an upper bound as in `source_to_target`. What is nearest to an end
-        goes to that end: so open curves end where their counterparts do.
+        Closest points of the two polylines, both ways, as planes across the curve. A source point's residual is given
+        to the two points beside its closest point, as in `source_to_target`. Ends belong to ends.
         """
         own = Polyline(self.anchors.of(positions), self.source.closed)
         closest = self.source.nearest(own.positions)

@@ -114,8 +114,7 @@ def source_to_target(
     """Point-to-plane term of source vertices: each should lie on the deformed target.
 
     The residual r = n . (q - sum_k b_k x_k) of a source vertex q is given to each corner of the triangle that holds its
-    closest point, n . x_k -> n . x_k + r with weight b_k: an upper bound of the true term (Jensen), equal at the
-    current positions, that keeps the blocks apart.
+    closest point, with weight b_k: an upper bound of the true term (Jensen), equal at the current positions.
     """
     points, planes = samples.points, samples.planes
     tree = build_tree(positions, target.triangles)
@@ -151,9 +150,8 @@ def source_to_clusters(
 ) -> DataTerm:
     """Term of source samples, each on the coarse vertex that is nearest to it in position and normal.
 
-    Target-to-source distances cannot see a short leg inside a long one; the uncovered end is seen only from the source.
-    The plane has the mean of both normals (symmetric ICP, Rusinkiewicz 2019). A share of the term is towards the point
-    itself: few points at a leg's end face along it.
+    Only the source sees a short leg inside a long one. The plane has the mean of both normals (symmetric ICP,
+    Rusinkiewicz 2019); a share of the term is towards the point itself: few points at a leg's end face along it.
     """
     points, planes = samples.points, samples.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
@@ -170,11 +168,9 @@ def source_to_clusters(
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
-    """(m, 3) points of the curved surface above those of its triangles, exact for quadratic surfaces.
+    """(m, 3) points of the curved surface above those of its triangles, exact for quadratics (Boubekeur, Alexa 2008).
 
-    A triangle lies h^2 / 8 R inside a surface of radius R. Vertices that are fitted to triangles, and triangles that
-    are fitted to vertices, would shrink and swell by that; the energy then slides the map sideways. Half the mean of
-    the projections onto the corners' tangent planes (Boubekeur and Alexa 2008) takes it away.
+    A triangle lies h^2 / 8 R inside a surface of radius R: fits would shrink and swell, and maps slide sideways.
     """
     flat = np.einsum("mk,mkd->md", barycentric, corners)
     heights = np.einsum("mkd,mkd->mk", corners - flat[:, None], normals)
@@ -186,8 +182,7 @@ def received_weights(
 ) -> FloatArray:
     """(n,) from 0 (nothing lies there) to 1, by how much of the source's area (n,) vertices receive, of their own.
 
-    Smoothed by `ElasticGraph.smoother`: 1 where received areas are the vertices' own. Both surfaces have area 1, which
-    says nothing where one is a part: there densities are compared with what a received piece of area has on average.
+    Of parts, whose unit areas say nothing, densities are compared with what a piece of area receives on average.
     """
     none, full = config.received
     density = smoother.solve(received)

@@ -74,8 +74,7 @@ class LinearSystem:
     def gradients(self, residual: FloatArray, stage: Stage) -> FloatArray:
         """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952).
 
-        Each costs a tenth of a factorisation. Without a tolerance they divide by zero once the residual is zero. Where
-        they leave too much of it, the matrix is factored anew.
+        Each costs a tenth of a factorisation. Where they leave too much of the residual, the matrix is factored anew.
         """
         matrix = self.matrix
         assert matrix is not None
@@ -165,13 +164,11 @@ def rotations(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexA
 def bounded_maps(
     maps: FloatArray, normals: FloatArray, config: GraphConfig = GraphConfig()
 ) -> tuple[FloatArray, IndexArray]:
-    """Linear maps without those that flatten a surface or turn it over.
+    """Linear maps without those that flatten a surface or turn it over: limbs that shrink would fold like an accordion.
 
-    The energy alone lets a differential pass through zero and come out mirrored: limbs that have to shrink fold like an
-    accordion. A map whose two stretches in the tangent plane have a ratio below ``config.flat``, or whose determinant
-    is not positive, gets its singular values s_1 >= s_2 >= +-s_3 bounded from below by ``config.min_stretch * s_1``;
-    the last of them has the determinant's sign before. All others stay as they are: a part that is thin on the other
-    shape, flat along its normal, is no fold.
+    A map whose two stretches in the tangent plane have a ratio below ``config.flat``, or whose determinant is not
+    positive, gets its singular values s_1 >= s_2 >= +-s_3 bounded from below by ``config.min_stretch * s_1``. Others
+    stay: a part that is thin on the other shape, flat along its normal, is no fold.
     """
     across, turned = np.einsum("nab,nb->na", maps, normals), transformed_normals(maps, normals)
     # With stretches s and t in the tangent plane: s t, and s^2 + t^2.

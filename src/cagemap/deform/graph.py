@@ -153,11 +153,10 @@ def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = G
 def cluster_graph(
     fine: ElasticGraph, count: int, held: IndexArray, config: GraphConfig = GraphConfig()
 ) -> tuple[ElasticGraph, IndexArray]:
-    """Coarser graph on some of a graph's vertices.
+    """Coarser graph on some of a graph's vertices, the most central ones of cells of a grid in position and normal.
 
-    Vertices are gathered in the cells of a grid in position and normal, so that the two sides of a thin part stay
-    apart; a cell's most central vertex stands for it. An edge between two cells takes the sum of the fine edges'
-    weights, scaled by squared lengths so that a linear function keeps its energy.
+    An edge between two cells takes the sum of the fine edges' weights, scaled by squared lengths so that a linear
+    function keeps its energy.
     """
     cell = _cells(fine, min(count, fine.n), config)
     cell[held] = -1 - np.arange(len(held))[::-1]  # smallest numbers, so that np.unique puts them first, in order
@@ -197,8 +196,7 @@ def extrapolate(
 ) -> FloatArray:
     """(n, 3) positions of a finer graph's vertices: blended affine extrapolations of the nearest coarse vertices.
 
-    ``y_v = sum_k b_k (x_k + A_k (p_v - p_k))`` with weights falling to zero at the last neighbour's distance, distances
-    counting position and normal. Exact for affine deformations.
+    ``y_v = sum_k b_k (x_k + A_k (p_v - p_k))``, weights falling to zero at the last neighbour. Exact for affine maps.
     """
     size = np.sqrt(1.0 / coarse.n)
     tree = cKDTree(np.hstack([coarse.positions, config.normal_length * size * coarse.normals]))
@@ -230,10 +228,9 @@ def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
 
 
 def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
-    """(n,) cells split into their connected pieces, tiny pieces joined to a neighbour.
+    """(n,) cells split into their connected pieces, tiny pieces joined to the neighbour with most common edge weight.
 
-    Parts of a body that touch share cells of a grid though nothing joins them. A tiny piece goes to the neighbour that
-    it shares most edge weight with: it would be a stiff dot.
+    Parts that only touch share cells of a grid; a tiny piece would be a stiff dot.
     """
     inside = cell[graph.heads] == cell[graph.tails]
     piece = components(graph.heads[inside], graph.tails[inside], graph.n)

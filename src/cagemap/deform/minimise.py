@@ -70,9 +70,8 @@ def minimise(
 ) -> FloatArray:
     """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials.
 
-    The alternation creeps along the surface, where only the energy acts; momentum makes it three times faster. Where
-    the mesh lies on the source, softening would only let it slide: the stiffness is then the largest that keeps it
-    there (Morozov's discrepancy principle). That is so between cages of one shape. ``adjust`` is applied to the
+    Momentum makes the alternation three times faster. Where the mesh lies on the source, the stiffness is the largest
+    that keeps it there (Morozov's discrepancy principle): softening would let it slide. ``adjust`` is applied to the
     positions of every iteration, to keep a symmetry.
     """
     positions, before = start, start

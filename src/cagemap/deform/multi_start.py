@@ -78,8 +78,7 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
 def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Callable[[Placement], list[FloatArray]]:
     """A function from a fit of a coarse shape to (k, 3) places on the source by ZoomOut from its closest points.
 
-    They find limbs in other poses. The first number of functions says how much of the fit is trusted. The shape is the
-    problem's own where none is given.
+    They find limbs in other poses. The first number of functions says how much of the fit is trusted.
     """
     prepared, shape = problem.prepared, shape or problem.shape
     config, surface = prepared.start, prepared.source_surface
@@ -199,8 +198,7 @@ def cheapest_first(placements: Iterable[Placement]) -> list[Placement]:
 def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:
     """(n, 3) the cheapest of some placements with those parts of the others that cost less; None if there are none.
 
-    One may be right about an arm, another about a leg. A part is a connected piece of the surface where two placements
-    are apart, a limb most often; around it they agree, so that one fits into the other.
+    A part is a connected piece of the surface where two placements are apart, a limb most often.
     """
     positions, costs, changed = ranked[0].positions, ranked[0].costs, False
     for other in ranked[1:]:

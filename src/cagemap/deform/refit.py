@@ -82,8 +82,7 @@ def rigid_pose(rest: RestShape, positions: FloatArray, config: RefitConfig = Ref
     """(n, 3) the rest shape near some positions (n, 3), as rigid as possible (Sorkine and Alexa 2007) but at joints.
 
     Minimises ``sum_i a_i |x_i - y_i|^2 + alpha sum_ij c_ij w_ij |x_i - x_j - R_ij (p_i - p_j)|^2``, R the rotations of
-    smoothed differentials: limbs keep their lengths and girths, and turn where c is small. It is, where they turn
-    already: bodies bend at joints, and a thigh does not twist from end to end.
+    smoothed differentials, c small where they turn already: bodies bend at joints.
     """
     graph, stage, found = rest.graph, config.stage, positions
     blocks, right = graph.areas[:, None, None] * np.eye(3), graph.areas[:, None] * positions

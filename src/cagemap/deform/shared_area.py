@@ -36,8 +36,8 @@ class SharedArea:
     def of_fit(cls, prepared: PreparedPair, places: FloatArray) -> SharedArea | None:
         """The shared area of a fit that moves the target's vertices to places (n, 3); None where neither is open.
 
-        A vertex has a counterpart where the closest point that faces the same way is near, and not where the other
-        surface ends. What is squeezed together has none either: it shrank because nothing was there for it.
+        A vertex has a counterpart where the closest point that faces the same way is near and no boundary. What is
+        squeezed has none.
         """
         mesh, source, config = prepared.mesh, prepared.source_surface, prepared.elastic
         if not (mesh.is_open or source.is_open):

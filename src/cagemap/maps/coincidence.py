@@ -130,8 +130,7 @@ def _gap(
 ) -> float | None:
     """Mean distance of a target from a source that it lies on, in units of sqrt(source area); None where it does not.
 
-    A coarse mesh is made with its vertices on a fine surface, and its faces cut through it: vertices are asked, and of
-    faces only that they are near.
+    Vertices are asked, and of faces only that they are near: those of a coarse mesh cut through a fine surface.
     """
     unit, faces = source.scale, _on_faces(target, mask)
     apart = _distances(faces, source, unit, config.near)

@@ -33,8 +33,7 @@ ONE_SURFACE = "vertex on vertex: they are one surface"
 def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     """The map of surfaces that lie on each other, and how sure it is; None of all others.
 
-    Landmarks and curves move closest points a little, and landmarks are met exactly. Where they are missed by more than
-    `LandmarkConfig.confirmed`, or masks keep different parts, they contradict: a map is fitted then.
+    Landmarks and curves move closest points a little. Where they, or masks, contradict, a map is fitted.
     """
     prepared, pair = problem.prepared, problem.pair
     masks, landmarks, count = prepared.masks, pair.landmarks, pair.target.control.n_vertices

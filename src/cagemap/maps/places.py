@@ -41,9 +41,8 @@ def located(surface: Surface, points: CagePoints) -> SurfacePoints:
 def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
 
-    A point between control vertices lies beside the same mean of their places, along the same mean of their normals:
-    the closest point is asked for again from where the last one left that line. From the mean itself, which is inside
-    where the surface is convex, whole strips along edges between facets are nearest to nothing.
+    A point between vertices lies on the line along the mean normal: the closest point is asked for again from where the
+    last one left that line. From the mean place itself, strips along edges between facets are nearest to nothing.
     """
     vertices = points.vertices
     found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))

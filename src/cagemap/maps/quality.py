@@ -154,9 +154,8 @@ def covered_share(
 ) -> float:
     """Share of the source's area, of what masks count of it, that images (n1, 3) of the target's vertices cover.
 
-    `COVERAGE_SAMPLES` points of the source are judged, each of the same area. One is covered where an image triangle
-    that faces the same way lies above or below it: in a direction less than 60 degrees from its normal, and no farther
-    than half the longest edge of the triangle, on the target and in the image. So flat triangles of a coarse target
+    A point of the source is covered where an image triangle that faces the same way lies less than 60 degrees from its
+    normal, and no farther than half its longest edge, on the target and in the image: flat triangles of a coarse target
     cover the curved surface under them, and triangles stretched over a gap do not.
     """
     points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)

@@ -141,8 +141,7 @@ def moved_locally(
 ) -> FloatArray:
     """(n, 3) a net after some rounds in which few points (m,) move, with similarities at some points (k,).
 
-    Their differentials are those of a part around them, as stiff as it is (n,) and anew in every round; or fixed, those
-    of the whole net at the positions before, which costs no factorisation.
+    Differentials are those of a part around them, as stiff as it is (n,), or fixed ones, which costs no factorisation.
     """
     if not len(moving):
         return positions

@@ -23,8 +23,7 @@ def mend(
 ) -> FloatArray:
     """(n_l, 3) a fitted net whose faces do not fold and are not much thinner than at rest, as far as that can be had.
 
-    Bad faces become stiffer each time and are fitted again. Small ones that still fold are released: carried along
-    with the samples that depend on them. The others are laid flat before they are fitted again.
+    Bad faces become stiffer and are fitted again. Small ones that still fold are released; others are laid flat before.
     """
     if not config.rounds:
         return positions

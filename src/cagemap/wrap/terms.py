@@ -169,11 +169,7 @@ class SampleTerms:
 
 
 def counterpart(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
-    """(n1,) 1 where the map finds room on the source, 0 where it finds none.
-
-    It squeezes what the source lacks into next to nothing. What lies behind may be laid over a place that belongs to
-    another part: the back of a mouth bag, whose sides are squeezed into the corners of the lips, over the lips.
-    """
+    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or lays it over others."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)

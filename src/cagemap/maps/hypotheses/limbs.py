@@ -92,8 +92,7 @@ def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
 def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
     """(e,) vertices that are farther from the whole surface than all around them, highest first.
 
-    Height is the mean geodesic distance to the surface (Hilaga et al. 2001); a tip's own is taken over the highest
-    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002).
+    Mean geodesic distance (Hilaga et al. 2001), over the highest pass to a higher one (Edelsbrunner et al. 2002).
     """
     heights = mean_distances(graph)
     peaks, above = prominences(heights, graph.heads, graph.tails)
@@ -147,8 +146,7 @@ def limb_measures(
 ) -> LimbMeasures:
     """Measure the limbs that end at tips (e,), beside landmarks (p,), in a unit; three at least, of one piece.
 
-    A limb's length is that of its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (the Gromov
-    product, as in neighbour joining).
+    A limb is as long as its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (Gromov product).
     """
     ends = np.concatenate([landmarks, tips])
     distances = graph.distances(ends)

@@ -60,8 +60,7 @@ def rough_fits(
     """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
 
     Assignments are released too: tips of limbs of unlike length are no counterparts. Rotations are tried, and doubted,
-    where ``rigid`` is true and no assignment is plausible. ``show`` gets the best fit that keeps the files' axes, then
-    the best of all.
+    where ``rigid`` is true and no assignment is plausible.
     """
     rough, config = rough_problem(problem), problem.prepared.elastic.search
 

@@ -142,10 +142,9 @@ def farther_out(
     node: int,
     distance: float,
 ) -> bool:
-    """Whether a tip's given place lies farther out on the limb that has the best one: limbs of other lengths.
+    """Whether a tip's given place lies farther out on the limb that has the best one, a node at a distance.
 
-    The best one is a node of the source at a distance. The way to the tip of a long tail leads past the place that a
-    short tail's tip would have on it.
+    The way to the tip of a long tail leads past the place that a short tail's tip would have on it.
     """
     others = trusted[trusted != landmark]
     through = source.to_nodes[others, node] + distance

@@ -108,10 +108,9 @@ def reduced_energy(
 
 
 def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkConfig = LandmarkConfig()) -> int | None:
-    """The landmark that would move far if let go, and alone so; None where there is none.
+    """The landmark that would move far if let go, and alone so; None where there is none, or too few are judged.
 
-    The others are asked again with it let go, because a wrong landmark pulls at its neighbours. Fewer than
-    `fewest_strained` landmarks, held at places (p, 3), are not judged: the others are too far away to know better.
+    The others are asked again with it let go, because a wrong landmark pulls at its neighbours.
     """
     held = np.arange(len(places))
     if len(held) < config.fewest_strained:

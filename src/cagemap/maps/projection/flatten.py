@@ -53,8 +53,7 @@ def flatten_folded_parts(
 ) -> SurfacePoints:
     """Unfold the parts with the largest folds, each within a disc, where that removes at least half of the fold.
 
-    A limb beyond a ring of folds is a tiny place of the disc, where small changes move it far: a result that displaces
-    much more area than is folded is discarded. Held vertices (p,) stay (landmarks).
+    A result that displaces much more area than is folded is discarded. Held vertices (p,) stay (landmarks).
     """
     for part in folded_parts(target, flipped, config):
         for growth in config.growths:
@@ -146,8 +145,7 @@ def flat_disc(disc: Disc) -> FloatArray:
 def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
     """(v, n) convex combinations of their neighbours for the v vertices inside a flat disc, perhaps folded.
 
-    Mean value coordinates (Floater 2003), which reproduce a vertex's place, where the disc is not folded around it and
-    from there to the rim; equal weights elsewhere.
+    Mean value coordinates (Floater 2003) where the disc is not folded around a vertex and from there to the rim.
     """
     triangles, inside = disc.triangles, disc.inside
     n = len(places)
@@ -188,8 +186,7 @@ def moved_to(
 ) -> FloatArray | None:
     """Places (n, 2) after some of them moved to their goals, the others with them, one-to-one; the rim stays.
 
-    The rim and the chosen points are triangulated. In each step they move as far as no triangle flips, and all other
-    points move affinely with their triangle. None if the goals are not reached in some ``steps``.
+    In each step a triangulation of rim and chosen points moves as far as none flips. None if goals are not reached.
     """
     corners = np.concatenate([rim, chosen])
     wanted = np.concatenate([places[rim], goals])

@@ -61,9 +61,8 @@ def snap_landmarks(
 ) -> SurfacePoints:
     """Images of all target vertices, changed so that landmarks are met.
 
-    A landmark at a vertex replaces its image. Around a landmark between vertices the corners of its triangle move by
-    its error and are projected again, until it is met. Normals keep them on their side of a thin part at first; their
-    weight falls in each step, since it would stop corners at a bend.
+    A landmark at a vertex replaces its image. Around another the corners of its triangle move by its error and are
+    projected again, until it is met; normals, weighted less in each step, keep them on their side of a thin part.
     """
     vertices = vertices_at(landmarks.target)
     at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
@@ -129,10 +128,8 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
 def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     """(n_f, 3) places of the target's finest vertices where those of the level that is deformed are fitted.
 
-    A subdivision surface passes through the fitted points (`refined_positions`). A plain mesh has details of its own,
-    which its coarse levels lack: they are carried by the deformation's differentials, blended by the rows of S^{f,l},
-    ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``. Exact for affine deformations, and close to smooth ones to the second
-    order.
+    A subdivision surface passes through the fitted points. A plain mesh carries its details by the deformation's
+    differentials, blended by the rows of S^{f,l}: ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``.
     """
     refinement, level = prepared.target.hierarchy, prepared.levels[0]
     if not refinement.is_plain:
@@ -155,8 +152,7 @@ def refined_positions(refinement: Refinement, level: int, points: FloatArray) ->
 def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 12) -> FloatArray:
     """Control points whose refined vertices pass through given points: ``E c = y`` by Richardson steps.
 
-    ``E`` (n, n) holds the rows of S^{f,l} of the level's own vertices. Its spectrum lies in (0, 1], low frequencies at
-    1, so that a few steps of ``c <- c + (y - E c)`` leave only high frequencies of an already smooth field.
+    The spectrum of ``E`` (n, n), rows of S^{f,l}, lies in (0, 1]: what a few steps leave is of high frequency.
     """
     control = points
     for _ in range(steps):
@@ -173,8 +169,7 @@ def facing_points(
 ) -> SurfacePoints:
     """Closest points of a surface; where normals disagree, those of a second search with more weight on normals.
 
-    Normals separate the two sides of thin parts. Their weight is small: a normal that differs from the source's moves
-    the closest point sideways, the farther the less the surface bends.
+    Weights are small: a normal that differs from the source's moves the closest point sideways.
     """
     found = SurfacePoints.nearest(surface, points, normals, normal_weight=weights[0])
     away = np.flatnonzero(np.einsum("md,md->m", found.normals, normals) < config.min_cosine)

@@ -33,8 +33,8 @@ def relax_folds(
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones (p,) keep their image.
 
-    A connected patch keeps its new image only if fewer of its triangles are flipped than before. Patches grow in every
-    round, until a round removes few flips. Also which target triangles (t1,) still are flipped.
+    A connected patch keeps its new image only if fewer of its triangles are flipped. Patches grow in every round, until
+    one removes few flips. Also which target triangles (t1,) still are flipped.
     """
     flipped = flipped_triangles(images, triangles)
     if not flipped.any():
