@@ -235,23 +235,20 @@ def match_pair(
     with one_blas_thread():
         with _timed(timings, "map"):
             known = known_map(problem)
+            if known is None and len(landmarks) < FEWEST_LANDMARKS:
+                known = hypothesis_map(problem, progress, preview)
             if known is not None:
                 point_map, confidence = known
-                places = confidence.readings[0].positions
-            elif len(landmarks) < FEWEST_LANDMARKS:
-                point_map, confidence = hypothesis_map(problem, progress, preview)
-                places = confidence.readings[0].positions
+                ends = list(confidence.readings)
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(problem, landmarks.names, progress)
-                places = ends[0].answer
                 confidence = turned_limbs(ends, prepared)
                 if MIRRORED_NOTE in check.notes:
                     mirrored, check = mirrored_readings(problem, ends[0], check, progress)
                     confidence = mirrored or confidence
             else:
                 point_map, ends = elastic_map(problem, progress)
-                places = ends[0].answer
-        shared = SharedArea.of_fit(prepared, places)
+        shared = SharedArea.of_fit(prepared, ends[0].answer)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
     found = replace(judged, confidence=None if confidence is None else at_finest(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
@@ -430,7 +427,7 @@ def _judged(
     check: LandmarkCheck,
     timings: dict[str, float],
     progress: Progress,
-    shared: SharedArea | None = None,
+    shared: SharedArea | None,
 ) -> MatchResult:
     """The result of an elastic match, with its quality; what is not shared counts for no figure."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)

@@ -109,9 +109,7 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> Floa
 
 
 def hypothesis_map(
-    problem: Problem,
-    progress: Progress = silent,
-    preview: Callable[[PointMap], None] | None = None,
+    problem: Problem, progress: Progress, preview: Callable[[PointMap], None] | None
 ) -> tuple[PointMap, Confidence]:
     """The map by the cheapest alignment, and how sure it is; ``preview`` gets approximate maps during the search."""
     prepared, pair = problem.prepared, problem.pair

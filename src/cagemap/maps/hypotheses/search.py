@@ -179,7 +179,7 @@ def search(
 
 
 def found_readings(
-    problem: Problem, progress: Progress = silent, show: Callable[[Placement], None] = lambda _: None
+    problem: Problem, progress: Progress, show: Callable[[Placement], None] = lambda _: None
 ) -> tuple[Placement, ...]:
     """Different alignments of the target with the source, best first, by `search`."""
     prepared, answers = problem.prepared, dict[str, Placement]()

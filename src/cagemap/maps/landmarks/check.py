@@ -28,7 +28,7 @@ from cagemap.maps.landmarks.outliers import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
-from cagemap.maps.pair import Pair, Progress, silent, vertices_at
+from cagemap.maps.pair import Pair, Progress, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -135,7 +135,7 @@ class LandmarkCheck:
 
 
 def checked_map(
-    problem: Problem, names: Sequence[str], progress: Progress = silent
+    problem: Problem, names: Sequence[str], progress: Progress
 ) -> tuple[PointMap, LandmarkCheck, list[Placement]]:
     """`elastic_map` of the pairs that do not turn out to be wrong, what is known of all, and its placements."""
     pair, count, config = problem.pair, len(names), problem.prepared.elastic.landmarks

@@ -56,9 +56,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     return PointMap(target, snap_landmarks(found, landmarks, config.projection))
 
 
-def snap_landmarks(
-    images: SurfacePoints, landmarks: PointPairs, config: ProjectionConfig = ProjectionConfig()
-) -> SurfacePoints:
+def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: ProjectionConfig) -> SurfacePoints:
     """Images of all target vertices, changed so that landmarks are met.
 
     A landmark at a vertex replaces its image. Around another the corners of its triangle move by its error and are
