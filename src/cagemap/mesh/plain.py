@@ -31,7 +31,7 @@ from cagemap.mesh.topology import (
 )
 from cagemap.mesh.weld import coincident_vertices, file_copies, weld_tolerance
 from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import Brief
 from cagemap.surface.triangles import fan_triangles
 
 # Rounds in which faces at edges of more than two faces are taken out; two are enough for scans.

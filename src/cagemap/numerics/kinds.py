@@ -1,10 +1,11 @@
-"""Runtime argument type checks for the public API."""
+"""Runtime argument type checks for the public API, and short texts of its configurations."""
 
 from __future__ import annotations
 
 import operator
 import os
 from collections.abc import Callable
+from dataclasses import MISSING, fields
 from functools import cache, wraps
 from inspect import signature
 from numbers import Real
@@ -96,3 +97,16 @@ def _classes(hint: object) -> tuple[type, ...]:
     known = [isinstance(one, type) and (one in _NAMES or one.__module__.startswith("cagemap.")) for one in hints]
     protocols = [getattr(one, "_is_protocol", False) for one in hints]
     return tuple(hints) if all(known) and not any(protocols) else ()
+
+
+class Brief:
+    """A dataclass (``repr=False``) that shows the fields that differ from their defaults."""
+
+    def __repr__(self) -> str:
+        shown = []
+        for field in fields(self):  # type: ignore[arg-type]
+            default = field.default_factory() if field.default_factory is not MISSING else field.default
+            value = getattr(self, field.name)
+            if not (type(value) is type(default) and value == default):
+                shown.append(f"{field.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(shown)})"

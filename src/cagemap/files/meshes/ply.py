@@ -123,7 +123,7 @@ def _uvs(
         values[has_uv] = texcoord.values.reshape(-1, 2)
         if not np.isfinite(values).all():
             raise FormatError(f"{path}: expected finite texture coordinates, got NaN or infinity. Unwrap again.")
-        warn_of_bare_faces(path, np.count_nonzero(bare), len(sizes))
+        warn_of_bare_faces(path, int(bare.sum()), len(sizes))
         keys = np.column_stack([np.where(has_uv, indices, -1), values])
         order = np.lexsort(keys.T)
         fresh = np.concatenate([[True], np.any(keys[order][1:] != keys[order][:-1], axis=1)])
