@@ -52,7 +52,7 @@ def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
     entries = read_only(matrix.data.astype(dtype, copy=False))
     out = np.empty((matrix.shape[0], values.shape[1]), dtype=dtype)
     threads = 1 if matrix.nnz * values.shape[1] < _MIN_PARALLEL_WORK else min(_MAX_THREADS, core_count())
-    shares = np.linspace(0, matrix.nnz, threads + 1)  # row ranges of equal nonzeros
-    bounds = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
-    in_threads(lambda rows: _multiply_rows(*pattern, entries, values, rows[0], rows[1], out), list(pairwise(bounds)))
+    shares: NDArray[np.float64] = np.linspace(0, matrix.nnz, threads + 1)  # row ranges of equal nonzeros
+    bounds: list[int] = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
+    in_threads(lambda rows: _multiply_rows(*pattern, entries, values, *rows, out), list(pairwise(bounds)))
     return out
