@@ -108,10 +108,7 @@ class CagePoints:
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     """Points of a control mesh: the vertices given, and the mesh's nearest points to places in space.
 
-    Raises
-    ------
-    InvalidLandmarksError
-        If a vertex is out of range, or places are far from the mesh or in another unit.
+    InvalidLandmarksError if a vertex is out of range, or places are far from the mesh or in another unit.
     """
     outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
     if len(outside):
@@ -150,12 +147,8 @@ def shared_names(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names that both sides have, in the target's order, and notes on those of one side only.
 
-    ``what`` they are names of in the error, and ``noted`` in the notes.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If a name occurs twice on one side.
+    ``what`` they are names of in the error, and ``noted`` in the notes. InvalidLandmarksError if a name occurs
+    twice on one side.
     """
     sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
     for side, names, _ in sides:

@@ -187,13 +187,7 @@ class ControlMesh:
         return replace(self, positions=given)
 
     def with_uv_set(self, name: str) -> ControlMesh:
-        """Return the same mesh with the set of that name in use.
-
-        Raises
-        ------
-        ParameterError
-            If there is no such set.
-        """
+        """Return the same mesh with the set of that name in use; ParameterError if there is no such set."""
         if name == self.uv_name and self.uvs is not None:
             return self
         chosen = next((uv_set for uv_set in self.uv_sets if uv_set.name == name), None)

@@ -119,10 +119,7 @@ class Curves:
 def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
     """Order edges (e, 2) into a chain or loop: its vertices, and whether it is a loop.
 
-    Raises
-    ------
-    InvalidLandmarksError
-        If the edges branch or fall into pieces; names the vertices.
+    InvalidLandmarksError if the edges branch or fall into pieces; names the vertices.
     """
     vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
     heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
@@ -149,10 +146,8 @@ def paired_curves(
 ) -> tuple[Curves, tuple[str, ...]]:
     """Pair the curves of two meshes by name; also notes on names of one side only.
 
-    Raises
-    ------
-    InvalidLandmarksError
-        If a name occurs twice on one side, a vertex is out of range, or a place is far from its mesh.
+    InvalidLandmarksError if a name occurs twice on one side, a vertex is out of range, or a place is far from its
+    mesh.
     """
     by_name = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
     shared, notes = shared_names(

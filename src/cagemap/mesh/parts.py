@@ -80,10 +80,7 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 def find_part(mesh: ControlMesh, name: str) -> Part:
     """The part of that name: of an object, group, material or component, ``KIND:NAME``, or ``largest``.
 
-    Raises
-    ------
-    ParameterError
-        If there is none, or parts of different faces have that name.
+    ParameterError if there is none, or parts of different faces have that name.
     """
     parts = list_parts(mesh)
     if name == LARGEST:

@@ -43,12 +43,8 @@ _SOURCES = {
 def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
     """Check arguments against the annotations: cagemap's classes, numbers, texts and paths.
 
-    Arrays, sequences and callables are checked by the function itself.
-
-    Raises
-    ------
-    ParameterError
-        If an argument is of another type.
+    Arrays, sequences and callables are checked by the function itself. ParameterError if an argument is of another
+    type.
     """
     parameters = signature(function)
 

@@ -61,16 +61,11 @@ def band_pairs(
 ) -> EigenPairs:
     """Eigenpairs first..last-1 of the spectrum of W (n, n) and M, complete whatever their multiplicity.
 
-    Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W - sigma M
-    says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was missed.
-    ``accuracy`` of the iteration is relative to each eigenvalue of the inverted operator.
-
-    Raises
-    ------
-    ParameterError
-        If the range is empty or not within the spectrum.
-    SolverError
-        If the iteration does not converge or misses eigenvalues.
+    Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W -
+    sigma M says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was
+    missed. ``accuracy`` of the iteration is relative to each eigenvalue of the inverted operator. ParameterError if
+    the range is empty or not within the spectrum; SolverError if the iteration does not converge or misses
+    eigenvalues.
     """
     n = stiffness.shape[0]
     if not 0 <= first < last <= n:

@@ -26,13 +26,8 @@ def landmark_coordinates(
 ) -> FloatArray:
     """Weighted harmonic and biharmonic coordinates (n, 2 (p + c)) of every vertex, to stand beside spectral ones.
 
-    They are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i: both are 1 on it
-    and 0 on the others.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If there are fewer than two landmarks or one repeats.
+    They are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i: both are 1 on
+    it and 0 on the others. InvalidLandmarksError if there are fewer than two landmarks or one repeats.
     """
     unique = np.unique(landmarks)
     if len(landmarks) < 2 or len(unique) != len(landmarks):

@@ -164,10 +164,7 @@ class Refinement:
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
         """Rows of ``S^{fine,coarse}`` for vertices (m,) of the fine level, (m, n_coarse), without computing the others.
 
-        Raises
-        ------
-        ParameterError
-            If there is no such level or vertex.
+        ParameterError if there is no such level or vertex.
         """
         self._check_order(fine, coarse)
         n = self.levels[fine].n_vertices
@@ -231,10 +228,7 @@ def with_options(
 ) -> ControlMesh:
     """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file.
 
-    Raises
-    ------
-    ParameterError
-        If a value is not allowed.
+    ParameterError if a value is not allowed.
     """
     before = default_scheme(control)
     kind = type(before)
@@ -280,7 +274,7 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     scheme = default_scheme(control) if scheme is None else scheme
     _check_input(control, levels, scheme)
     state = control_state(control, scheme)
-    entries = ENTRIES_PER_CORNER * state.topology.table.n_corners * 4 ** max(levels - 2, 0)
+    entries = ENTRIES_PER_CORNER * state.topology.n_corners * 4 ** max(levels - 2, 0)
     if entries >= 2**31:
         raise ParameterError(
             f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
@@ -291,10 +285,10 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     for step in range(levels):
         state = next_state(state, scheme) if step else state
         matrices.append(subdivision_matrix(state, scheme))
-        positions, table, parents = matrices[-1] @ result[-1].positions, state.topology.table, result[-1].face_parents
-        parents = np.repeat(parents, 4) if isinstance(scheme, Loop) else parents[table.faces]
+        positions, parents = matrices[-1] @ result[-1].positions, result[-1].face_parents
+        parents = np.repeat(parents, 4) if isinstance(scheme, Loop) else parents[state.topology.faces]
         lay = partial(refined_layout, control, step + 1, scheme) if has_uvs else None
-        result.append(Level(positions, children(table, scheme).astype(np.int64), parents, lay))
+        result.append(Level(positions, children(state.topology, scheme).astype(np.int64), parents, lay))
     return Refinement(control, scheme, tuple(matrices), tuple(result))
 
 

@@ -46,10 +46,7 @@ class TriangleTree:
 def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     """Search tree of triangles (t, 3) with vertices (n, 3), for `closest_points`.
 
-    Raises
-    ------
-    ParameterError
-        If there is no triangle or a position is not finite.
+    ParameterError if there is no triangle or a position is not finite.
     """
     if len(triangles) == 0:
         raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")

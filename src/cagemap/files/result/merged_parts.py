@@ -214,7 +214,7 @@ def part_numbers(controls: Sequence[ControlMesh], level: int, *, loop: bool) -> 
     Subdivision numbers what it makes by kind: vertices, then edges, then faces; the halves of edges before those across
     faces. Pieces are therefore mixed, and followed here from level to level.
     """
-    tables = [control_topology(control).table for control in controls]
+    tables = [control_topology(control) for control in controls]
     counts = np.array([[t.n_vertices, t.n_edges, t.n_faces, t.n_corners] for t in tables])
     starts = np.cumsum(counts, axis=0) - counts
     parts = [
