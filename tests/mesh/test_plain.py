@@ -29,11 +29,10 @@ from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
-from cagemap.operators.coarse_levels import coarsened, prolongation, refined, simplified
+from cagemap.operators.coarse_levels import coarsened, delaunay, prolongation, refined, simplified
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.surface.closest_points import closest_among
-from cagemap.surface.flips import delaunay
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import triangle_normals, triangles
 from cagemap.transfer.matched import transfer_of

@@ -38,7 +38,7 @@ from cagemap.subdivision import (
     triangles,
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
-from cagemap.subdivision.refinement import state_of
+from cagemap.subdivision.refinement import state_of, vertex_counts
 from cagemap.subdivision.sharpness import boundary_corners
 from cagemap.subdivision.topology import control_topology
 
@@ -95,6 +95,7 @@ def test_euler_characteristic_and_counts(mesh: ControlMesh) -> None:
 def test_split_topology_is_the_one_of_the_refined_faces(mesh: ControlMesh) -> None:
     # The definition: sort all edges of the refined mesh again.
     refinement = refine(mesh, 2)
+    assert list(itertools.islice(vertex_counts(mesh), 3)) == [level.n_vertices for level in refinement.levels]
     for number in (1, 2):
         level = refinement.levels[number]
         split = table = state_of(refinement, number).topology

@@ -1,4 +1,4 @@
-"""Refine a control mesh: every level's mesh, and the matrices between levels."""
+"""Refine a control mesh: every level's mesh, and the matrices between levels; levels as meshes for files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import cage_triangles, keep_faces, labels_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
@@ -22,6 +23,7 @@ from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, control_state, next_state
 from cagemap.subdivision.topology import BoolArray, children, control_topology
+from cagemap.surface.triangles import fan_triangles
 from cagemap.surface.triangles import triangles as triangles
 
 # Nonzeros of the second S per control corner, about; each further S has four times as many.
@@ -357,15 +359,6 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
     """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`.
 
     A step adds a vertex per edge and, but for Loop, per face; it splits every edge and adds one per corner.
-
-    Examples
-    --------
-    >>> from itertools import islice
-    >>> from cagemap import ControlMesh
-    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
-    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
-    >>> list(islice(vertex_counts(tetrahedron), 4))
-    [4, 10, 34, 130]
     """
     loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
     vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
@@ -376,3 +369,65 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
         edges = 2 * edges + corners
         faces = 4 * faces if loop else corners
         corners = (3 if loop else 4) * faces
+
+
+def finest_mesh(refinement: Refinement) -> ControlMesh:
+    """Finest level with all its UV sets, colours, materials, objects and groups, without creases and without holes.
+
+    Vertex colours are refined as positions are, as USD's primvars at vertices are.
+    """
+    finest, control = refinement.finest, refinement.control
+    if finest.faces is None or refinement.n_levels == 0:
+        return control
+    mesh = replace(
+        control,
+        positions=finest.positions,
+        face_offsets=np.arange(0, finest.faces.size + 1, finest.faces.shape[1]),
+        face_indices=finest.faces.ravel(),
+        uvs=finest.uvs,
+        uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
+        **labels_of(control, finest.face_parents),
+        uv_sets=tuple(_refined_uvs(refinement, uv_set) for uv_set in control.uv_sets),
+        vertex_colors=_finest_colors(refinement),
+        crease_edges=None,
+        crease_sharpness=None,
+        corner_vertices=None,
+        corner_sharpness=None,
+        hole_faces=None,
+        file_vertices=None,
+        file_faces=None,
+        file_copies=None,
+        scheme=None,
+    )
+    holes = refinement.holes(refinement.n_levels)
+    return keep_faces(mesh, np.flatnonzero(~holes)) if holes.any() else mesh
+
+
+def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
+    """An inactive UV set, refined as the active one."""
+    alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
+    finest = refine(alone, refinement.n_levels, refinement.scheme).finest
+    assert finest.uvs is not None
+    assert finest.uv_indices is not None
+    return UvSet(uv_set.name, finest.uvs, finest.uv_indices.ravel())
+
+
+def _finest_colors(refinement: Refinement) -> FloatArray | None:
+    """Colours of the finest vertices; None where some control vertices have none."""
+    colors = refinement.control.vertex_colors
+    if colors is None or not np.isfinite(colors).all():
+        return None
+    return np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0)
+
+
+def truncated(refinement: Refinement, level: int) -> Refinement:
+    """The levels from 0 to this one; polygons of level 0, if it is the last, are split into fans."""
+    found, control = refinement.up_to(level), refinement.control
+    last = found.levels[-1]
+    if last.faces is not None:
+        return found
+    split, parents = fan_triangles(control.face_offsets, control.face_indices)
+    fans = replace(last, faces=split, face_parents=parents)
+    if control.uvs is not None and control.uv_indices is not None:
+        fans = fans.with_uvs(control.uvs, fan_triangles(control.face_offsets, control.uv_indices)[0])
+    return replace(found, levels=(*found.levels[:-1], fans))

@@ -18,7 +18,7 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing, Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.subdivision.topology import BoolArray, Topology, control_topology, split_topology
 
 # Vertex rules; smooth includes darts, where a single crease ends.
@@ -69,12 +69,8 @@ def control_sharpness(
 def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
     """Edges of the creases; InvalidMeshError where there is none."""
     assert control.crease_edges is not None
-    n = control.n_vertices
-    ends = topology.edge_ends
-    keys = ends.min(axis=1) * n + ends.max(axis=1)
-    asked = control.crease_edges.min(axis=1) * n + control.crease_edges.max(axis=1)
-    order = np.argsort(keys)
-    numbers = order[np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)]
+    keys, asked = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
+    numbers = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)  # edges ascend, see `numbered_edges`
     missing = keys[numbers] != asked
     if missing.any():
         shown = first_few([tuple(pair) for pair in control.crease_edges[missing].tolist()])
