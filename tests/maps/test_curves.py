@@ -29,8 +29,8 @@ from cagemap.maps.curves import curve_pairs, edge_vertices, refined_edges
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, paired
+from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.topology import edge_table
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match

@@ -22,9 +22,8 @@ from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import signed_volume
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract
+from cagemap.mesh.parts import extract, join_meshes
 from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads

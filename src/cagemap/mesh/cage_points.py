@@ -48,15 +48,7 @@ class NamedPoints:
 
 @dataclass(frozen=True, eq=False)
 class CagePoints:
-    """Points of a control mesh.
-
-    Attributes
-    ----------
-    corners : (q, 3) int64
-        Vertices of the triangle of a face's fan that holds each point.
-    weights : (q, 3) float64
-        Not negative, rows sum to 1.
-    """
+    """Points of a control mesh: vertices (q, 3) of a triangle of a face's fan, and weights (q, 3) that sum to 1."""
 
     corners: IndexArray
     weights: FloatArray

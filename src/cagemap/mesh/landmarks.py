@@ -89,13 +89,7 @@ class Landmarks:
         return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
-        """Return the pairs in new vertex numbers, without those that are not on both meshes.
-
-        Parameters
-        ----------
-        target, source : callable
-            New numbers of vertices, -1 for those that are gone.
-        """
+        """Return the pairs in new vertex numbers, -1 for vertices that are gone; without pairs that lost one."""
         sides = [
             (CagePoints(number(points.corners), points.weights), number(curves.points.corners))
             for number, points, curves in (

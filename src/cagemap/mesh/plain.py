@@ -126,15 +126,11 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     """
     require_structure(mesh)
     work = replace(
-        mesh,
+        mesh.without_sharpness(),
         scheme=Plain(),
         file_vertices=np.arange(mesh.n_vertices),  # numbers on the mesh given, until all is done
         file_faces=np.arange(mesh.n_faces),
         file_copies=None,
-        crease_edges=None,
-        crease_sharpness=None,
-        corner_vertices=None,
-        corner_sharpness=None,
     )
     representative = coincident_vertices(work, collapse=True)
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))

@@ -34,10 +34,7 @@ Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 
 def limit_matrix(refinement: Refinement, level: int) -> csr_array:
-    """Weights of a level's limit positions in its positions, (n_level, n_level); rows sum to 1.
-
-    ParameterError if there is no such level, or level 0 has faces that are not quads under Catmull-Clark.
-    """
+    """Weights of a level's limit positions in its positions, (n_level, n_level); rows sum to 1."""
     state = _checked_state(refinement, level)
     scheme = refinement.scheme
     if isinstance(scheme, Bilinear):
@@ -46,10 +43,7 @@ def limit_matrix(refinement: Refinement, level: int) -> csr_array:
 
 
 def limit_positions(refinement: Refinement, level: int) -> FloatArray:
-    """Limit positions of a level's vertices, (n_level, 3): the same point at every level that has the vertex.
-
-    ParameterError if there is no such level.
-    """
+    """Limit positions of a level's vertices, (n_level, 3): the same point at every level that has the vertex."""
     if level == 0 and not _has_limit_rings(refinement, 0):
         if refinement.n_levels == 0:
             raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")

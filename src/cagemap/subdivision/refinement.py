@@ -380,7 +380,7 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
     if finest.faces is None or refinement.n_levels == 0:
         return control
     mesh = replace(
-        control,
+        control.without_sharpness(),
         positions=finest.positions,
         face_offsets=np.arange(0, finest.faces.size + 1, finest.faces.shape[1]),
         face_indices=finest.faces.ravel(),
@@ -389,10 +389,6 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
         **labels_of(control, finest.face_parents),
         uv_sets=tuple(_refined_uvs(refinement, uv_set) for uv_set in control.uv_sets),
         vertex_colors=_finest_colors(refinement),
-        crease_edges=None,
-        crease_sharpness=None,
-        corner_vertices=None,
-        corner_sharpness=None,
         hole_faces=None,
         file_vertices=None,
         file_faces=None,
