@@ -90,11 +90,10 @@ class CagePoints:
         """Some of the points."""
         return replace(self, corners=self.corners[rows], weights=self.weights[rows])
 
-    def joined_with(self, others: CagePoints) -> CagePoints:
-        """Return these points followed by others."""
-        return CagePoints(
-            np.concatenate([self.corners, others.corners]), np.concatenate([self.weights, others.weights])
-        )
+    @classmethod
+    def joined(cls, points: Sequence[CagePoints]) -> Self:
+        """All points of several."""
+        return cls(np.concatenate([one.corners for one in points]), np.concatenate([one.weights for one in points]))
 
 
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:

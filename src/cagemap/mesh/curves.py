@@ -39,13 +39,9 @@ class CageCurves:
     def joined(cls, curves: Sequence[CageCurves]) -> CageCurves:
         """All curves of several."""
         curves = (cls.of_vertices((), ()), *curves)
-        return cls(
-            CagePoints(
-                np.vstack([one.points.corners for one in curves]), np.vstack([one.points.weights for one in curves])
-            ),
-            _starts(np.concatenate([np.diff(one.starts) for one in curves])),
-            np.concatenate([one.closed for one in curves]),
-        )
+        points = CagePoints.joined([one.points for one in curves])
+        sizes = np.concatenate([np.diff(one.starts) for one in curves])
+        return cls(points, _starts(sizes), np.concatenate([one.closed for one in curves]))
 
     def __len__(self) -> int:
         return len(self.closed)
@@ -205,10 +201,8 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
             f"{first_few(names[i] for i in short)}."
         )
     vertices = points.vertices
-    keys = of * (mesh.n_vertices + 1) + vertices
-    again = np.setdiff1d(
-        np.flatnonzero(vertices >= 0), np.unique(np.where(vertices >= 0, keys, -1), return_index=True)[1]
-    )
+    at_vertices = np.flatnonzero(vertices >= 0)
+    again = at_vertices[repeats((of * mesh.n_vertices + vertices)[at_vertices])]
     if len(again):
         listed = first_few(f"{names[of[i]]} ({vertices[i]})" for i in again)
         faults.append(f"expected every {side} vertex once in a curve, got these again: {listed}.")

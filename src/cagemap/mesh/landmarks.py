@@ -106,8 +106,8 @@ class Landmarks:
         """Return these pairs and curves followed by others, on the same meshes."""
         joined = Landmarks.of_points(
             self.names + others.names,
-            self.target_points.joined_with(others.target_points),
-            self.source_points.joined_with(others.source_points),
+            CagePoints.joined((self.target_points, others.target_points)),
+            CagePoints.joined((self.source_points, others.source_points)),
             self.target_name,
             self.source_name,
         )

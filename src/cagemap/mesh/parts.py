@@ -12,8 +12,8 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
-from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.mesh.topology import face_components, face_pieces
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -175,7 +175,7 @@ def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
         of_face[part.faces] = number
     # A vertex counts once for every part that it borders on.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces], return_inverse=True)
-    labels = components(corners, corners[mesh.next_corners], len(nodes))[corners[mesh.face_offsets[:-1]]]
+    labels = face_pieces(mesh, corners, len(nodes))
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 

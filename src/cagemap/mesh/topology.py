@@ -139,18 +139,21 @@ def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
     return used
 
 
+def face_pieces(mesh: ControlMesh, nodes: IndexArray, count: int) -> IndexArray:
+    """(m,) label of the piece of every face; faces are of one piece where corners have the same node (c,)."""
+    return components(nodes, nodes[mesh.next_corners], count)[nodes[mesh.face_offsets[:-1]]]
+
+
 def face_components(mesh: ControlMesh) -> IndexArray:
     """(m,) connected component of every face; faces that share a vertex are of one component."""
-    labels = components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
-    return _renumber(labels[mesh.face_indices[mesh.face_offsets[:-1]]])
+    return _renumber(face_pieces(mesh, mesh.face_indices, mesh.n_vertices))
 
 
 def uv_islands(mesh: ControlMesh) -> IndexArray | None:
     """(m,) UV island of every face: faces that share a texture vertex are of one island. None without UVs."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return None
-    labels = components(mesh.uv_indices, mesh.uv_indices[mesh.next_corners], len(mesh.uvs))
-    return _renumber(labels[mesh.uv_indices[mesh.face_offsets[:-1]]])
+    return _renumber(face_pieces(mesh, mesh.uv_indices, len(mesh.uvs)))
 
 
 def turned_faces(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_] | None:

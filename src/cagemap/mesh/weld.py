@@ -14,7 +14,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.parts import extract, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.mesh.topology import edge_table, face_components, used_vertices
+from cagemap.mesh.topology import edge_table, face_components, face_pieces, used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
@@ -232,9 +232,7 @@ def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> f
 
 def count_pieces(mesh: ControlMesh, labels: IndexArray) -> int:
     """Number of connected pieces after vertices with equal labels (n,) became one."""
-    corners = labels[mesh.face_indices]
-    found = components(corners, corners[mesh.next_corners], mesh.n_vertices)
-    return len(np.unique(found[corners]))
+    return len(np.unique(face_pieces(mesh, labels[mesh.face_indices], mesh.n_vertices)))
 
 
 def _close_pairs(points: FloatArray, distance: float) -> IndexArray:

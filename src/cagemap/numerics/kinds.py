@@ -11,7 +11,7 @@ from inspect import signature
 from numbers import Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, ParamSpec, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -40,8 +40,13 @@ _SOURCES = {
 }
 
 
-def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Check arguments against the annotations: cagemap's classes, numbers, texts and paths.
+Conversion: TypeAlias = Callable[[Any, str], object]  # a value and the name of its parameter
+
+
+def kinds_checked(
+    function: Callable[P, R], conversions: Callable[[Callable[..., Any]], dict[str, Conversion]] = lambda function: {}
+) -> Callable[P, R]:
+    """Convert arguments, and check them against the annotations: cagemap's classes, numbers, texts and paths.
 
     Arrays, sequences and callables are checked by the function itself. ParameterError if an argument is of another
     type.
@@ -52,9 +57,13 @@ def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         expected = _expected(function)
         try:
-            given = parameters.bind(*args, **kwargs).arguments
-        except TypeError:  # the call below names the missing or unknown argument
-            given = {}
+            bound = parameters.bind(*args, **kwargs)
+        except TypeError:  # the function itself names the missing or unknown argument
+            return function(*args, **kwargs)
+        given = bound.arguments
+        for name, convert in conversions(function).items():
+            if name in given:
+                given[name] = convert(given[name], name)
         for name in (name for name in given if name in expected):
             value, kinds = given[name], expected[name]
             if not any(_is(value, kind) for kind in kinds):
@@ -62,7 +71,7 @@ def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
                 source = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
                 got = repr(value) if isinstance(value, str | Real | NoneType) else f"a {type(value).__name__}"
                 raise ParameterError(f"{function.__name__}: {name}: expected {' or '.join(names)}, got {got}{source}")
-        return function(*args, **kwargs)
+        return function(*bound.args, **bound.kwargs)
 
     return checked
 

@@ -16,9 +16,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import lumped_areas
 
-# Weights of the coordinates beside the spectral ones, per sqrt(k) basis functions (measured, docs/lab/accuracy.md).
+# Weight of the harmonic coordinates beside biharmonic and spectral ones (measured, docs/lab/accuracy.md).
 HARMONIC_WEIGHT = 3.0
-BIHARMONIC_WEIGHT = 1.0
 
 
 def landmark_coordinates(
@@ -38,7 +37,7 @@ def landmark_coordinates(
     sets = [*landmarks[:, None], *curves]
     units = np.repeat(np.eye(len(sets)), [len(vertices) for vertices in sets], axis=0)
     harmonic, biharmonic = interpolants(stiffness, mass, np.concatenate(sets), units)
-    return np.hstack([HARMONIC_WEIGHT * harmonic, BIHARMONIC_WEIGHT * biharmonic])
+    return np.hstack([HARMONIC_WEIGHT * harmonic, biharmonic])
 
 
 def interpolants(
