@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.topology import layout_topology
 from cagemap.subdivision import (
     Bilinear,
     CatmullClark,
@@ -29,7 +30,7 @@ from cagemap.subdivision import (
 from cagemap.subdivision.face_varying import control_layout
 from cagemap.subdivision.limit import limit_tangents
 from cagemap.subdivision.sharpness import control_state
-from cagemap.subdivision.topology import control_topology, layout_topology
+from cagemap.subdivision.topology import control_topology
 
 from locations import FIXTURES
 

@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.maps.places import on_surface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.threads import kept
 from cagemap.spectral import Surface
@@ -137,7 +137,7 @@ def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> Index
         Rows of -1 where the two vertices have no edge.
     """
     count = refinement.control.n_vertices
-    edges = edge_table(refinement.control).vertices
+    edges = mesh_topology(refinement.control).edge_vertices
     chains = np.where(np.isin(pair_keys(ends, count), pair_keys(edges, count))[:, None], ends, -1)
     for number in range(level):
         joined = np.stack([chains[:, :-1], chains[:, 1:]], axis=2)

@@ -16,7 +16,7 @@ from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import IndexArray, pair_keys
 
 
@@ -210,7 +210,7 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
     # A place in space may be that of a vertex; only what was given as vertices has to follow the edges.
     stated = np.where(points.corners[:, 0] == points.corners[:, 1], vertices, -1)
     ends = stated[segments]
-    joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(edge_table(mesh).vertices, mesh.n_vertices))
+    joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices))
     apart = np.flatnonzero((ends >= 0).all(axis=1) & ~joined)
     if len(apart):
         listed = first_few(

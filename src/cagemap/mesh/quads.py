@@ -9,7 +9,7 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import corners_of, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.mesh.topology import adjacent_corners, edge_table
+from cagemap.mesh.topology import adjacent_corners, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 # Degrees: pairs with a larger fold, or with a corner further from 90, are no quad.
@@ -76,11 +76,11 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
 
 def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
     """(q, 4) corners of all quads that two triangles make."""
-    edges = edge_table(mesh)
-    one, other = adjacent_corners(edges)
+    topology = mesh_topology(mesh)
+    one, other = adjacent_corners(topology)
     faces = mesh.corner_faces
     heads = mesh.face_indices[following]
-    fits = (edges.face_counts[edges.corner_edges[one]] == 2) & (mesh.face_indices[one] == heads[other])
+    fits = (topology.face_counts[topology.edges[one]] == 2) & (mesh.face_indices[one] == heads[other])
     fits &= (mesh.face_sizes[faces[one]] == 3) & (mesh.face_sizes[faces[other]] == 3)
     for _, labels, _ in mesh.partitions:
         if labels is not None:

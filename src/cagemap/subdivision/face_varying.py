@@ -13,10 +13,11 @@ import numpy as np
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
+from cagemap.mesh.topology import BoolArray, Topology, layout_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, Sharpness, control_state, next_state
-from cagemap.subdivision.topology import BoolArray, Topology, children, layout_topology, split_topology
+from cagemap.subdivision.topology import children, split_topology
 
 # UVs (p, 2) of a level, and the UV of every corner of its faces.
 Layout: TypeAlias = tuple[FloatArray, IndexArray]

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
+from cagemap.mesh.topology import BoolArray, Topology, topology_of
 from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.subdivision.matrices import (
     RowFiller,
@@ -26,7 +27,7 @@ from cagemap.subdivision.matrices import (
 )
 from cagemap.subdivision.refinement import Refinement, state_of
 from cagemap.subdivision.sharpness import MeshState, Sharpness, next_state
-from cagemap.subdivision.topology import BoolArray, Topology, corner_neighbours, topology_of
+from cagemap.subdivision.topology import corner_neighbours
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
 # Rows, columns and weights of some entries of a matrix.

@@ -14,9 +14,10 @@ from scipy import sparse
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Loop, Scheme
+from cagemap.mesh.topology import layout_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision.matrices import linear_matrix
-from cagemap.subdivision.topology import children, layout_topology, split_topology
+from cagemap.subdivision.topology import children, split_topology
 from cagemap.surface.triangles import fan_triangles, triangles
 
 

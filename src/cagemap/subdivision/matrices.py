@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, diags_array, vstack
 
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
+from cagemap.mesh.topology import BoolArray, IntArray, Topology
 from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision.sharpness import MeshState, sharpened
-from cagemap.subdivision.topology import BoolArray, IntArray, Topology
 
 
 class RowFiller:

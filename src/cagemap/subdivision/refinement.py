@@ -16,13 +16,13 @@ from cagemap.mesh.faces import cage_triangles, keep_faces, labels_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import BoolArray, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, control_state, next_state
-from cagemap.subdivision.topology import BoolArray, children, control_topology
+from cagemap.subdivision.topology import children, control_topology
 from cagemap.surface.triangles import fan_triangles
 from cagemap.surface.triangles import triangles as triangles
 
@@ -362,7 +362,7 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
     """
     loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
     vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
-    edges = len(edge_table(control).vertices)
+    edges = mesh_topology(control).n_edges
     while True:
         yield vertices
         vertices += edges + (0 if loop else faces)

@@ -18,8 +18,9 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing, Scheme
+from cagemap.mesh.topology import BoolArray, Topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
-from cagemap.subdivision.topology import BoolArray, Topology, control_topology, split_topology
+from cagemap.subdivision.topology import control_topology, split_topology
 
 # Vertex rules; smooth includes darts, where a single crease ends.
 SMOOTH, CREASE, CORNER = 0, 2, 3

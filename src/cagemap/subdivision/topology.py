@@ -1,14 +1,9 @@
-"""Corner tables of a mesh, and their split by one step of subdivision.
+"""Topology of a control mesh that can be subdivided, and its split by one step of subdivision.
 
-A corner is one face's use of one vertex; corner ``c`` also stands for the edge that leaves it towards the next corner
-of its face. Only the control mesh is sorted; finer levels follow by index arithmetic. All arrays are int32, as the
-indices of the matrices made from them.
+Only the edges of the control mesh are sorted; finer levels follow by index arithmetic.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,119 +12,8 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import Loop, Scheme
-from cagemap.mesh.topology import numbered_edges
-from cagemap.numerics.arrays import Array, IndexArray
-from cagemap.numerics.threads import kept
-
-IntArray: TypeAlias = NDArray[np.int32]
-BoolArray: TypeAlias = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class Topology:
-    """Faces, edges and vertices by corner (c,), of a mesh or of its UV layout.
-
-    Corners of a face are consecutive. ``edges`` is the edge from a corner to the ``following`` one of its face;
-    ``forward`` tells whether the corner runs in that edge's direction, as one of an inner edge's two corners does.
-    """
-
-    n_vertices: int
-    n_edges: int
-    n_faces: int
-    vertices: IntArray
-    edges: IntArray
-    forward: BoolArray
-    faces: IntArray
-    following: IntArray
-    previous: IntArray
-
-    @property
-    def n_corners(self) -> int:
-        """Number of corners."""
-        return len(self.vertices)
-
-    @property
-    def has_quads_only(self) -> bool:
-        """Whether every face has four corners."""
-        return self.n_corners == 4 * self.n_faces and bool(np.all(self.faces[::4] == np.arange(self.n_faces)))
-
-    @kept
-    def edge_corners(self) -> IntArray:
-        """(e, 2) forward and backward corner of every edge, -1 where there is none, as on the boundary."""
-        corners = np.full((self.n_edges, 2), -1, dtype=np.int32)
-        corners[self.edges, (~self.forward).astype(np.int64)] = np.arange(self.n_corners, dtype=np.int32)
-        return corners
-
-    @property
-    def edge_ends(self) -> IndexArray:
-        """(e, 2) vertices at the start and the end of every edge."""
-        forward = self.edge_corners[:, 0]
-        return np.column_stack([self.vertices[forward], self.vertices[self.following[forward]]]).astype(np.int64)
-
-    @property
-    def outer_edges(self) -> BoolArray:
-        """(e,) which edges lie on the boundary."""
-        return np.asarray(self.edge_corners[:, 1] < 0)
-
-    @property
-    def boundary_corners(self) -> IntArray:
-        """(b,) the corner of every boundary edge: it runs from one boundary vertex to the next."""
-        return self.edge_corners[self.outer_edges, 0]
-
-    @kept
-    def boundary(self) -> BoolArray:
-        """(n,) which vertices lie on the boundary."""
-        boundary, curve = np.zeros(self.n_vertices, dtype=bool), self.boundary_corners
-        boundary[self.vertices[curve]] = True
-        boundary[self.vertices[self.following[curve]]] = True
-        return boundary
-
-    @kept
-    def valences(self) -> IntArray:
-        """(n,) number of faces around every vertex."""
-        return np.bincount(self.vertices, minlength=self.n_vertices).astype(np.int32)
-
-    @kept
-    def ranks(self) -> IntArray:
-        """(c,) place of a corner around its vertex, counter-clockwise; at the boundary from the first edge there on.
-
-        Separate fans of faces may touch in a boundary vertex; the corners of all but one then have rank -1.
-        """
-        ranks = np.full(self.n_corners, -1, dtype=np.int32)
-        twin = self.edge_corners[self.edges, self.forward.astype(np.int64)]
-        numbers = np.arange(self.n_corners, dtype=np.int32)
-        start = np.empty(self.n_vertices, dtype=np.int32)
-        start[self.vertices[::-1]] = numbers[::-1]
-        alone = twin < 0
-        start[self.vertices[alone]] = numbers[alone]
-        corners, rank = np.unique(start), 0
-        while len(corners):  # around all vertices at once
-            ranks[corners] = rank
-            corners = twin[self.previous[corners]]
-            corners = corners[corners >= 0]
-            corners = corners[ranks[corners] < 0]
-            rank += 1
-        return ranks
-
-
-def topology_of(
-    vertices: IndexArray | IntArray, n_vertices: int, faces: IntArray, following: IntArray, previous: IntArray
-) -> Topology:
-    """Topology of faces; edges are numbered by `numbered_edges` and run as their first corner does."""
-    indices = vertices.astype(np.int64)
-    first, edges, _ = numbered_edges(indices, indices[following], n_vertices)
-    forward = indices == indices[first][edges]
-    numbers = indices.astype(np.int32), edges.astype(np.int32)
-    return Topology(n_vertices, len(first), int(faces[-1]) + 1, *numbers, forward, faces, following, previous)
-
-
-def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> Topology:
-    """Topology of the control mesh's faces on the vertex numbers ``indices`` (c,), such as those of UVs."""
-    following = mesh.next_corners
-    previous = np.empty_like(following)
-    previous[following] = np.arange(len(following))
-    faces = mesh.corner_faces.astype(np.int32)
-    return topology_of(indices, n_vertices, faces, following.astype(np.int32), previous.astype(np.int32))
+from cagemap.mesh.topology import IntArray, Topology, mesh_topology
+from cagemap.numerics.arrays import Array
 
 
 def control_topology(mesh: ControlMesh) -> Topology:
@@ -151,12 +35,11 @@ def control_topology(mesh: ControlMesh) -> Topology:
     if len(indices) == 0:
         raise InvalidMeshError(f"{mesh.name}: expected at least one face, got none; give a polygon mesh")
     check(np.unique(indices[(indices < 0) | (indices >= n)]), f"vertex numbers outside 0..{n - 1}")
-    topology = layout_topology(mesh, indices, n)
+    topology = mesh_topology(mesh)
     pairs = np.sort(np.column_stack([topology.vertices, topology.vertices[topology.following]]), axis=1)
-    uses = np.bincount(topology.edges, minlength=topology.n_edges)[topology.edges]
     forward_uses = np.bincount(topology.edges[topology.forward], minlength=topology.n_edges)[topology.edges]
     check(np.unique(pairs[pairs[:, 0] == pairs[:, 1]], axis=0), "edges from a vertex to itself")
-    check(np.unique(pairs[uses > 2], axis=0), "edges with more than two faces")
+    check(np.unique(pairs[topology.face_counts[topology.edges] > 2], axis=0), "edges with more than two faces")
     check(np.unique(pairs[forward_uses > 1], axis=0), "edges that both faces run along in the same direction")
     check(np.flatnonzero(topology.valences == 0), "vertices without a face")
     check(np.unique(topology.vertices[topology.ranks < 0]), "vertices where separate fans of faces touch")
