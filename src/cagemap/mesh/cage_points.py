@@ -97,10 +97,7 @@ class CagePoints:
 
 
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
-    """Points of a control mesh: the vertices given, and the mesh's nearest points to places in space.
-
-    InvalidLandmarksError if a vertex is out of range, or places are far from the mesh or in another unit.
-    """
+    """Points of a control mesh: vertices given, and nearest points to places; InvalidLandmarksError where far off."""
     outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
     if len(outside):
         listed = first_few(f"{points.names[i]} ({points.vertices[i]})" for i in outside)

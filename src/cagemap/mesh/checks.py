@@ -129,8 +129,6 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     """Raise unless the method can take the mesh, but for ``allowed`` kinds of problems.
 
     These are `SEVERAL` where each component was matched for itself, `UNREFINED` where the mesh is only subdivided.
-    InvalidMeshError names every kind of problem, its first elements (0-based, in the numbering of the file) and the
-    remedy.
     """
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:

@@ -113,10 +113,7 @@ class Curves:
 
 
 def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
-    """Order edges (e, 2) into a chain or loop: its vertices, and whether it is a loop.
-
-    InvalidLandmarksError if the edges branch or fall into pieces; names the vertices.
-    """
+    """Order edges (e, 2) into a chain or loop, else InvalidLandmarksError: its vertices, and whether it is a loop."""
     vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
     heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
     graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
@@ -140,11 +137,7 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
 def paired_curves(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[Curves, tuple[str, ...]]:
-    """Pair the curves of two meshes by name; also notes on names of one side only.
-
-    InvalidLandmarksError if a name occurs twice on one side, a vertex is out of range, or a place is far from its
-    mesh.
-    """
+    """Pair the curves of two meshes by name; also notes on names of one side only."""
     by_name = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
     shared, notes = shared_names(
         *([curve.name for curve in points.curves] for points in (target_points, source_points)),

@@ -26,11 +26,7 @@ else:
 
 
 def arrays_accepted(function: Callable[P, R]) -> Callable[P, R]:
-    """Check arguments as `kinds_checked` does, after conversion of meshes and landmarks to cagemap's classes.
-
-    Parameters annotated `MeshLike` take what `control_mesh` takes, those annotated `LandmarksLike` what
-    `landmark_pairs` takes. Meshes are named after their parameters.
-    """
+    """Check arguments as `kinds_checked`, after conversion of meshes (`MeshLike`) and landmarks (`LandmarksLike`)."""
     return kinds_checked(function, _conversions)
 
 

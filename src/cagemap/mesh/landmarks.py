@@ -163,8 +163,7 @@ def paired(
 ) -> tuple[Landmarks, tuple[str, ...]]:
     """Pair points and curves of two meshes by name; also notes on names of one side only.
 
-    DirectionError if points say that they are the other mesh's; InvalidLandmarksError if a name occurs twice on one
-    side, none is on both, a vertex is out of range, or a place is far from its mesh.
+    DirectionError if points say that they are the other mesh's; InvalidLandmarksError if no name is on both sides.
     """
     for points, mesh, other in ((target_points, target, source), (source_points, source, target)):
         stated, here, there = (PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other.name))
@@ -191,11 +190,7 @@ def paired(
 
 
 def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMesh) -> None:
-    """Raise unless the landmarks fit the two meshes.
-
-    InvalidLandmarksError if a name or a vertex is used twice, a vertex number is out of range, or a curve is no
-    chain of edges; all such faults are listed by pair.
-    """
+    """Raise InvalidLandmarksError, with all faults by pair, unless the landmarks fit the two meshes."""
     count = len(landmarks.names)
     if landmarks.target.shape != (count,) or landmarks.source.shape != (count,):
         raise InvalidLandmarksError(

@@ -81,10 +81,7 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
-    """The part of that name: of an object, group, material or component, ``KIND:NAME``, or ``largest``.
-
-    ParameterError if there is none, or parts of different faces have that name.
-    """
+    """The part of that name, ``KIND:NAME`` or ``largest``; ParameterError if there is none, or several."""
     parts = list_parts(mesh)
     if name == LARGEST:
         return max(connected_parts(mesh), key=lambda part: len(part.faces))

@@ -27,15 +27,6 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     A pair shares an edge that is no crease and no seam of UVs, materials or objects. Where a triangle could be in
     several quads, faces that follow each other and corners near 90 degrees decide. Vertices keep their numbers.
 
-    Parameters
-    ----------
-    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
-
-    Raises
-    ------
-    InvalidMeshError
-        If the arrays are no mesh.
-
     Examples
     --------
     >>> from cagemap import ControlMesh

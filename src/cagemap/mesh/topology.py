@@ -146,10 +146,7 @@ def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> 
 
 
 def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Number the edges of half-edges (c,) between vertices, ascending by (smaller, larger) vertex.
-
-    Returns the first half-edge of every edge (e,), the edge of every half-edge (c,), and how many each edge has (e,).
-    """
+    """First half-edge (e,) of every edge, edge of every half-edge (c,), and counts (e,); edges ascend by vertices."""
     keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
     _, *numbers = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     first, edges, counts = (array.astype(np.int64) for array in numbers)

@@ -46,11 +46,7 @@ Conversion: TypeAlias = Callable[[Any, str], object]  # a value and the name of 
 def kinds_checked(
     function: Callable[P, R], conversions: Callable[[Callable[..., Any]], dict[str, Conversion]] = lambda function: {}
 ) -> Callable[P, R]:
-    """Convert arguments, and check them against the annotations: cagemap's classes, numbers, texts and paths.
-
-    Arrays, sequences and callables are checked by the function itself. ParameterError if an argument is of another
-    type.
-    """
+    """Convert arguments, then check cagemap's classes, numbers, texts and paths against the annotations."""
     parameters = signature(function)
 
     @wraps(function)

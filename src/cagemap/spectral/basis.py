@@ -186,10 +186,7 @@ class HierarchicalBasis:
 def products_with_bands(
     bands: tuple[FloatArray, ...], refinement: Refinement, dual: FloatArray, level: int
 ) -> FloatArray:
-    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q) of a level, restricted down the levels (Lemma 5).
-
-    Bands are those of levels 0, 1, ...; the ones finer than ``level`` are not used.
-    """
+    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q) of a level, restricted down the levels (Lemma 5)."""
     products: list[FloatArray] = []
     for coarser in reversed(range(level + 1)):
         if coarser < len(bands):

@@ -67,10 +67,7 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
 
 
 def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, FloatArray]:
-    """Two directions that span the limit surface's tangent plane at every vertex, each (n_level, 3).
-
-    Their cross product is outward; their lengths mean nothing. On the boundary the first follows the curve.
-    """
+    """Two tangents (n_level, 3) of the limit surface, their cross product outward; the first follows the boundary."""
     state = _checked_state(refinement, level)
     positions, scheme = refinement.levels[level].positions, refinement.scheme
     if isinstance(scheme, Bilinear):

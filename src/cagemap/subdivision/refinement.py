@@ -228,10 +228,7 @@ def with_options(
     uv_interpolation: str | None = None,
     creasing: str | None = None,
 ) -> ControlMesh:
-    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file.
-
-    ParameterError if a value is not allowed.
-    """
+    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file."""
     before = default_scheme(control)
     kind = type(before)
     if scheme is not None:
@@ -303,10 +300,7 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) control faces that are holes: those of the file, and under boundary ``none`` all at the boundary.
-
-    Bilinear faces need no neighbours, so that those at the boundary stay.
-    """
+    """(m,) faces that are holes: those of the file, and under boundary ``none`` all at the boundary."""
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
@@ -356,10 +350,7 @@ def level_triangles(refinement: Refinement, level: int) -> IndexArray:
 
 
 def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:
-    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`.
-
-    A step adds a vertex per edge and, but for Loop, per face; it splits every edge and adds one per corner.
-    """
+    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`."""
     loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
     vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
     edges = mesh_topology(control).n_edges
@@ -372,10 +363,7 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level with all its UV sets, colours, materials, objects and groups, without creases and without holes.
-
-    Vertex colours are refined as positions are, as USD's primvars at vertices are.
-    """
+    """Finest level with all UV sets, colours, materials, objects and groups, without creases and holes."""
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.n_levels == 0:
         return control

@@ -49,10 +49,7 @@ class Sharpness:
 def control_sharpness(
     control: ControlMesh, topology: Topology, corner: BoolArray, creasing: Creasing
 ) -> Sharpness | None:
-    """Sharpness in a control mesh's file, with fixed boundary vertices (n,); None if nothing else is sharp.
-
-    InvalidMeshError if a crease is not an edge of the mesh.
-    """
+    """Sharpness in a control mesh's file, with fixed boundary vertices (n,); None if nothing else is sharp."""
     edges = np.zeros(topology.n_edges)
     vertices = np.zeros(control.n_vertices)
     if control.crease_edges is not None and control.crease_sharpness is not None:

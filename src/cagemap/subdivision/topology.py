@@ -17,11 +17,7 @@ from cagemap.numerics.arrays import Array
 
 
 def control_topology(mesh: ControlMesh) -> Topology:
-    """Topology of a control mesh.
-
-    InvalidMeshError if an edge has more than two faces, two faces run along an edge in the same direction, an edge
-    joins a vertex to itself, a vertex has no face, or the faces around a vertex form more than one fan.
-    """
+    """Topology of a control mesh; InvalidMeshError where it is no oriented manifold, or a vertex has no face."""
 
     def check(bad: NDArray[np.integer], problem: str) -> None:
         if len(bad):
