@@ -30,8 +30,7 @@ from cagemap.maps.result import MatchResult as MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.numerics.brief import Brief
-from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.kinds import Brief, kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.levels import search_levels

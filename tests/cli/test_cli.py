@@ -22,7 +22,7 @@ from cagemap.cli.progress import ShownStages
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
-from cagemap.mesh.join import join_meshes
+from cagemap.mesh.parts import join_meshes
 
 from command_line import Run
 from example_result import textured_cube

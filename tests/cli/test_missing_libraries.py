@@ -18,7 +18,7 @@ from cagemap.errors import MissingLibraryError
 from cagemap.example import example_pair
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.numerics import factorization
-from cagemap.numerics.libraries import library
+from cagemap.numerics.process import library
 from cagemap.pictures.render import Model
 from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces
 from cagemap.subdivision import level_triangles
@@ -68,7 +68,7 @@ def without_embreex_and_xatlas(monkeypatch: pytest.MonkeyPatch) -> None:
         return honest(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", importing)
-    monkeypatch.setattr("cagemap.numerics.libraries.import_module", lambda name: importing(name))
+    monkeypatch.setattr("cagemap.numerics.process.import_module", lambda name: importing(name))
 
 
 def test_pictures_and_layouts_name_the_library_they_miss(without_embreex_and_xatlas: None) -> None:

@@ -17,9 +17,8 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.parts import extract, find_part, join_meshes
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest

@@ -118,6 +118,14 @@ def test_texture_coordinates_at_vertices(tmp_path: Path) -> None:
         np.testing.assert_array_equal(mesh.uv_indices, mesh.face_indices)
 
 
+def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    header = HEADER + FACES.replace("end_", "property list uchar float texcoord\nend_")
+    mesh = read_bytes(tmp_path, header + BODY[:24] + "3 0 1 2 6 .5 .5 1 0 0 1\n3 0 2 3 0\n")
+    assert mesh.uvs[mesh.uv_indices].tolist() == [[0.5, 0.5], [1, 0], [0, 1]] + [[0.5, 0.5]] * 3
+    assert len(set(mesh.uv_indices[3:].tolist()) - set(mesh.uv_indices[:3].tolist())) == 1  # an island of their own
+    assert "1 of 2 faces have no texture coordinates" in caplog.text
+
+
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_line_ends(tmp_path: Path, line_end: str) -> None:
     mesh = read_bytes(tmp_path, (HEADER + FACES + BODY).replace("\n", line_end))

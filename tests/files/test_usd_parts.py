@@ -14,9 +14,8 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import CatmullClark, ControlMesh
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.parts import extract, find_part, join_meshes
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.mesh_commands import refine_file

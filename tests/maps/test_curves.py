@@ -28,9 +28,9 @@ from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, paired
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.topology import mesh_topology
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
@@ -277,7 +277,7 @@ def test_lengths_of_a_polyline_are_shared_out() -> None:
 def test_edge_vertices_are_the_rows_of_their_edges(mesh: ControlMesh, scheme: object) -> None:
     """In its row of S^l an edge's vertex has both ends at their largest weight."""
     refinement = refine(mesh, 3, scheme)  # type: ignore[arg-type]
-    edges = edge_table(mesh).vertices
+    edges = mesh_topology(mesh).edge_vertices
     found = edge_vertices(refinement, 0, edges)
     rows = refinement.matrices[0].toarray()[found]
     assert len(np.unique(found)) == len(edges)

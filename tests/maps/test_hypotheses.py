@@ -17,9 +17,8 @@ from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid
 from cagemap.maps.hypotheses.search import least_cost
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear, ControlMesh
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract
+from cagemap.mesh.parts import extract, join_meshes
 from cagemap.mesh.schemes import Scheme
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 

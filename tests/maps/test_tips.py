@@ -26,8 +26,8 @@ from cagemap.maps.hypotheses.limbs import (
     tip_vertices,
 )
 from cagemap.maps.masks import Masks
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
 from cagemap.spectral import Surface

@@ -18,8 +18,8 @@ from cagemap.mesh.mesh_report import MeshReport
 from cagemap.mesh.topology import (
     boundary_loops,
     corner_fans,
-    edge_table,
     handle_count,
+    mesh_topology,
 )
 
 from mesh_faults import SHAPES, elements, faces_of, flip, kinds, with_faces
@@ -115,8 +115,8 @@ def test_openings_are_closed_before_the_inside_is_judged() -> None:
     for cut in ([0], [0, 12], [3, 20, 21]):
         mesh = torus(8, 5)
         open_mesh = keep_faces(mesh, np.setdiff1d(np.arange(mesh.n_faces), cut))
-        edges = edge_table(open_mesh)
-        loops = boundary_loops(open_mesh, edges, corner_fans(open_mesh, edges))
+        topology = mesh_topology(open_mesh)
+        loops = boundary_loops(topology, corner_fans(topology))
         assert loops is not None
         closed = check_mesh(with_openings_closed(open_mesh, loops))
         assert closed.is_valid, str(closed)

@@ -16,9 +16,8 @@ from cagemap.files.meshes.obj import write_obj
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import connected_parts, extract, find_part, list_parts, material_pieces, pair_parts
+from cagemap.mesh.parts import connected_parts, extract, find_part, join_meshes, list_parts, material_pieces, pair_parts
 from cagemap.subdivision import refine
 from cagemap.tasks.basis_options import side_levels
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
@@ -107,7 +106,7 @@ def test_components_are_paired_by_landmarks_then_names_then_what_is_left() -> No
     source = join_meshes([_named(torus(4, 4), "ring"), _named(icosahedron(), "eye", 5), _named(cube(), "trunk", 9)])
     vertex = 16 + 12  # the first of the trunk
     pairs, alone, others = pair_parts(target, source, np.array([[0, vertex], [1, vertex + 1]]))
-    assert {(pair.target.name, pair.source.name) for pair in pairs} == {
+    assert {(one.name, other.name) for one, other in pairs} == {
         ("body", "trunk"),
         ("eye", "eye"),
         ("hat", "ring"),
@@ -115,7 +114,7 @@ def test_components_are_paired_by_landmarks_then_names_then_what_is_left() -> No
     assert (alone, others) == ((), ())
     fewer = join_meshes([_named(cube(), "trunk", 9)])
     pairs, alone, others = pair_parts(target, fewer, np.array([[0, 0]]))
-    assert [(pair.target.name, pair.source.name) for pair in pairs] == [("body", "trunk")]
+    assert [(one.name, other.name) for one, other in pairs] == [("body", "trunk")]
     assert {part.name for part in alone} == {"eye", "hat"}
     assert others == ()
     assert len(connected_parts(target)) == 3
@@ -137,11 +136,11 @@ def test_materials_are_paired_by_name_and_their_pieces_by_landmarks() -> None:
         ("eye 1", 20),
     ]
     pairs, alone, _ = pair_parts(scene, scene, np.zeros((0, 2), np.int64), (material_pieces(scene),) * 2)
-    assert {(pair.target.name, pair.source.name) for pair in pairs} == {("skin", "skin"), ("cloth", "cloth")}
+    assert {(one.name, other.name) for one, other in pairs} == {("skin", "skin"), ("cloth", "cloth")}
     assert [part.name for part in alone] == ["eye 0", "eye 1"]  # which is which, no name says
     crossed = np.array([[8, 20], [20, 8]])
     pairs, alone, _ = pair_parts(scene, scene, crossed, (material_pieces(scene),) * 2)
-    assert ("eye 0", "eye 1") in {(pair.target.name, pair.source.name) for pair in pairs}
+    assert ("eye 0", "eye 1") in {(one.name, other.name) for one, other in pairs}
     assert alone == ()
     found, _ = chosen_parts(scene, scene, _landmarks(crossed), "material", "material")
     assert sorted(part.target.n_faces for part in found) == [3, 3, 20, 20]

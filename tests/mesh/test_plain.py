@@ -23,18 +23,16 @@ from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import signed_volume
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract
+from cagemap.mesh.parts import extract, join_meshes
 from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.numerics.arrays import FloatArray, read_only
-from cagemap.numerics.threads import in_threads
+from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.operators import build_operators
-from cagemap.operators.coarse_levels import coarsened, prolongation, refined, simplified
+from cagemap.operators.coarse_levels import coarsened, delaunay, prolongation, refined, simplified
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.surface.closest_points import closest_among
-from cagemap.surface.flips import delaunay
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import triangle_normals, triangles
 from cagemap.transfer.matched import transfer_of
@@ -298,7 +296,9 @@ def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
     meshes = [refine(replace(mesh, scheme=Plain()), 0) for mesh in finest]
     alone = [coarsened(mesh) for mesh in meshes]
     for _ in range(3):
-        for once, again in zip(alone, in_threads(coarsened, meshes, 2), strict=True):
+        with thread_limit(2):
+            both = in_threads(coarsened, meshes)
+        for once, again in zip(alone, both, strict=True):
             for one, other in zip(once.levels, again.levels, strict=True):
                 np.testing.assert_array_equal(one.positions, other.positions)
                 np.testing.assert_array_equal(one.faces, other.faces)

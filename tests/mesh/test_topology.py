@@ -16,8 +16,8 @@ from cagemap.mesh.faces import cage_triangles, duplicate_faces, face_areas, face
 from cagemap.mesh.topology import (
     boundary_loops,
     corner_fans,
-    edge_table,
     face_components,
+    mesh_topology,
     turned_faces,
     uv_islands,
 )
@@ -97,19 +97,19 @@ def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:
     ]
     mesh = keep_faces(mesh, np.delete(np.arange(mesh.n_faces), copies))
     faces = faces_of(mesh)
-    edges, table = slow_edges(faces), edge_table(mesh)
-    assert {(a, b): n for (a, b), n in zip(table.vertices.tolist(), table.face_counts.tolist(), strict=True)} == {
+    edges, table = slow_edges(faces), mesh_topology(mesh)
+    assert {(a, b): n for (a, b), n in zip(table.edge_vertices.tolist(), table.face_counts.tolist(), strict=True)} == {
         edge: len(at) for edge, at in edges.items()
     }
     for corner, (a, b) in enumerate(zip(mesh.face_indices, mesh.face_indices[mesh.next_corners], strict=True)):
-        assert table.vertices[table.corner_edges[corner]].tolist() == sorted([a, b])
+        assert table.edge_vertices[table.edges[corner]].tolist() == sorted([a, b])
 
-    fans = corner_fans(mesh, table)
+    fans = corner_fans(table)
     found = {(int(v), int(f)) for v, f in zip(mesh.face_indices, fans, strict=True)}
     expected_fans = slow_fans(faces)
     assert {v: sum(v == w for w, _ in found) for v in expected_fans} == expected_fans
 
-    turned = turned_faces(mesh, table)
+    turned = turned_faces(table)
     expected = slow_turned(faces)
     assert (turned is None) == (expected is None)
     if turned is not None:
@@ -123,7 +123,7 @@ def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:
     labels = face_components(mesh).tolist()
     assert [labels.index(label) for label in labels] == [groups.index(group) for group in groups]
 
-    loops = boundary_loops(mesh, table, fans)
+    loops = boundary_loops(table, fans)
     rims = {edge for edge, at in edges.items() if len(at) == 1}
     if loops is not None:
         steps = [step for loop in loops for step in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True)]

@@ -20,9 +20,8 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.parts import extract, find_part, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.weld import coincident_vertices, weld_mesh, weld_tolerance
 from cagemap.studio.autosave import Owned

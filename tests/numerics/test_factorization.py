@@ -103,7 +103,7 @@ def test_superlu_tells_no_inertia_in_single_precision(matrices):
 
 def test_that_rslab_is_missing_is_said_once(matrices, monkeypatch, caplog):
     monkeypatch.setattr(factorization, "rslab", None)
-    factorization._say_that_rslab_is_missing.cache_clear()
+    factorization._warn_without_rslab.cache_clear()
 
     def work(_):
         assert factor(matrices[0] + matrices[1])._symbolic is None

@@ -102,10 +102,11 @@ def test_a_thread_limit_is_a_positive_number(wrong):
 
 
 def test_results_come_in_order_and_the_first_error_is_raised():
-    assert in_threads(lambda i: i * i, range(10), threads=3) == [i * i for i in range(10)]
+    with thread_limit(3):
+        assert in_threads(lambda i: i * i, range(10)) == [i * i for i in range(10)]
     assert in_threads(lambda i: i, []) == []
-    with pytest.raises(ParameterError, match="item 2"):
-        in_threads(fail_at_two, range(5), threads=2)
+    with thread_limit(2), pytest.raises(ParameterError, match="item 2"):
+        in_threads(fail_at_two, range(5))
 
 
 def fail_at_two(i):

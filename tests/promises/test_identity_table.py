@@ -18,8 +18,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh import CatmullClark, ControlMesh
-from cagemap.mesh.join import join_meshes
-from cagemap.mesh.parts import find_part
+from cagemap.mesh.parts import find_part, join_meshes
 from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest

@@ -17,8 +17,8 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.surface_store import prepared
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import join_meshes
 from cagemap.pipeline import update_match
 from cagemap.studio.compute import Bench, FindMap, Opening, OpenModels, _suggestion, perform
 from cagemap.studio.landmarks import LandmarkList

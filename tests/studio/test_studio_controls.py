@@ -17,7 +17,7 @@ from test_studio_parts import named
 
 from cagemap.cli import main
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.mesh.join import join_meshes
+from cagemap.mesh.parts import join_meshes
 
 from browser_page import Page, studio
 

@@ -17,9 +17,8 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
+from cagemap.mesh.parts import extract, in_one_piece, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import Owned, autosave_path, kept_parts, read_autosave, write_autosave
 from cagemap.studio.compute import Bench, Opening, OpenModels, perform
 from cagemap.studio.file_parts import take_part

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.topology import layout_topology
 from cagemap.subdivision import (
     Bilinear,
     CatmullClark,
@@ -29,7 +30,7 @@ from cagemap.subdivision import (
 from cagemap.subdivision.face_varying import control_layout
 from cagemap.subdivision.limit import limit_tangents
 from cagemap.subdivision.sharpness import control_state
-from cagemap.subdivision.topology import control_table, control_topology, topology_of_table
+from cagemap.subdivision.topology import control_topology
 
 from locations import FIXTURES
 
@@ -177,7 +178,7 @@ def cages(draw: st.DrawFn) -> ControlMesh:
     keys = mesh.face_indices * 16 + islands[mesh.corner_faces] + 8 * own
     used, uv_indices = np.unique(keys, return_inverse=True)
     # OpenSubdiv makes two of a value around whose vertex another comes in between, or one, by where it starts counting.
-    layout = topology_of_table(control_table(mesh, uv_indices, len(used)))
+    layout = layout_topology(mesh, uv_indices, len(used))
     assume(layout.ranks.min() >= 0)
     mesh = mesh.with_positions(positions).with_uvs(rng.random((len(used), 2)), uv_indices)
     edges = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
@@ -273,10 +274,10 @@ def _forgets_to_follow(mesh: ControlMesh, scheme: Scheme) -> bool:
     if layout.follows is None or state.sharpness is None:
         return False
     following = layout.follows != np.arange(len(layout.follows))
-    table, edges = state.topology.table, state.sharpness.edges
-    seam = layout.topology.edge_corners[layout.topology.table.edges, 1] < 0
+    table, edges = state.topology, state.sharpness.edges
+    seam = layout.topology.edge_corners[layout.topology.edges, 1] < 0
     semi = seam & ((edges > 0) & (edges < 10))[table.edges]
-    ends = np.concatenate([layout.topology.table.vertices[semi], layout.topology.table.vertices[table.following[semi]]])
+    ends = np.concatenate([layout.topology.vertices[semi], layout.topology.vertices[table.following[semi]]])
     return bool(following[ends].any())
 
 

@@ -38,7 +38,7 @@ from cagemap.subdivision import (
     triangles,
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
-from cagemap.subdivision.refinement import state_of
+from cagemap.subdivision.refinement import state_of, vertex_counts
 from cagemap.subdivision.sharpness import boundary_corners
 from cagemap.subdivision.topology import control_topology
 
@@ -81,7 +81,7 @@ def test_rows_sum_to_one_and_are_canonical(mesh: ControlMesh) -> None:
 def test_euler_characteristic_and_counts(mesh: ControlMesh) -> None:
     refinement = refine(mesh, 3)
     loop = isinstance(refinement.scheme, Loop)
-    control = control_topology(mesh).table
+    control = control_topology(mesh)
     n_edges, n_faces = control.n_edges, 4 * mesh.n_faces if loop else len(mesh.face_indices)
     for coarse, fine in itertools.pairwise(refinement.levels):
         assert fine.n_vertices == coarse.n_vertices + n_edges + (0 if loop else coarse.n_faces)
@@ -95,17 +95,18 @@ def test_euler_characteristic_and_counts(mesh: ControlMesh) -> None:
 def test_split_topology_is_the_one_of_the_refined_faces(mesh: ControlMesh) -> None:
     # The definition: sort all edges of the refined mesh again.
     refinement = refine(mesh, 2)
+    assert list(itertools.islice(vertex_counts(mesh), 3)) == [level.n_vertices for level in refinement.levels]
     for number in (1, 2):
         level = refinement.levels[number]
-        split, table = state_of(refinement, number).topology, state_of(refinement, number).topology.table
+        split = table = state_of(refinement, number).topology
         again = control_topology(ControlMesh.from_faces(level.positions, level.faces))
-        np.testing.assert_array_equal(table.vertices, again.table.vertices)
+        np.testing.assert_array_equal(table.vertices, again.vertices)
         np.testing.assert_array_equal(split.valences, again.valences)
         np.testing.assert_array_equal(split.boundary, again.boundary)
-        assert table.n_edges == again.table.n_edges
+        assert table.n_edges == again.n_edges
 
         def across(topology: object) -> np.ndarray:
-            return topology.edge_corners[topology.table.edges, topology.table.forward.astype(int)]
+            return topology.edge_corners[topology.edges, topology.forward.astype(int)]
 
         np.testing.assert_array_equal(across(split), across(again))
         # One counter-clockwise step around a vertex raises the rank by one; boundary fans start at rank 0.
@@ -120,7 +121,7 @@ def test_row_order_vertices_edges_faces(mesh: ControlMesh) -> None:
     # A row's largest weights tell which element it belongs to: a midpoint rule has both ends, ascending by edge.
     refinement = refine(mesh, 1)
     matrix = refinement.matrices[0].tolil()
-    n, table = mesh.n_vertices, control_topology(mesh).table
+    n, table = mesh.n_vertices, control_topology(mesh)
     ends = np.sort(np.column_stack([table.vertices, table.vertices[table.following]]), axis=1)
     order = np.unique(ends, axis=0)
     for number, (a, b) in enumerate(order):

@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import Brief
 from cagemap.spectral.zoomout import ZoomOutSchedule
 
 

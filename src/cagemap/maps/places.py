@@ -11,7 +11,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.threads import kept
 from cagemap.spectral import Surface
@@ -167,7 +167,7 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
 def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
     """(e, 2^level + 1) vertices of a level along control edges (e, 2); -1 where two control vertices have no edge."""
     count = refinement.control.n_vertices
-    edges = edge_table(refinement.control).vertices
+    edges = mesh_topology(refinement.control).edge_vertices
     chains = np.where(np.isin(pair_keys(ends, count), pair_keys(edges, count))[:, None], ends, -1)
     for number in range(level):
         joined = np.stack([chains[:, :-1], chains[:, 1:]], axis=2)

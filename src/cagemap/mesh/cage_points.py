@@ -48,15 +48,7 @@ class NamedPoints:
 
 @dataclass(frozen=True, eq=False)
 class CagePoints:
-    """Points of a control mesh.
-
-    Attributes
-    ----------
-    corners : (q, 3) int64
-        Vertices of the triangle of a face's fan that holds each point.
-    weights : (q, 3) float64
-        Not negative, rows sum to 1.
-    """
+    """Points of a control mesh: vertices (q, 3) of a triangle of a face's fan, and weights (q, 3) that sum to 1."""
 
     corners: IndexArray
     weights: FloatArray
@@ -98,21 +90,14 @@ class CagePoints:
         """Some of the points."""
         return replace(self, corners=self.corners[rows], weights=self.weights[rows])
 
-    def joined_with(self, others: CagePoints) -> CagePoints:
-        """Return these points followed by others."""
-        return CagePoints(
-            np.concatenate([self.corners, others.corners]), np.concatenate([self.weights, others.weights])
-        )
+    @classmethod
+    def joined(cls, points: Sequence[CagePoints]) -> Self:
+        """All points of several."""
+        return cls(np.concatenate([one.corners for one in points]), np.concatenate([one.weights for one in points]))
 
 
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
-    """Points of a control mesh: the vertices given, and the mesh's nearest points to places in space.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If a vertex is out of range, or places are far from the mesh or in another unit.
-    """
+    """Points of a control mesh: vertices given, and nearest points to places; InvalidLandmarksError where far off."""
     outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
     if len(outside):
         listed = first_few(f"{points.names[i]} ({points.vertices[i]})" for i in outside)
@@ -150,12 +135,8 @@ def shared_names(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names that both sides have, in the target's order, and notes on those of one side only.
 
-    ``what`` they are names of in the error, and ``noted`` in the notes.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If a name occurs twice on one side.
+    ``what`` they are names of in the error, and ``noted`` in the notes. InvalidLandmarksError if a name occurs
+    twice on one side.
     """
     sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
     for side, names, _ in sides:

@@ -28,11 +28,11 @@ from cagemap.mesh.mesh_report import MeshProblem, MeshReport, counted, first_few
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
-    EdgeTable,
+    Topology,
     boundary_loops,
     corner_fans,
-    edge_table,
     face_components,
+    mesh_topology,
     turned_faces,
     used_vertices,
     uv_islands,
@@ -77,9 +77,9 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     degenerate, duplicates = degenerate_faces(mesh), duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
     single = keep_faces(mesh, kept) if len(duplicates) else mesh
-    edges = edge_table(single)
-    fans, turned = corner_fans(single, edges), turned_faces(single, edges)
-    loops = boundary_loops(single, edges, fans)
+    topology = mesh_topology(single)
+    fans, turned = corner_fans(topology), turned_faces(topology)
+    loops = boundary_loops(topology, fans)
     unused = np.flatnonzero(~used_vertices(mesh))
     problems = [
         problem_at(
@@ -104,7 +104,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     ]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(single, edges, kept),
+            _edge_manifold_problem(single, topology, kept),
             _vertex_manifold_problem(single, fans),
             _orientation_problem(turned, kept),
         ]
@@ -113,7 +113,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
         problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
     if loops is not None and not any(problems):
         problems.append(inside_out_problem(mesh, loops))
-    report = blank if len(degenerate) else _counts(single, edges, loops, turned is not None, blank)
+    report = blank if len(degenerate) else _counts(single, topology, loops, turned is not None, blank)
     sizes, counts = np.unique(mesh.face_sizes, return_counts=True)
     sharp = mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces
     creases, corners, holes = (0 if elements is None else len(elements) for elements in sharp)
@@ -129,11 +129,6 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     """Raise unless the method can take the mesh, but for ``allowed`` kinds of problems.
 
     These are `SEVERAL` where each component was matched for itself, `UNREFINED` where the mesh is only subdivided.
-
-    Raises
-    ------
-    InvalidMeshError
-        Names every kind of problem, its first elements (0-based, in the file's numbering) and the remedy.
     """
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
@@ -145,22 +140,22 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
 
 
 def _counts(
-    mesh: ControlMesh, edges: EdgeTable, loops: tuple[IndexArray, ...] | None, two_sided: bool, blank: MeshReport
+    mesh: ControlMesh, topology: Topology, loops: tuple[IndexArray, ...] | None, two_sided: bool, blank: MeshReport
 ) -> MeshReport:
     components = np.bincount(face_components(mesh))
     used = used_vertices(mesh)
-    valences = np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices)[used]
-    euler = int(used.sum()) - len(edges.vertices) + mesh.n_faces
+    valences = np.bincount(topology.edge_vertices.ravel(), minlength=mesh.n_vertices)[used]
+    euler = int(used.sum()) - topology.n_edges + mesh.n_faces
     islands = uv_islands(mesh)
     # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
     is_surface = loops is not None and two_sided and not odd and handles >= 0
     return replace(
         blank,
-        n_edges=len(edges.vertices),
+        n_edges=topology.n_edges,
         euler_characteristic=euler,
         genus=handles if is_surface else None,
-        boundary_edges=len(edges.boundary_corners()),
+        boundary_edges=len(topology.boundary_corners),
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
         notes=tuple(
             f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
@@ -174,14 +169,14 @@ def _counts(
     )
 
 
-def _edge_manifold_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArray) -> MeshProblem | None:
+def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: IndexArray) -> MeshProblem | None:
     """Edges of more than two faces, and the remedy for each; ``numbers`` (m,) are those of the file."""
-    bad = edges.face_counts > 2
+    bad = topology.face_counts > 2
     if not bad.any():
         return None
-    extra = extra_faces(mesh, edges)
-    left = bad & (edges.face_counts - _counts_of(mesh, edges, extra) > 2)
-    tiny = left & _tiny_edges(mesh, edges)
+    extra = extra_faces(topology)
+    left = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
+    tiny = left & _tiny_edges(mesh, topology)
     split = left & ~tiny
     remedies = []
     if extra.any():
@@ -189,53 +184,53 @@ def _edge_manifold_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexAr
         remedies.append(f"Delete face(s) {first_few(faces.tolist())}, which hang on such edges alone.")
     if tiny.any():
         remedies.append(
-            f"Merge the two vertices of edge(s) {first_few(_pairs(edges, tiny))}, which are almost at the same place; "
+            f"Merge the two vertices of edge(s) {first_few(_pairs(topology, tiny))}, which are almost at the same place; "
             "splitting there would leave a slit."
         )
     if split.any():
-        at = np.unique(mesh.corner_faces[split[edges.corner_edges]])
+        at = np.unique(mesh.corner_faces[split[topology.edges]])
         remedies.append(
-            f"At edge(s) {first_few(_pairs(edges, split))} delete the inner ones of faces "
+            f"At edge(s) {first_few(_pairs(topology, split))} delete the inner ones of faces "
             f"{first_few(numbers[at].tolist())}, or split the edge so that each sheet has its own."
         )
     return MeshProblem(
         "non-manifold edges",
-        f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to {edges.face_counts.max()}, "
+        f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to {topology.face_counts.max()}, "
         "between vertices",
-        _pairs(edges, bad),
+        _pairs(topology, bad),
         " ".join(remedies),
     )
 
 
-def extra_faces(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_]:
+def extra_faces(topology: Topology) -> NDArray[np.bool_]:
     """(m,) walls inside a surface and fins on it: joined by edges of more than two faces only, and no hole without."""
-    counts = edges.face_counts[edges.corner_edges]
-    starts = mesh.face_offsets[:-1]
+    counts = topology.face_counts[topology.edges]
+    starts = np.flatnonzero(np.diff(topology.faces, prepend=-1))
     extra = np.logical_or.reduceat(counts > 2, starts) & ~np.logical_or.reduceat(counts == 2, starts)
     # Where too many faces would go, none of them is the culprit for certain.
-    opened = (edges.face_counts > 2) & (edges.face_counts - _counts_of(mesh, edges, extra) < 2)
-    return extra & ~np.logical_or.reduceat(opened[edges.corner_edges], starts)
+    opened = (topology.face_counts > 2) & (topology.face_counts - _counts_of(topology, extra) < 2)
+    return extra & ~np.logical_or.reduceat(opened[topology.edges], starts)
 
 
-def _counts_of(mesh: ControlMesh, edges: EdgeTable, faces: NDArray[np.bool_]) -> IndexArray:
+def _counts_of(topology: Topology, faces: NDArray[np.bool_]) -> IndexArray:
     """(e,) how many of some faces are at every edge."""
-    corners = faces[mesh.corner_faces]
-    return np.bincount(edges.corner_edges[corners], minlength=len(edges.vertices)).astype(np.int64)
+    corners = faces[topology.faces]
+    return np.bincount(topology.edges[corners], minlength=topology.n_edges).astype(np.int64)
 
 
-def _tiny_edges(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_]:
+def _tiny_edges(mesh: ControlMesh, topology: Topology) -> NDArray[np.bool_]:
     """(e,) edges much shorter than the longest edges of their faces."""
     with np.errstate(over="ignore", invalid="ignore"):
-        ends = mesh.positions[edges.vertices]
+        ends = mesh.positions[topology.edge_vertices]
         lengths: FloatArray = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        longest = np.maximum.reduceat(lengths[edges.corner_edges], mesh.face_offsets[:-1])
+        longest = np.maximum.reduceat(lengths[topology.edges], mesh.face_offsets[:-1])
         around = np.zeros(len(lengths))
-        np.maximum.at(around, edges.corner_edges, longest[mesh.corner_faces])
+        np.maximum.at(around, topology.edges, longest[mesh.corner_faces])
         return lengths <= TINY_EDGE * around
 
 
-def _pairs(edges: EdgeTable, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
-    return tuple((a, b) for a, b in edges.vertices[chosen].tolist())
+def _pairs(topology: Topology, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+    return tuple((a, b) for a, b in topology.edge_vertices[chosen].tolist())
 
 
 def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> MeshProblem | None:

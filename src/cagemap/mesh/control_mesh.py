@@ -165,6 +165,22 @@ class ControlMesh:
         return following
 
     @property
+    def all_uv_sets(self) -> tuple[UvSet, ...]:
+        """All sets of texture coordinates, the one in use first."""
+        if self.uvs is None or self.uv_indices is None:
+            return self.uv_sets
+        return (UvSet(self.uv_name, self.uvs, self.uv_indices), *self.uv_sets)
+
+    @property
+    def partitions(self) -> tuple[tuple[str, IndexArray | None, tuple[str, ...]], ...]:
+        """Objects, groups and materials: what they are called, the number (m,) of every face or None, their names."""
+        return (
+            ("object", self.face_objects, self.object_names),
+            ("group", self.face_groups, self.group_names),
+            ("material", self.face_materials, self.material_names),
+        )
+
+    @property
     def is_triangle_mesh(self) -> bool:
         """Whether every face is a triangle (what Loop subdivision needs)."""
         return bool(np.all(self.face_sizes == 3))
@@ -187,32 +203,27 @@ class ControlMesh:
         return replace(self, positions=given)
 
     def with_uv_set(self, name: str) -> ControlMesh:
-        """Return the same mesh with the set of that name in use.
-
-        Raises
-        ------
-        ParameterError
-            If there is no such set.
-        """
+        """Return the same mesh with the set of that name in use; ParameterError if there is no such set."""
         if name == self.uv_name and self.uvs is not None:
             return self
         chosen = next((uv_set for uv_set in self.uv_sets if uv_set.name == name), None)
         if chosen is None:
-            known = [*([self.uv_name] if self.uvs is not None else []), *(uv_set.name for uv_set in self.uv_sets)]
+            known = ", ".join(repr(uv_set.name) for uv_set in self.all_uv_sets)
             raise ParameterError(
-                f"{self.name}: expected a UV set named {name!r}, got {', '.join(map(repr, known)) or 'none at all'}; "
-                "name one of those"
+                f"{self.name}: expected a UV set named {name!r}, got {known or 'none at all'}; name one of those"
             )
-        others = [uv_set for uv_set in self.uv_sets if uv_set is not chosen]
-        if self.uvs is not None and self.uv_indices is not None:
-            others.insert(0, UvSet(self.uv_name, self.uvs, self.uv_indices))
-        return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=tuple(others))
+        others = tuple(uv_set for uv_set in self.all_uv_sets if uv_set is not chosen)
+        return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=others)
 
     def with_creases(self, edges: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""
         pairs = np.array(whole_numbers(edges, f"{self.name}: crease edges")).reshape(-1, 2)
         values = np.array(np.broadcast_to(real_numbers(sharpness, f"{self.name}: crease sharpness"), len(pairs)))
         return replace(self, crease_edges=pairs, crease_sharpness=values)
+
+    def without_sharpness(self) -> ControlMesh:
+        """Return the same mesh without creases and sharp corners."""
+        return replace(self, crease_edges=None, crease_sharpness=None, corner_vertices=None, corner_sharpness=None)
 
     def with_corners(self, vertices: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other sharp corners: (k,) vertices and (k,) or one sharpness."""

@@ -16,7 +16,7 @@ from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import IndexArray, pair_keys
 
 
@@ -39,13 +39,9 @@ class CageCurves:
     def joined(cls, curves: Sequence[CageCurves]) -> CageCurves:
         """All curves of several."""
         curves = (cls.of_vertices((), ()), *curves)
-        return cls(
-            CagePoints(
-                np.vstack([one.points.corners for one in curves]), np.vstack([one.points.weights for one in curves])
-            ),
-            _starts(np.concatenate([np.diff(one.starts) for one in curves])),
-            np.concatenate([one.closed for one in curves]),
-        )
+        points = CagePoints.joined([one.points for one in curves])
+        sizes = np.concatenate([np.diff(one.starts) for one in curves])
+        return cls(points, _starts(sizes), np.concatenate([one.closed for one in curves]))
 
     def __len__(self) -> int:
         return len(self.closed)
@@ -117,13 +113,7 @@ class Curves:
 
 
 def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
-    """Order edges (e, 2) into a chain or loop: its vertices, and whether it is a loop.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If the edges branch or fall into pieces; names the vertices.
-    """
+    """Order edges (e, 2) into a chain or loop, else InvalidLandmarksError: its vertices, and whether it is a loop."""
     vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
     heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
     graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
@@ -147,13 +137,7 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
 def paired_curves(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[Curves, tuple[str, ...]]:
-    """Pair the curves of two meshes by name; also notes on names of one side only.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If a name occurs twice on one side, a vertex is out of range, or a place is far from its mesh.
-    """
+    """Pair the curves of two meshes by name; also notes on names of one side only."""
     by_name = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
     shared, notes = shared_names(
         *([curve.name for curve in points.curves] for points in (target_points, source_points)),
@@ -210,10 +194,8 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
             f"{first_few(names[i] for i in short)}."
         )
     vertices = points.vertices
-    keys = of * (mesh.n_vertices + 1) + vertices
-    again = np.setdiff1d(
-        np.flatnonzero(vertices >= 0), np.unique(np.where(vertices >= 0, keys, -1), return_index=True)[1]
-    )
+    at_vertices = np.flatnonzero(vertices >= 0)
+    again = at_vertices[repeats((of * mesh.n_vertices + vertices)[at_vertices])]
     if len(again):
         listed = first_few(f"{names[of[i]]} ({vertices[i]})" for i in again)
         faults.append(f"expected every {side} vertex once in a curve, got these again: {listed}.")
@@ -221,7 +203,7 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
     # A place in space may be that of a vertex; only what was given as vertices has to follow the edges.
     stated = np.where(points.corners[:, 0] == points.corners[:, 1], vertices, -1)
     ends = stated[segments]
-    joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(edge_table(mesh).vertices, mesh.n_vertices))
+    joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices))
     apart = np.flatnonzero((ends >= 0).all(axis=1) & ~joined)
     if len(apart):
         listed = first_few(

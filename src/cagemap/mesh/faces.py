@@ -15,10 +15,13 @@ from cagemap.surface.triangles import fan_triangles, row_lengths
 
 def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     """Return the mesh with only some of its faces; vertices and texture coordinates stay as they are."""
-    sizes = mesh.face_sizes[faces]
+    return with_corners_of(mesh, faces, *corners_of(mesh.face_offsets, faces, mesh.face_sizes[faces]))
+
+
+def corners_of(starts: IndexArray, faces: IndexArray, sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Offsets (k + 1,) of faces of some sizes (k,), and their corners: those from ``starts[faces]`` on."""
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
-    return with_corners_of(mesh, faces, offsets, corners)
+    return offsets, np.repeat(starts[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
 
 
 def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
@@ -50,8 +53,7 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
 
 def labels_of(mesh: ControlMesh, faces: IndexArray) -> dict[str, Any]:
     """Materials, objects and groups of some faces (k,), as arguments of `ControlMesh`."""
-    labels = {"face_materials": mesh.face_materials, "face_objects": mesh.face_objects, "face_groups": mesh.face_groups}
-    return {name: None if values is None else values[faces] for name, values in labels.items()}
+    return {f"face_{kind}s": None if numbers is None else numbers[faces] for kind, numbers, _ in mesh.partitions}
 
 
 def degenerate_faces(mesh: ControlMesh) -> IndexArray:

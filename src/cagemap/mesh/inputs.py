@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, wraps
-from inspect import signature
+from functools import cache
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_args, get_type_hints
 
 import numpy as np
@@ -13,7 +12,7 @@ from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import array_of, real_numbers, whole_numbers
-from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.kinds import Conversion, kinds_checked
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,31 +26,14 @@ else:
 
 
 def arrays_accepted(function: Callable[P, R]) -> Callable[P, R]:
-    """Check arguments as `kinds_checked` does, after conversion of meshes and landmarks to cagemap's classes.
-
-    Parameters annotated `MeshLike` take what `control_mesh` takes, those annotated `LandmarksLike` what
-    `landmark_pairs` takes. Meshes are named after their parameters.
-    """
-    checked, parameters = kinds_checked(function), signature(function)
-
-    @wraps(function)
-    def converting(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            given = parameters.bind(*args, **kwargs)
-        except TypeError:  # the function itself says what is wrong with its arguments
-            return checked(*args, **kwargs)
-        for name, convert in _conversions(function).items():
-            if name in given.arguments:
-                given.arguments[name] = convert(given.arguments[name], name)
-        return checked(*given.args, **given.kwargs)
-
-    return converting
+    """Check arguments as `kinds_checked`, after conversion of meshes (`MeshLike`) and landmarks (`LandmarksLike`)."""
+    return kinds_checked(function, _conversions)
 
 
 @cache
-def _conversions(function: Callable[..., Any]) -> dict[str, Callable[[Any, str], object]]:
+def _conversions(function: Callable[..., Any]) -> dict[str, Conversion]:
     """The conversion of every parameter that has one."""
-    found: dict[str, Callable[[Any, str], object]] = {}
+    found: dict[str, Conversion] = {}
     for name, hint in get_type_hints(function).items():
         kinds = [hint, *get_args(hint)]
         if name != "return" and ControlMesh in kinds:

@@ -89,13 +89,7 @@ class Landmarks:
         return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
-        """Return the pairs in new vertex numbers, without those that are not on both meshes.
-
-        Parameters
-        ----------
-        target, source : callable
-            New numbers of vertices, -1 for those that are gone.
-        """
+        """Return the pairs in new vertex numbers, -1 for vertices that are gone; without pairs that lost one."""
         sides = [
             (CagePoints(number(points.corners), points.weights), number(curves.points.corners))
             for number, points, curves in (
@@ -112,8 +106,8 @@ class Landmarks:
         """Return these pairs and curves followed by others, on the same meshes."""
         joined = Landmarks.of_points(
             self.names + others.names,
-            self.target_points.joined_with(others.target_points),
-            self.source_points.joined_with(others.source_points),
+            CagePoints.joined((self.target_points, others.target_points)),
+            CagePoints.joined((self.source_points, others.source_points)),
             self.target_name,
             self.source_name,
         )
@@ -169,12 +163,7 @@ def paired(
 ) -> tuple[Landmarks, tuple[str, ...]]:
     """Pair points and curves of two meshes by name; also notes on names of one side only.
 
-    Raises
-    ------
-    DirectionError
-        If points say that they are the other mesh's.
-    InvalidLandmarksError
-        If a name occurs twice on one side, none is on both, a vertex is out of range, or a place is far from its mesh.
+    DirectionError if points say that they are the other mesh's; InvalidLandmarksError if no name is on both sides.
     """
     for points, mesh, other in ((target_points, target, source), (source_points, source, target)):
         stated, here, there = (PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other.name))
@@ -201,14 +190,7 @@ def paired(
 
 
 def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMesh) -> None:
-    """Raise unless the landmarks fit the two meshes.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If a name or a vertex is used twice, a vertex number is out of range, or a curve is no chain of edges; all such
-        faults are listed by pair.
-    """
+    """Raise InvalidLandmarksError, with all faults by pair, unless the landmarks fit the two meshes."""
     count = len(landmarks.names)
     if landmarks.target.shape != (count,) or landmarks.source.shape != (count,):
         raise InvalidLandmarksError(

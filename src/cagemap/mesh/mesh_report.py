@@ -50,10 +50,7 @@ def listed(problems: Iterable[object]) -> str:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """Counts and problems of a control mesh; ``print`` shows them as a table.
-
-    What could not be found out because of a problem is None.
-    """
+    """Counts and problems of a control mesh; ``print`` shows them. None is what a problem kept from being found out."""
 
     name: str
     n_vertices: int

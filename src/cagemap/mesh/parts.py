@@ -1,23 +1,23 @@
-"""Parts of a mesh (objects, groups, materials, connected pieces): find them by name, extract them, pair them."""
+"""Parts of a mesh (objects, groups, materials, connected pieces): find, extract, pair and join them."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.control_mesh import ControlMesh, UvSet
+from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
-from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.mesh.topology import face_components, face_pieces
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
+Values = TypeVar("Values", FloatArray, IndexArray)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +39,9 @@ class Part:
 def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
     """Objects, groups and materials with a name, then components unless told not to; each in file order."""
     parts = []
-    for kind, numbers, names in _partitions(mesh):
-        parts += [Part(kind, name, np.flatnonzero(numbers == number)) for number, name in enumerate(names) if name]
+    for kind, numbers, names in mesh.partitions:
+        if numbers is not None:
+            parts += [Part(kind, name, np.flatnonzero(numbers == number)) for number, name in enumerate(names) if name]
     return (*(part for part in parts if len(part.faces)), *(connected_parts(mesh) if pieces else ()))
 
 
@@ -49,7 +50,9 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     labels = face_components(mesh)
     pieces = _members(labels)
     names = [str(number) for number in range(len(pieces))]
-    for _, numbers, words in reversed(_partitions(mesh)):
+    for _, numbers, words in reversed(mesh.partitions):
+        if numbers is None:
+            continue
         own = [words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces]
         counts = Counter(own)
         names = [word if word and counts[word] == 1 else name for word, name in zip(own, names, strict=True)]
@@ -78,13 +81,7 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
-    """The part of that name: of an object, group, material or component, ``KIND:NAME``, or ``largest``.
-
-    Raises
-    ------
-    ParameterError
-        If there is none, or parts of different faces have that name.
-    """
+    """The part of that name, ``KIND:NAME`` or ``largest``; ParameterError if there is none, or several."""
     parts = list_parts(mesh)
     if name == LARGEST:
         return max(connected_parts(mesh), key=lambda part: len(part.faces))
@@ -128,8 +125,9 @@ def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     number[vertices] = np.arange(len(vertices))
     corners = kept.corner_vertices
     inside = None if corners is None else number[corners] >= 0
-    uvs, uv_indices = _used(kept.uvs, kept.uv_indices)
-    sets = [(uv_set.name, *_used(uv_set.uvs, uv_set.uv_indices)) for uv_set in kept.uv_sets]
+    uvs, uv_indices = kept.uvs, kept.uv_indices
+    if uvs is not None and uv_indices is not None:
+        uvs, uv_indices = _used(uvs, uv_indices)
     earlier = (mesh.file_vertices, mesh.file_faces)
     return replace(
         kept,
@@ -137,7 +135,7 @@ def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         face_indices=indices.astype(np.int64),
         uvs=uvs,
         uv_indices=uv_indices,
-        uv_sets=tuple(UvSet(name, a, b) for name, a, b in sets if a is not None and b is not None),
+        uv_sets=tuple(UvSet(one.name, *_used(one.uvs, one.uv_indices)) for one in kept.uv_sets),
         vertex_colors=None if kept.vertex_colors is None else kept.vertex_colors[vertices],
         crease_edges=None if kept.crease_edges is None else number[kept.crease_edges],
         corner_vertices=None if corners is None else number[corners[inside]],
@@ -174,7 +172,7 @@ def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
         of_face[part.faces] = number
     # A vertex counts once for every part that it borders on.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces], return_inverse=True)
-    labels = components(corners, corners[mesh.next_corners], len(nodes))[corners[mesh.face_offsets[:-1]]]
+    labels = face_pieces(mesh, corners, len(nodes))
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
@@ -185,28 +183,9 @@ def _own_scheme(part: ControlMesh) -> dict[str, Any]:
     return {"scheme": own.pop(), "object_schemes": ()} if len(own) == 1 else {}
 
 
-def _used(values: FloatArray | None, indices: IndexArray | None) -> tuple[FloatArray | None, IndexArray | None]:
-    if values is None or indices is None:
-        return None, None
+def _used(values: FloatArray, indices: IndexArray) -> tuple[FloatArray, IndexArray]:
     used, renumbered = np.unique(indices, return_inverse=True)
     return values[used], renumbered.astype(np.int64)
-
-
-def _partitions(mesh: ControlMesh) -> list[tuple[str, NDArray[np.int64], tuple[str, ...]]]:
-    named = (
-        ("object", mesh.face_objects, mesh.object_names),
-        ("group", mesh.face_groups, mesh.group_names),
-        ("material", mesh.face_materials, mesh.material_names),
-    )
-    return [(kind, numbers, names) for kind, numbers, names in named if numbers is not None]
-
-
-@dataclass(frozen=True)
-class PartPair:
-    """A part of the target and the part of the source that it is matched with."""
-
-    target: Part
-    source: Part
 
 
 def pair_parts(
@@ -214,7 +193,7 @@ def pair_parts(
     source: ControlMesh,
     landmarks: IndexArray,
     pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
-) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
+) -> tuple[tuple[tuple[Part, Part], ...], tuple[Part, ...], tuple[Part, ...]]:
     """Pair the pieces of two meshes: by landmarks on both, then by name, then the last of both.
 
     ``landmarks`` (p, 2) are target and source vertices; ``pieces`` what is paired, connected parts by default. Numbers
@@ -244,7 +223,7 @@ def pair_parts(
     if len(left) == len(right) == 1:
         chosen[left[0]] = right[0]
     return (
-        tuple(PartPair(mine[row], theirs[chosen[row]]) for row in sorted(chosen)),
+        tuple((mine[row], theirs[chosen[row]]) for row in sorted(chosen)),
         tuple(part for row, part in enumerate(mine) if row not in chosen),
         tuple(part for column, part in enumerate(theirs) if column not in chosen.values()),
     )
@@ -258,3 +237,102 @@ def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
     owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
     np.maximum.at(owners, mesh.face_indices, of_face[mesh.corner_faces])
     return owners
+
+
+def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
+    """One mesh of several pieces; vertices and faces of each in turn.
+
+    Names that several meshes have, of materials, objects, groups or UV sets, become one. Where a mesh lacks a UV set,
+    all its corners have `NO_UV`, so that nothing is baked onto it.
+    """
+    vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
+    faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
+    sizes = np.concatenate([mesh.face_sizes for mesh in meshes])
+    uv_sets = _uv_sets(meshes)
+    labels = _joined_labels(meshes)
+    joined = ControlMesh(
+        np.concatenate([mesh.positions for mesh in meshes]),
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        _shifted([mesh.face_indices for mesh in meshes], vertices),
+        uv_sets=tuple(uv_sets[1:]),
+        **labels,
+        material_colors=_material_colors(meshes, labels["material_names"]),
+        vertex_colors=_vertex_colors(meshes),
+        crease_edges=_known([mesh.crease_edges for mesh in meshes], vertices),
+        crease_sharpness=_known([mesh.crease_sharpness for mesh in meshes]),
+        corner_vertices=_known([mesh.corner_vertices for mesh in meshes], vertices),
+        corner_sharpness=_known([mesh.corner_sharpness for mesh in meshes]),
+        hole_faces=_known([mesh.hole_faces for mesh in meshes], faces),
+        file_vertices=_file_numbers([mesh.file_vertices for mesh in meshes]),
+        file_faces=_file_numbers([mesh.file_faces for mesh in meshes]),
+        file_copies=_known([mesh.file_copies for mesh in meshes], np.column_stack([vertices, 0 * vertices])),
+        scheme=meshes[0].scheme,
+        name=meshes[0].name,
+    )
+    if not uv_sets:
+        return joined
+    return replace(joined, uvs=uv_sets[0].uvs, uv_indices=uv_sets[0].uv_indices, uv_name=uv_sets[0].name)
+
+
+def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:
+    return np.concatenate([array + start for array, start in zip(arrays, starts, strict=True)])
+
+
+def _known(arrays: Sequence[Values | None], shifts: IndexArray | None = None) -> Values | None:
+    """Those that are there, joined; None if there is none."""
+    shifts = np.zeros(len(arrays), dtype=np.int64) if shifts is None else shifts
+    known = [array + shift for array, shift in zip(arrays, shifts, strict=True) if array is not None]
+    return np.concatenate(known) if known else None
+
+
+def _file_numbers(numbers: Sequence[IndexArray | None]) -> IndexArray | None:
+    """Numbers in the file, if all meshes are parts of one."""
+    return None if any(array is None for array in numbers) else _known(numbers)
+
+
+def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
+    """All UV sets by name, the one in use first."""
+    known = [{uv_set.name: uv_set for uv_set in mesh.all_uv_sets} for mesh in meshes]
+    result = []
+    for name in dict.fromkeys(name for own in known for name in own):
+        bare = [UvSet(name, np.array([NO_UV]), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
+        sets = [own.get(name, other) for own, other in zip(known, bare, strict=True)]
+        starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])[:-1]
+        values = np.concatenate([uv_set.uvs for uv_set in sets])
+        result.append(UvSet(name, values, _shifted([uv_set.uv_indices for uv_set in sets], starts)))
+    return result
+
+
+def _joined_labels(meshes: Sequence[ControlMesh]) -> dict[str, Any]:
+    """Objects, groups and materials by name, as arguments of `ControlMesh`; faces without one get the name ''."""
+    labels: dict[str, Any] = {}
+    for parts in zip(*(mesh.partitions for mesh in meshes), strict=True):
+        kind, names, numbers = parts[0][0], dict[str, int](), []
+        for mesh, (_, of_face, own) in zip(meshes, parts, strict=True):
+            if of_face is None:
+                of_face, own = np.zeros(mesh.n_faces, dtype=np.int64), ("",)
+            numbers.append(np.array([names.setdefault(name, len(names)) for name in own], dtype=np.int64)[of_face])
+        known = any(of_face is not None for _, of_face, _ in parts)
+        labels[f"face_{kind}s"] = np.concatenate(numbers) if known else None
+        labels[f"{kind}_names"] = tuple(names) if known else ()
+    return labels
+
+
+def _material_colors(meshes: Sequence[ControlMesh], names: tuple[str, ...]) -> FloatArray | None:
+    if not names:
+        return None
+    known = {
+        name: color
+        for mesh in reversed(meshes)
+        if mesh.material_colors is not None
+        for name, color in zip(mesh.material_names, mesh.material_colors, strict=True)
+    }
+    return np.array([known.get(name, np.full(3, np.nan)) for name in names])
+
+
+def _vertex_colors(meshes: Sequence[ControlMesh]) -> FloatArray | None:
+    if all(mesh.vertex_colors is None for mesh in meshes):
+        return None
+    return np.concatenate(
+        [np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes]
+    )

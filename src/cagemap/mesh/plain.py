@@ -21,17 +21,16 @@ from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import (
-    EdgeTable,
     boundary_loops,
     corner_fans,
-    edge_table,
     face_components,
+    mesh_topology,
     turned_faces,
     used_vertices,
 )
 from cagemap.mesh.weld import coincident_vertices, file_copies, weld_tolerance
 from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import Brief
 from cagemap.surface.triangles import fan_triangles
 
 # Rounds in which faces at edges of more than two faces are taken out; two are enough for scans.
@@ -126,15 +125,11 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     """
     require_structure(mesh)
     work = replace(
-        mesh,
+        mesh.without_sharpness(),
         scheme=Plain(),
         file_vertices=np.arange(mesh.n_vertices),  # numbers on the mesh given, until all is done
         file_faces=np.arange(mesh.n_faces),
         file_copies=None,
-        crease_edges=None,
-        crease_sharpness=None,
-        corner_vertices=None,
-        corner_sharpness=None,
     )
     representative = coincident_vertices(work, collapse=True)
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
@@ -149,7 +144,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
         raise InvalidMeshError(f"{mesh.name}: expected faces, got {work.n_faces} that visit a vertex twice")
     work = keep_faces(work, np.delete(np.arange(work.n_faces), bad)) if len(bad) else work
     work, fins, cut = _manifold(work)
-    faces = turned_faces(work, edge_table(work))
+    faces = turned_faces(mesh_topology(work))
     if faces is None:
         raise InvalidMeshError(
             f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
@@ -213,17 +208,17 @@ def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
     """Remove fins and separate sheets that only touch; also counts of removed faces and cut vertices."""
     n_faces = mesh.n_faces
-    edges = edge_table(mesh)
-    if np.any(edges.face_counts > 2):
-        mesh = _only_faces(mesh, ~extra_faces(mesh, edges))
+    topology = mesh_topology(mesh)
+    if np.any(topology.face_counts > 2):
+        mesh = _only_faces(mesh, ~extra_faces(topology))
     mesh, cut = _one_fan_per_vertex(mesh)
     for _ in range(MAX_FIN_ROUNDS):
-        edges = edge_table(mesh)
-        bad = edges.face_counts > 2
+        topology = mesh_topology(mesh)
+        bad = topology.face_counts > 2
         if not bad.any():
             return mesh, n_faces - mesh.n_faces, cut
         # Faces that run around the cut and meet again: nothing says which of them belong together.
-        mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[edges.corner_edges], mesh.face_offsets[:-1]))
+        mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1]))
         mesh, more = _one_fan_per_vertex(mesh)
         cut += more
     raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges")
@@ -237,11 +232,11 @@ def _only_faces(mesh: ControlMesh, kept: NDArray[np.bool_]) -> ControlMesh:
 
 def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     """Give every fan of faces its own vertex, copies last; also the number of vertices copied."""
-    edges = edge_table(mesh)
-    many = (edges.face_counts > 2)[edges.corner_edges]  # such edges join no faces
-    apart = edges.corner_edges.copy()
-    apart[many] = len(edges.vertices) + np.arange(many.sum())
-    fans = corner_fans(mesh, EdgeTable(edges.vertices, apart, edges.face_counts))
+    topology = mesh_topology(mesh)
+    many = (topology.face_counts > 2)[topology.edges]  # such edges join no faces
+    apart = topology.edges.copy()
+    apart[many] = topology.n_edges + np.arange(many.sum())
+    fans = corner_fans(replace(topology, edges=apart))
     _, first = np.unique(fans, return_index=True)
     at = mesh.face_indices[first]
     order = np.argsort(at, kind="stable")
@@ -287,5 +282,5 @@ def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
 
 
 def _loops(mesh: ControlMesh) -> tuple[IndexArray, ...]:
-    edges = edge_table(mesh)
-    return boundary_loops(mesh, edges, corner_fans(mesh, edges)) or ()
+    topology = mesh_topology(mesh)
+    return boundary_loops(topology, corner_fans(topology)) or ()

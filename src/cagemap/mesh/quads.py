@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import with_corners_of
+from cagemap.mesh.faces import corners_of, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.mesh.topology import adjacent_corners, edge_table
+from cagemap.mesh.topology import adjacent_corners, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 # Degrees: pairs with a larger fold, or with a corner further from 90, are no quad.
@@ -26,15 +26,6 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
 
     A pair shares an edge that is no crease and no seam of UVs, materials or objects. Where a triangle could be in
     several quads, faces that follow each other and corners near 90 degrees decide. Vertices keep their numbers.
-
-    Parameters
-    ----------
-    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
-
-    Raises
-    ------
-    InvalidMeshError
-        If the arrays are no mesh.
 
     Examples
     --------
@@ -67,8 +58,7 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     kept = np.ones(mesh.n_faces, dtype=bool)
     kept[pairs[:, 1]] = False
     faces = np.flatnonzero(kept)
-    offsets = np.concatenate([[0], np.cumsum(sizes[faces])]).astype(np.int64)
-    corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes[faces]) + np.arange(offsets[-1])
+    offsets, corners = corners_of(mesh.face_offsets, faces, sizes[faces])
     place = np.empty(mesh.n_faces, dtype=np.int64)
     place[faces] = offsets[:-1]
     corners[place[pairs[:, 0]][:, None] + np.arange(4)] = chosen
@@ -77,17 +67,16 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
 
 def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
     """(q, 4) corners of all quads that two triangles make."""
-    edges = edge_table(mesh)
-    one, other = adjacent_corners(edges)
+    topology = mesh_topology(mesh)
+    one, other = adjacent_corners(topology)
     faces = mesh.corner_faces
     heads = mesh.face_indices[following]
-    fits = (edges.face_counts[edges.corner_edges[one]] == 2) & (mesh.face_indices[one] == heads[other])
+    fits = (topology.face_counts[topology.edges[one]] == 2) & (mesh.face_indices[one] == heads[other])
     fits &= (mesh.face_sizes[faces[one]] == 3) & (mesh.face_sizes[faces[other]] == 3)
-    for labels in (mesh.face_materials, mesh.face_objects, mesh.face_groups):
+    for _, labels, _ in mesh.partitions:
         if labels is not None:
             fits &= labels[faces[one]] == labels[faces[other]]
-    sets = [] if mesh.uv_indices is None else [mesh.uv_indices, *(uv_set.uv_indices for uv_set in mesh.uv_sets)]
-    for uvs in sets:
+    for uvs in (uv_set.uv_indices for uv_set in mesh.all_uv_sets):
         fits &= (uvs[one] == uvs[following[other]]) & (uvs[following[one]] == uvs[other])
     if mesh.crease_edges is not None and len(mesh.crease_edges):
         own = pair_keys(np.column_stack([mesh.face_indices[one], heads[one]]), mesh.n_vertices)

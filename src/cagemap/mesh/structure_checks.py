@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import MeshProblem, listed, problem_at
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.numerics.arrays import FloatArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
@@ -90,22 +90,17 @@ def _materials(mesh: ControlMesh) -> MeshProblem | None:
         return _problem(f"expected material_colors of shape ({count}, 3), got {colors.shape}")
     if mesh.vertex_colors is not None and mesh.vertex_colors.shape != (mesh.n_vertices, 3):
         return _problem(f"expected vertex_colors of shape ({mesh.n_vertices}, 3), got {mesh.vertex_colors.shape}")
-    named = (
-        ("material", mesh.face_materials, mesh.material_names),
-        ("object", mesh.face_objects, mesh.object_names),
-        ("group", mesh.face_groups, mesh.group_names),
-    )
-    found = (_partition(what, numbers, len(names), mesh.n_faces) for what, numbers, names in named)
-    return next((problem for problem in found if problem is not None), None)
-
-
-def _partition(what: str, numbers: IndexArray | None, count: int, n_faces: int) -> MeshProblem | None:
-    if numbers is None:
-        return None
-    if numbers.shape != (n_faces,) or not _integers(numbers):
-        return _problem(f"expected one integer {what} per face ({n_faces}), got {numbers.shape}")
-    bad = np.flatnonzero((numbers < 0) | (numbers >= count))
-    return _problem_at(f"expected {what} numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad)
+    for what, numbers, names in mesh.partitions:
+        if numbers is None:
+            continue
+        if numbers.shape != (mesh.n_faces,) or not _integers(numbers):
+            return _problem(f"expected one integer {what} per face ({mesh.n_faces}), got {numbers.shape}")
+        bad = np.flatnonzero((numbers < 0) | (numbers >= len(names)))
+        if len(bad):
+            return _problem_at(
+                f"expected {what} numbers from 0 to {len(names) - 1}, got others on {len(bad)} face(s), faces", bad
+            )
+    return None
 
 
 def _creases(mesh: ControlMesh) -> MeshProblem | None:

@@ -13,13 +13,7 @@ TILES_PER_ROW = 10
 
 
 def udim_of(uvs: FloatArray) -> IndexArray:
-    """(...,) UDIM numbers 1001 + floor(u) + 10 floor(v) of texture coordinates.
-
-    Raises
-    ------
-    ParameterError
-        If some lie left of, right of or below the grid of ten columns.
-    """
+    """(...,) UDIM numbers 1001 + floor(u) + 10 floor(v); ParameterError for UVs outside the grid of ten columns."""
     cells = np.floor(uvs).astype(np.int64)
     outside = (cells[..., 0] < 0) | (cells[..., 0] >= TILES_PER_ROW) | (cells[..., 1] < 0)
     if outside.any():

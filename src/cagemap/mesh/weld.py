@@ -14,7 +14,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.parts import extract, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.mesh.topology import edge_table, face_components, used_vertices
+from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
@@ -194,14 +194,14 @@ def coincident_vertices(
     Vertices that have faces all around stay apart: surfaces that touch, such as closed lips, are not joined. With
     ``collapse`` the ends of edges of length zero are, wherever they are. Tolerance and offsets as in `weld_mesh`.
     """
-    edges = edge_table(mesh)
-    border = np.unique(edges.vertices[edges.face_counts == 1])
+    topology = mesh_topology(mesh)
+    ends = topology.edge_vertices
+    border = np.unique(ends[topology.outer_edges])
     places = mesh.positions if offsets is None else np.column_stack([mesh.positions, offsets])
     with np.errstate(over="ignore"):
         diagonal = float(np.linalg.norm(np.ptp(mesh.positions[used_vertices(mesh)], axis=0)))
     links = [border[_close_pairs(places[border], tolerance * diagonal)]]
     if collapse:
-        ends = edges.vertices
         links.append(ends[np.all(mesh.positions[ends[:, 0]] == mesh.positions[ends[:, 1]], axis=1)])
     pairs = np.concatenate(links)
     if not len(pairs):
@@ -232,9 +232,7 @@ def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> f
 
 def count_pieces(mesh: ControlMesh, labels: IndexArray) -> int:
     """Number of connected pieces after vertices with equal labels (n,) became one."""
-    corners = labels[mesh.face_indices]
-    found = components(corners, corners[mesh.next_corners], mesh.n_vertices)
-    return len(np.unique(found[corners]))
+    return len(np.unique(face_pieces(mesh, labels[mesh.face_indices], mesh.n_vertices)))
 
 
 def _close_pairs(points: FloatArray, distance: float) -> IndexArray:

@@ -52,13 +52,7 @@ class Factorization:
     dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
-        """Solve A X = B for B (n,) or (n, q), in the precision of the factors.
-
-        Raises
-        ------
-        ParameterError
-            If the number of rows is not n.
-        """
+        """Solve A X = B for B (n,) or (n, q), in the precision of the factors; ParameterError for other shapes."""
         values = np.ascontiguousarray(right_sides, dtype=self.dtype)
         if values.ndim not in (1, 2) or values.shape[0] != self.shape[0]:
             raise ParameterError(
@@ -70,23 +64,11 @@ class Factorization:
 
 
 def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Precision = np.float64) -> Factorization:
-    """Factor a symmetric, possibly indefinite sparse matrix (n, n).
+    """Factor a symmetric, possibly indefinite sparse matrix (n, n); rslab reads its lower triangle only.
 
-    Parameters
-    ----------
-    matrix : (n, n) sparse array
-        rslab reads its lower triangle only.
-    like : Factorization, optional
-        Of a matrix with the same pattern, whose ordering is reused.
-    dtype : numpy.float64 or numpy.float32
-        Precision of the factors. Single takes half the memory and two thirds of the time; its inertia proves nothing.
-
-    Raises
-    ------
-    ParameterError
-        If the matrix is not square.
-    SolverError
-        If the matrix is singular to working precision.
+    The ordering of ``like``, a matrix with the same pattern, is used again. Factors in single precision take half the
+    memory and two thirds of the time; their inertia proves nothing. ParameterError if the matrix is not square,
+    SolverError if it is singular to working precision.
     """
     if not _rslab_factors(matrix):
         return _factor_superlu(matrix, dtype)
@@ -118,7 +100,7 @@ def _rslab_factors(matrix: SparseMatrix) -> bool:
         raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
     if rslab is None:
         with _WARNING_LOCK:
-            _say_that_rslab_is_missing()
+            _warn_without_rslab()
     return rslab is not None
 
 
@@ -126,7 +108,7 @@ _WARNING_LOCK = Lock()  # both surfaces of a pair are factored at the same time
 
 
 @cache  # once for each process
-def _say_that_rslab_is_missing() -> None:
+def _warn_without_rslab() -> None:
     _log.warning(
         "rslab is not installed: SciPy's SuperLU factors matrices instead, more slowly the larger the surface; "
         "`pip install rslab` where it has a wheel for this platform"

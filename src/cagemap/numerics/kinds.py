@@ -1,16 +1,17 @@
-"""Runtime argument type checks for the public API."""
+"""Runtime argument type checks for the public API, and short texts of its configurations."""
 
 from __future__ import annotations
 
 import operator
 import os
 from collections.abc import Callable
+from dataclasses import MISSING, fields
 from functools import cache, wraps
 from inspect import signature
 from numbers import Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, ParamSpec, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -39,25 +40,26 @@ _SOURCES = {
 }
 
 
-def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Check arguments against the annotations: cagemap's classes, numbers, texts and paths.
+Conversion: TypeAlias = Callable[[Any, str], object]  # a value and the name of its parameter
 
-    Arrays, sequences and callables are checked by the function itself.
 
-    Raises
-    ------
-    ParameterError
-        If an argument is of another type.
-    """
+def kinds_checked(
+    function: Callable[P, R], conversions: Callable[[Callable[..., Any]], dict[str, Conversion]] = lambda function: {}
+) -> Callable[P, R]:
+    """Convert arguments, then check cagemap's classes, numbers, texts and paths against the annotations."""
     parameters = signature(function)
 
     @wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         expected = _expected(function)
         try:
-            given = parameters.bind(*args, **kwargs).arguments
-        except TypeError:  # the call below names the missing or unknown argument
-            given = {}
+            bound = parameters.bind(*args, **kwargs)
+        except TypeError:  # the function itself names the missing or unknown argument
+            return function(*args, **kwargs)
+        given = bound.arguments
+        for name, convert in conversions(function).items():
+            if name in given:
+                given[name] = convert(given[name], name)
         for name in (name for name in given if name in expected):
             value, kinds = given[name], expected[name]
             if not any(_is(value, kind) for kind in kinds):
@@ -65,7 +67,7 @@ def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
                 source = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
                 got = repr(value) if isinstance(value, str | Real | NoneType) else f"a {type(value).__name__}"
                 raise ParameterError(f"{function.__name__}: {name}: expected {' or '.join(names)}, got {got}{source}")
-        return function(*args, **kwargs)
+        return function(*bound.args, **bound.kwargs)
 
     return checked
 
@@ -96,3 +98,16 @@ def _classes(hint: object) -> tuple[type, ...]:
     known = [isinstance(one, type) and (one in _NAMES or one.__module__.startswith("cagemap.")) for one in hints]
     protocols = [getattr(one, "_is_protocol", False) for one in hints]
     return tuple(hints) if all(known) and not any(protocols) else ()
+
+
+class Brief:
+    """A dataclass (``repr=False``) that shows the fields that differ from their defaults."""
+
+    def __repr__(self) -> str:
+        shown = []
+        for field in fields(self):  # type: ignore[arg-type]
+            default = field.default_factory() if field.default_factory is not MISSING else field.default
+            value = getattr(self, field.name)
+            if not (type(value) is type(default) and value == default):
+                shown.append(f"{field.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(shown)})"

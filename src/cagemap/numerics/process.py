@@ -1,4 +1,4 @@
-"""Settings of a process that computes: garbage collection, threads and memory."""
+"""Settings of a process that computes, and import of libraries that it may lack."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import ctypes
 import gc
 import os
 import sys
+from importlib import import_module
 from typing import Any
+
+from cagemap.errors import MissingLibraryError
 
 # New objects after which Python looks for cycles of garbage among all there are: loading makes many that stay.
 COLLECTED_AFTER = 100_000
@@ -37,3 +40,16 @@ def _leave() -> None:
     """Spare the last look for garbage; OpenImageIO takes what is left then for leaks, and says so."""
     if "OpenImageIO" not in sys.modules:
         gc.freeze()
+
+
+def library(module: str, purpose: str) -> Any:
+    """Import a module that has no wheel for every platform; ``purpose`` needs it, such as "pictures"."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = module.partition(".")[0]
+        raise MissingLibraryError(
+            f"{purpose}: expected the library {name}, which is not installed ({error}); `pip install {name}` where it "
+            "has a wheel for this platform and version of Python, or do this step where it has: everything else works "
+            "without it"
+        ) from error

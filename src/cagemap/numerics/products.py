@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -52,17 +51,8 @@ def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
     pattern = read_only(matrix.indptr), read_only(matrix.indices)
     entries = read_only(matrix.data.astype(dtype, copy=False))
     out = np.empty((matrix.shape[0], values.shape[1]), dtype=dtype)
-
-    def share(first: int, last: int) -> None:
-        _multiply_rows(*pattern, entries, values, first, last, out)
-
-    in_row_shares(matrix, values.shape[1], share)
+    threads = 1 if matrix.nnz * values.shape[1] < _MIN_PARALLEL_WORK else min(_MAX_THREADS, core_count())
+    shares: NDArray[np.float64] = np.linspace(0, matrix.nnz, threads + 1)  # row ranges of equal nonzeros
+    bounds: list[int] = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
+    in_threads(lambda rows: _multiply_rows(*pattern, entries, values, *rows, out), list(pairwise(bounds)))
     return out
-
-
-def in_row_shares(matrix: sparse.csr_array, columns: int, work: Callable[[int, int], None]) -> None:
-    """Run work(first, last) in threads over row ranges of equal nonzeros, for a block of so many columns."""
-    threads = 1 if matrix.nnz * columns < _MIN_PARALLEL_WORK else min(_MAX_THREADS, core_count())
-    shares = np.linspace(0, matrix.nnz, threads + 1)
-    bounds = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
-    in_threads(lambda share: work(*share), list(pairwise(bounds)))

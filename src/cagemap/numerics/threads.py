@@ -127,12 +127,12 @@ class ThreadPool(ThreadPoolExecutor):
         return future
 
 
-def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: int | None = None) -> list[Value]:
+def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Value]:
     """Apply a function to every item, in threads; results in order. The first error is raised once all have ended.
 
     Every thread, the caller among them, takes the next item when it is done: submitting small items costs too much.
     """
-    threads = min(len(items), threads or core_count())
+    threads = min(len(items), core_count())
     if threads <= 1:
         return [work(item) for item in items]
     waiting = iter(enumerate(items))  # one for all: under the interpreter's lock none gets an item twice

@@ -8,7 +8,7 @@ coarse triangle, so that S^l prolongs functions as a subdivision matrix does.
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import fast_simplification
 import numpy as np
@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain, Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.operators.laplacian import stiffness
 from cagemap.subdivision import Level, Refinement, default_scheme, level_triangles, refine
 from cagemap.surface.closest_points import closest_among
-from cagemap.surface.flips import delaunay
+from cagemap.surface.triangles import normalized, triangle_neighbors, triangle_normals
 
 # Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
 SIZES = (1500, 6000, 24_000)
@@ -37,12 +37,19 @@ AGGRESSIVENESS = 3
 DAMPING = 2 / 3
 # Vertices that a thread locates on the coarser mesh at once.
 LOCATE_BLOCK = 65_536
+# Rounds of flips; each flips at most one edge of a triangle.
+MAX_FLIP_ROUNDS = 20
+# Least cosine between the normals beside an edge that is flipped; sharper edges are features.
+MIN_NORMAL_COSINE = 0.8
+# Least doubled area of a triangle, as a share of a squared edge: keeps cotangents finite.
+MIN_DOUBLED_AREA = 1e-12
+# Largest sum of the cotangents opposite to an edge that is flipped: below 0 by rounding.
+MAX_COTANGENT_SUM = -1e-9
 # The library keeps its mesh in globals: two threads would simplify each other's.
 _SIMPLIFICATION_LOCK = threading.Lock()
 
 
-@dataclass(frozen=True, eq=False)
-class _Simplified:
+class Simplified(NamedTuple):
     """A coarser mesh: its vertices in the finer mesh (k,), the coarse vertex of every finer one (n,), its triangles."""
 
     kept: IndexArray
@@ -68,7 +75,7 @@ def coarsened(plain: Refinement) -> Refinement:
             f"{control.name}: expected a plain mesh of triangles or of quads alone, got faces of different sizes; "
             "cagemap.plain_mesh splits them"
         )
-    surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[_Simplified]()
+    surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[Simplified]()
     for size in reversed([size for size in SIZES if size <= MAX_SHARE * control.n_vertices]):
         step = simplified(*surfaces[-1], size)
         if not MIN_LEVEL_VERTICES <= len(step.kept) <= MAX_SHARE * len(step.cluster):
@@ -91,7 +98,7 @@ def coarsened(plain: Refinement) -> Refinement:
     return Refinement(control, plain.scheme, tuple(matrices), (*levels, dense), coarse)
 
 
-def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Simplified:
+def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
     """A mesh of about ``count`` vertices by edge collapses of least quadric error.
 
     A coarse vertex is moved to the nearest vertex of its cluster, so that it is a vertex of all finer levels. Edges are
@@ -113,10 +120,10 @@ def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Sim
     found, first = np.unique(cluster[by_cluster], return_index=True)
     kept = by_cluster[first]
     flipped = delaunay(positions[kept], np.searchsorted(found, coarse))
-    return _Simplified(kept, np.searchsorted(found, cluster), flipped)
+    return Simplified(kept, np.searchsorted(found, cluster), flipped)
 
 
-def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified) -> sparse.csr_array:
+def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified) -> sparse.csr_array:
     """(n, k) smoothed barycentric coordinates of every vertex of a mesh on the coarser one, rows sum to 1.
 
     The closest point is sought among the triangles around the coarse vertex of its cluster only, so that it never lies
@@ -155,3 +162,59 @@ def smoothing(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
     total = np.asarray(neighbours.sum(axis=1)).ravel()
     share = np.divide(DAMPING, total, out=np.zeros_like(total), where=total > 0)
     return sparse.csr_array(sparse.diags_array(np.where(total > 0, 1.0 - DAMPING, 1.0)) + share[:, None] * neighbours)
+
+
+def delaunay(positions: FloatArray, triangles: IndexArray) -> IndexArray:
+    """Triangles (t, 3) after flips of edges with negative cotangent weights, where the surface is nearly flat.
+
+    Vertices (n, 3) and the boundary stay. A graph's energy needs positive weights.
+    """
+    triangles = triangles.copy()
+    for _ in range(MAX_FLIP_ROUNDS):
+        first, corner, second, other = _to_flip(positions, triangles)
+        if not len(first):
+            break
+        # Edge (a, b) between the apexes p and q becomes (p, q); directions stay.
+        p, a = triangles[first, corner], triangles[first, (corner + 1) % 3]
+        q, b = triangles[second, other], triangles[second, (other + 1) % 3]
+        triangles[first] = np.column_stack([p, a, q])
+        triangles[second] = np.column_stack([q, b, p])
+    return triangles
+
+
+def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray, IndexArray]:
+    """Edges to flip at once, one of a triangle: both triangles, and their corners opposite to the edge."""
+    neighbors = triangle_neighbors(triangles).astype(np.int64)
+    first, corner = np.nonzero(neighbors > np.arange(len(triangles))[:, None])
+    second = neighbors[first, corner]
+    other = np.argmax(neighbors[second] == first[:, None], axis=1)
+    apex, left = triangles[first, corner], triangles[first, (corner + 1) % 3]
+    right, top = triangles[first, (corner + 2) % 3], triangles[second, other]
+    # Both triangles have the same orientation.
+    oriented = triangles[second, (other + 1) % 3] == right
+    cotangents = _cotangent(positions, apex, left, right) + _cotangent(positions, top, left, right)
+    normals = normalized(triangle_normals(positions, triangles))
+    flat = np.einsum("ed,ed->e", normals[first], normals[second]) > MIN_NORMAL_COSINE
+    count = len(positions)
+    known = pair_keys(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), count)
+    keys = pair_keys(np.column_stack([apex, top]), count)
+    fresh = ~np.isin(keys, known)
+    new = np.column_stack([apex, left, top]), np.column_stack([top, right, apex])
+    upright = np.all([np.einsum("ed,ed->e", triangle_normals(positions, t), normals[first]) > 0 for t in new], axis=0)
+    wanted = np.flatnonzero(oriented & flat & fresh & upright & (cotangents < MAX_COTANGENT_SUM))
+    worst = np.full(len(triangles), np.inf)
+    for side in (first, second):
+        np.minimum.at(worst, side[wanted], cotangents[wanted])
+    alone = wanted[(cotangents[wanted] == worst[first[wanted]]) & (cotangents[wanted] == worst[second[wanted]])]
+    # New edges that would coincide, or ties in one triangle, wait for the next round.
+    alone = alone[np.unique(keys[alone], return_index=True)[1]]
+    taken = np.bincount(np.concatenate([first[alone], second[alone]]), minlength=len(triangles))
+    alone = alone[(taken[first[alone]] == 1) & (taken[second[alone]] == 1)]
+    return first[alone], corner[alone], second[alone], other[alone]
+
+
+def _cotangent(positions: FloatArray, apex: IndexArray, left: IndexArray, right: IndexArray) -> FloatArray:
+    """(e,) cotangents of the angles at apexes, towards the ends of edges."""
+    u, v = positions[left] - positions[apex], positions[right] - positions[apex]
+    area = np.linalg.norm(np.cross(u, v), axis=1)
+    return np.einsum("ed,ed->e", u, v) / np.maximum(area, MIN_DOUBLED_AREA * np.einsum("ed,ed->e", u, u) + 1e-300)

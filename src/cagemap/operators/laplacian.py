@@ -147,14 +147,14 @@ class AlexaWardetzky(_Stabilised):
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""
-        polygon = _Polygons.of(positions, faces)
-        inner = np.einsum("fid,fjd->fij", polygon.midpoints, polygon.midpoints) / polygon.areas[:, None, None]
-        flat = polygon.edges - np.einsum("fid,fd,fe->fie", polygon.edges, polygon.normals, polygon.normals)
+        edges, midpoints, areas, normals, sizes = _polygons(positions, faces)
+        inner = np.einsum("fid,fjd->fij", midpoints, midpoints) / areas[:, None, None]
+        flat = edges - np.einsum("fid,fd,fe->fie", edges, normals, normals)
         # The projection to the span of the flat edges; their third singular value is 0.
-        axes, sizes, _ = np.linalg.svd(flat, full_matrices=False)
-        axes = axes[:, :, :2] * (sizes[:, None, :2] > SLIVER * sizes[:, None, :1])
+        axes, spans, _ = np.linalg.svd(flat, full_matrices=False)
+        axes = axes[:, :, :2] * (spans[:, None, :2] > SLIVER * spans[:, None, :1])
         others = np.eye(faces.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
-        return polygon.terms(inner + self.stabilisation * others, len(positions))
+        return _polygon_terms(inner + self.stabilisation * others, faces, sizes, len(positions))
 
 
 class DeGoesButtsDesbrun(_Stabilised):
@@ -166,14 +166,13 @@ class DeGoesButtsDesbrun(_Stabilised):
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""
-        polygon = _Polygons.of(positions, faces)
-        normals = polygon.normals[:, None, :]
-        sharp = np.cross(normals, polygon.midpoints) / polygon.areas[:, None, None]  # (m, k, 3): U^T
-        flat = polygon.edges - normals * np.einsum("fid,fd->fi", polygon.edges, polygon.normals)[:, :, None]
+        edges, midpoints, areas, normals, sizes = _polygons(positions, faces)
+        sharp = np.cross(normals[:, None, :], midpoints) / areas[:, None, None]  # (m, k, 3): U^T
+        flat = edges - normals[:, None, :] * np.einsum("fid,fd->fi", edges, normals)[:, :, None]
         unseen = np.eye(faces.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
-        inner = np.einsum("fid,fjd->fij", sharp, sharp) * polygon.areas[:, None, None]
+        inner = np.einsum("fid,fjd->fij", sharp, sharp) * areas[:, None, None]
         inner += self.stabilisation * np.einsum("fki,fkj->fij", unseen, unseen)
-        return polygon.terms(inner, len(positions))
+        return _polygon_terms(inner, faces, sizes, len(positions))
 
 
 LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
@@ -189,38 +188,32 @@ def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
     return paper if name == "alexa-wardetzky" else MeanTriangulation()
 
 
-@dataclass(frozen=True, eq=False)
-class _Polygons:
-    """Polygons of k corners: edges and their midpoints about the centre (m, k, 3), bounded areas, normals, areas."""
+def _polygons(
+    positions: FloatArray, faces: IndexArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Edges and their midpoints about the centre (m, k, 3), bounded areas, normals, and areas of polygons (m, k)."""
+    corners = positions[faces]
+    corners = corners - corners.mean(axis=1, keepdims=True)
+    following = np.roll(corners, -1, axis=1)
+    vectors = 0.5 * np.cross(corners, following).sum(axis=1)
+    sizes = np.linalg.norm(vectors, axis=1)
+    edges = following - corners
+    # Energies stay finite, as for triangles (`SLIVER`). A polygon of one point has none.
+    areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
+    areas = np.where(areas == 0.0, 1.0, areas)
+    normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
+    return edges, 0.5 * (corners + following), areas, normals, sizes
 
-    faces: IndexArray
-    edges: FloatArray
-    midpoints: FloatArray
-    areas: FloatArray
-    normals: FloatArray
-    sizes: FloatArray
 
-    @classmethod
-    def of(cls, positions: FloatArray, faces: IndexArray) -> _Polygons:
-        corners = positions[faces]
-        corners = corners - corners.mean(axis=1, keepdims=True)
-        following = np.roll(corners, -1, axis=1)
-        vectors = 0.5 * np.cross(corners, following).sum(axis=1)
-        sizes = np.linalg.norm(vectors, axis=1)
-        edges = following - corners
-        # Energies stay finite, as for triangles (`SLIVER`). A polygon of one point has none.
-        areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
-        areas = np.where(areas == 0.0, 1.0, areas)
-        normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
-        return cls(faces, edges, 0.5 * (corners + following), areas, normals, sizes)
-
-    def terms(self, inner: FloatArray, n_vertices: int) -> tuple[FloatArray, FloatArray]:
-        """Weights -(d^T M d)_ij and areas from inner products M (m, k, k) of functions on edges."""
-        k = self.faces.shape[1]
-        # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, edge i leading from corner i to corner i + 1.
-        rows = np.roll(inner, 1, axis=1) - inner
-        energy = np.roll(rows, 1, axis=2) - rows
-        pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
-        weights = -energy[:, pairs[:, 0], pairs[:, 1]]
-        areas = np.bincount(self.faces.ravel(), np.repeat(self.sizes / k, k), minlength=n_vertices)
-        return np.ascontiguousarray(weights), np.asarray(areas, dtype=np.float64)
+def _polygon_terms(
+    inner: FloatArray, faces: IndexArray, sizes: FloatArray, n_vertices: int
+) -> tuple[FloatArray, FloatArray]:
+    """Weights -(d^T M d)_ij and areas from inner products M (m, k, k) of functions on edges."""
+    k = faces.shape[1]
+    # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, edge i leading from corner i to corner i + 1.
+    rows = np.roll(inner, 1, axis=1) - inner
+    energy = np.roll(rows, 1, axis=2) - rows
+    pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
+    weights = -energy[:, pairs[:, 0], pairs[:, 1]]
+    areas = np.bincount(faces.ravel(), np.repeat(sizes / k, k), minlength=n_vertices)
+    return np.ascontiguousarray(weights), np.asarray(areas, dtype=np.float64)

@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair
 from cagemap.maps.places import SurfaceCurve
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
-from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import Brief
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors, normalise_columns, signatures
 from cagemap.paper.operators import check_symmetry, symmetry_at, symmetry_operator

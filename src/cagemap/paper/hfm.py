@@ -23,7 +23,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.levels import FEWEST_FUNCTIONS, ladder, search_levels, start_map

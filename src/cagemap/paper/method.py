@@ -13,7 +13,7 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.levels import (

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.libraries import library
+from cagemap.numerics.process import library
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.colors import to_display, to_linear

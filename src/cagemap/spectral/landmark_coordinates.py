@@ -16,9 +16,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import lumped_areas
 
-# Weights of the coordinates beside the spectral ones, per sqrt(k) basis functions (measured, docs/lab/accuracy.md).
+# Weight of the harmonic coordinates beside biharmonic and spectral ones (measured, docs/lab/accuracy.md).
 HARMONIC_WEIGHT = 3.0
-BIHARMONIC_WEIGHT = 1.0
 
 
 def landmark_coordinates(
@@ -26,13 +25,8 @@ def landmark_coordinates(
 ) -> FloatArray:
     """Weighted harmonic and biharmonic coordinates (n, 2 (p + c)) of every vertex, to stand beside spectral ones.
 
-    They are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i: both are 1 on it
-    and 0 on the others.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If there are fewer than two landmarks or one repeats.
+    They are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i: both are 1 on
+    it and 0 on the others. InvalidLandmarksError if there are fewer than two landmarks or one repeats.
     """
     unique = np.unique(landmarks)
     if len(landmarks) < 2 or len(unique) != len(landmarks):
@@ -43,7 +37,7 @@ def landmark_coordinates(
     sets = [*landmarks[:, None], *curves]
     units = np.repeat(np.eye(len(sets)), [len(vertices) for vertices in sets], axis=0)
     harmonic, biharmonic = interpolants(stiffness, mass, np.concatenate(sets), units)
-    return np.hstack([HARMONIC_WEIGHT * harmonic, BIHARMONIC_WEIGHT * biharmonic])
+    return np.hstack([HARMONIC_WEIGHT * harmonic, biharmonic])
 
 
 def interpolants(

@@ -60,10 +60,7 @@ class ZoomOutSchedule:
 
 
 def zoomout(target: Samples, source: Samples, match: IndexArray, schedule: ZoomOutSchedule) -> IndexArray:
-    """(b1,) a refined match of target samples with source samples: fit C12, search, with more functions each time.
-
-    Coordinates of the samples stand beside the functions in every search.
-    """
+    """(b1,) a refined match of target with source samples: fit C12, search, with more functions each time."""
     counts = target.rows.shape[1], source.rows.shape[1]
     for size in schedule.sizes(max(counts)):
         k1, k2 = min(size, counts[0]), min(size, counts[1])

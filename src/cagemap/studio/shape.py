@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
@@ -94,7 +94,7 @@ class Shape:
     @kept
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
-        return np.asarray(self.control.positions[edge_table(self.control).vertices])
+        return np.asarray(self.control.positions[mesh_topology(self.control).edge_vertices])
 
     @kept
     def surface(self) -> TriangleSurface:

@@ -13,17 +13,11 @@ import numpy as np
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
+from cagemap.mesh.topology import BoolArray, Topology, layout_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, Sharpness, control_state, next_state
-from cagemap.subdivision.topology import (
-    BoolArray,
-    Topology,
-    children,
-    control_table,
-    split_topology,
-    topology_of_table,
-)
+from cagemap.subdivision.topology import children, split_topology
 
 # UVs (p, 2) of a level, and the UV of every corner of its faces.
 Layout: TypeAlias = tuple[FloatArray, IndexArray]
@@ -43,7 +37,7 @@ def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tu
     pairs = control.uv_indices * control.n_vertices + control.face_indices
     unique, numbers = np.unique(pairs, return_inverse=True)
     values, owners = np.divmod(unique, control.n_vertices)
-    cut = topology_of_table(control_table(control, numbers.astype(np.int64), len(unique)))
+    cut = layout_topology(control, numbers.astype(np.int64), len(unique))
     layout = MeshState(cut, np.zeros(len(unique), dtype=bool))
     if not is_linear(scheme):
         around = layout_sharpness(layout, state)
@@ -60,14 +54,14 @@ def _fixed_values(
     if mode == "boundaries":
         return cut.boundary, None
     single = cut.boundary & (cut.valences == 1)
-    inside = cut.edge_corners[:, 1] >= 0
+    inside = ~cut.outer_edges
     fixed = _at_edges(cut, inside & (around.edges >= INFINITE_SHARPNESS))
-    fixed[cut.table.vertices[cut.ranks < 0]] = True  # separate fans
+    fixed[cut.vertices[cut.ranks < 0]] = True  # separate fans
     if mode == "none":
         return fixed, None
     follows = None
     if mode in _DEPENDENT:
-        n_values = np.bincount(owners, minlength=topology.table.n_vertices)[owners]
+        n_values = np.bincount(owners, minlength=topology.n_vertices)[owners]
         other = np.arange(len(owners))  # of a vertex with two UVs, the other one
         twins = np.flatnonzero(n_values == 2)
         both = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
@@ -86,26 +80,23 @@ def _fixed_values(
 
 def _at_edges(cut: Topology, edges: BoolArray) -> BoolArray:
     """(p,) vertices of some of the edges."""
-    table = cut.table
-    corners = edges[table.edges]
-    result = np.zeros(table.n_vertices, dtype=bool)
-    result[table.vertices[corners]] = True
-    result[table.vertices[table.following[corners]]] = True
+    result = np.zeros(cut.n_vertices, dtype=bool)
+    result[cut.edge_ends[edges]] = True
     return result
 
 
 def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     """The mesh's sharpness in the layout, where seams and fixed values are infinitely sharp."""
-    cut, table, sharpness = layout.topology, state.topology.table, state.sharpness
+    cut, topology, sharpness = layout.topology, state.topology, state.sharpness
     forward = cut.edge_corners[:, 0]
-    outer = cut.edge_corners[:, 1] < 0
-    owners = np.empty(cut.table.n_vertices, dtype=np.int64)
-    owners[cut.table.vertices] = table.vertices
+    outer = cut.outer_edges
+    owners = np.empty(cut.n_vertices, dtype=np.int64)
+    owners[cut.vertices] = topology.vertices
     edges, halves = np.zeros(len(outer)), np.zeros((len(outer), 2))
     vertices = np.where(state.corner, INFINITE_SHARPNESS, 0.0)
     after = vertices
     if sharpness is not None:
-        edges, halves = sharpness.of_corners(table, forward)
+        edges, halves = sharpness.of_corners(topology, forward)
         vertices, after = sharpness.vertices, sharpness.after
     edges[outer], halves[outer] = INFINITE_SHARPNESS, INFINITE_SHARPNESS
     vertices = np.where(layout.corner, INFINITE_SHARPNESS, vertices[owners])
@@ -118,9 +109,9 @@ def _next_layout(layout: MeshState, scheme: Scheme) -> MeshState:
     child, follows = split_topology(layout.topology, scheme), layout.follows
     fixed = child.boundary
     if scheme.uv_interpolation != "boundaries":
-        fixed = np.concatenate([layout.corner, np.zeros(child.table.n_vertices - len(layout.corner), dtype=bool)])
+        fixed = np.concatenate([layout.corner, np.zeros(child.n_vertices - len(layout.corner), dtype=bool)])
     if follows is not None:
-        follows = np.concatenate([follows, np.arange(len(follows), child.table.n_vertices)])
+        follows = np.concatenate([follows, np.arange(len(follows), child.n_vertices)])
     return replace(layout, topology=child, corner=fixed, follows=follows)
 
 
@@ -133,13 +124,13 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
             state = state if is_linear(scheme) else next_state(state, scheme)
             layout = _next_layout(layout, scheme)
         uvs = refine_uvs(layout, uvs, state, scheme)
-    return uvs, children(layout.topology.table, scheme).astype(np.int64)
+    return uvs, children(layout.topology, scheme).astype(np.int64)
 
 
 def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
     """UVs (p, 2) of the next level: a linear step, or in any mode but ``all`` the surface's step on the layout."""
     if is_linear(scheme):
-        linear: FloatArray = linear_matrix(layout.topology.table, not isinstance(scheme, Loop)) @ uvs
+        linear: FloatArray = linear_matrix(layout.topology, not isinstance(scheme, Loop)) @ uvs
         return linear
     if state.sharpness is not None:
         around = layout_sharpness(layout, state)

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
+from cagemap.mesh.topology import BoolArray, Topology, topology_of
 from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.subdivision.matrices import (
     RowFiller,
@@ -25,8 +26,8 @@ from cagemap.subdivision.matrices import (
     vertex_row_lengths,
 )
 from cagemap.subdivision.refinement import Refinement, state_of
-from cagemap.subdivision.sharpness import MeshState, Sharpness, edge_ends, next_state
-from cagemap.subdivision.topology import BoolArray, Topology, corner_neighbours, table_of, topology_of_table
+from cagemap.subdivision.sharpness import MeshState, Sharpness, next_state
+from cagemap.subdivision.topology import corner_neighbours
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
 # Rows, columns and weights of some entries of a matrix.
@@ -34,28 +35,16 @@ Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 
 def limit_matrix(refinement: Refinement, level: int) -> csr_array:
-    """Weights of a level's limit positions in its positions, (n_level, n_level); rows sum to 1.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such level, or level 0 has faces that are not quads under Catmull-Clark.
-    """
+    """Weights of a level's limit positions in its positions, (n_level, n_level); rows sum to 1."""
     state = _checked_state(refinement, level)
     scheme = refinement.scheme
     if isinstance(scheme, Bilinear):
-        return csr_array(eye_array(state.topology.table.n_vertices, format="csr"))
-    return _limits(state, scheme, np.ones(state.topology.table.n_vertices, dtype=bool))
+        return csr_array(eye_array(state.topology.n_vertices, format="csr"))
+    return _limits(state, scheme, np.ones(state.topology.n_vertices, dtype=bool))
 
 
 def limit_positions(refinement: Refinement, level: int) -> FloatArray:
-    """Limit positions of a level's vertices, (n_level, 3): the same point at every level that has the vertex.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such level.
-    """
+    """Limit positions of a level's vertices, (n_level, 3): the same point at every level that has the vertex."""
     if level == 0 and not _has_limit_rings(refinement, 0):
         if refinement.n_levels == 0:
             raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")
@@ -78,10 +67,7 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
 
 
 def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, FloatArray]:
-    """Two directions that span the limit surface's tangent plane at every vertex, each (n_level, 3).
-
-    Their cross product is outward; their lengths mean nothing. On the boundary the first follows the curve.
-    """
+    """Two tangents (n_level, 3) of the limit surface, their cross product outward; the first follows the boundary."""
     state = _checked_state(refinement, level)
     positions, scheme = refinement.levels[level].positions, refinement.scheme
     if isinstance(scheme, Bilinear):
@@ -111,8 +97,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
     """Vertices (n,) that are sharp beyond the boundary's rules: semi-sharp, darts, creases, corners."""
-    ends, n = edge_ends(topology), topology.table.n_vertices
-    inside = topology.edge_corners[:, 1] >= 0
+    ends, n = topology.edge_ends, topology.n_vertices
+    inside = ~topology.outer_edges
     infinite = sharpness.edges >= INFINITE_SHARPNESS
     semi = (sharpness.vertices > 0) & (sharpness.vertices < INFINITE_SHARPNESS)
     semi[ends[(sharpness.edges > 0) & ~infinite]] = True
@@ -130,7 +116,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     if sharpness is None:
         return rows
     semi, dart, crease_vertices, corner = _features(topology, sharpness)
-    ends, n = edge_ends(topology), topology.table.n_vertices
+    ends, n = topology.edge_ends, topology.n_vertices
     smooth = ~(semi | dart | crease_vertices | corner)
     own, other = CREASE_LIMIT
     along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease_vertices[ends]
@@ -162,7 +148,7 @@ def _refined_around(
     """Neighbourhood of some vertices, its vertex numbers, its next level, and those vertices there."""
     part, vertices = _neighbourhood(state, chosen)
     child = next_state(part, scheme)
-    followed = np.zeros(child.topology.table.n_vertices, dtype=bool)
+    followed = np.zeros(child.topology.n_vertices, dtype=bool)
     followed[: len(vertices)] = chosen[vertices]
     return part, vertices, child, followed
 
@@ -192,16 +178,17 @@ def _tangents_of_sides(
 ) -> tuple[FloatArray, FloatArray]:
     """Tangents of the mean normal of all sides of infinite creases, along which the surface is cut."""
     assert state.sharpness is not None
-    topology, table = state.topology, state.topology.table
+    topology = state.topology
     cut = state.sharpness.edges >= INFINITE_SHARPNESS
     forward, backward = topology.edge_corners[~cut].T
-    pairs = (np.concatenate([forward, table.following[forward]]), np.concatenate([table.following[backward], backward]))
-    labels, vertices = np.unique(components(*pairs, table.n_corners), return_inverse=True)
-    cut_apart = table_of(vertices, len(labels), table.faces, table.following, table.previous)
+    heads = np.concatenate([forward, topology.following[forward]])
+    tails = np.concatenate([topology.following[backward], backward])
+    labels, vertices = np.unique(components(heads, tails, topology.n_corners), return_inverse=True)
+    cut_apart = topology_of(vertices, len(labels), topology.faces, topology.following, topology.previous)
     owners = np.empty(len(labels), dtype=np.int64)
-    owners[cut_apart.vertices] = table.vertices
-    sides = ring_tangents(topology_of_table(cut_apart), scheme, (corner | state.corner)[owners], positions[owners])
-    n = table.n_vertices
+    owners[cut_apart.vertices] = topology.vertices
+    sides = ring_tangents(cut_apart, scheme, (corner | state.corner)[owners], positions[owners])
+    n = topology.n_vertices
     normals = np.zeros((n, 3))
     np.add.at(normals, owners, _unit(np.cross(*sides)))
     normals = _unit(normals)
@@ -217,23 +204,22 @@ def _tangents_of_sides(
 def _neighbourhood(state: MeshState, vertices: BoolArray) -> tuple[MeshState, IndexArray]:
     """Two rings of faces around some vertices as a mesh, and its vertex numbers."""
     assert state.sharpness is not None
-    table = state.topology.table
+    topology = state.topology
     near = vertices
     for _ in range(2):
-        faces = np.zeros(table.n_faces, dtype=bool)
-        faces[table.faces[near[table.vertices]]] = True
-        near = np.zeros(table.n_vertices, dtype=bool)
-        near[table.vertices[faces[table.faces]]] = True
-    corners = np.flatnonzero(faces[table.faces])
-    new = np.zeros(table.n_corners, dtype=np.int32)
+        faces = np.zeros(topology.n_faces, dtype=bool)
+        faces[topology.faces[near[topology.vertices]]] = True
+        near = np.zeros(topology.n_vertices, dtype=bool)
+        near[topology.vertices[faces[topology.faces]]] = True
+    corners = np.flatnonzero(faces[topology.faces])
+    new = np.zeros(topology.n_corners, dtype=np.int32)
     new[corners] = np.arange(len(corners))
-    numbers, indices = np.unique(table.vertices[corners], return_inverse=True)
-    face_numbers = (np.cumsum(faces) - 1).astype(np.int32)[table.faces[corners]]
-    part = topology_of_table(
-        table_of(indices, len(numbers), face_numbers, new[table.following[corners]], new[table.previous[corners]])
-    )
+    numbers, indices = np.unique(topology.vertices[corners], return_inverse=True)
+    face_numbers = (np.cumsum(faces) - 1).astype(np.int32)[topology.faces[corners]]
+    around = new[topology.following[corners]], new[topology.previous[corners]]
+    part = topology_of(indices, len(numbers), face_numbers, *around)
     start = corners[part.edge_corners[:, 0]]
-    edges, halves = state.sharpness.of_corners(table, start)
+    edges, halves = state.sharpness.of_corners(topology, start)
     sharpness = Sharpness(edges, halves, state.sharpness.vertices[numbers], state.sharpness.after[numbers])
     return MeshState(part, state.corner[numbers], sharpness), numbers.astype(np.int64)
 
@@ -242,13 +228,12 @@ def _dart_rows(
     topology: Topology, sharpness: Sharpness, scheme: SmoothScheme, dart: BoolArray
 ) -> tuple[csr_array, csr_array, csr_array]:
     """Weights of limit position and tangents, (n, n) each, at vertices where one infinite crease ends."""
-    table = topology.table
-    infinite = (sharpness.edges >= INFINITE_SHARPNESS)[table.edges]
-    first = np.zeros(table.n_vertices, dtype=np.int32)
-    leading = infinite & dart[table.vertices]
-    first[table.vertices[leading]] = topology.ranks[leading]
-    around = np.flatnonzero(dart[table.vertices])
-    centres = table.vertices[around]
+    infinite = (sharpness.edges >= INFINITE_SHARPNESS)[topology.edges]
+    first = np.zeros(topology.n_vertices, dtype=np.int32)
+    leading = infinite & dart[topology.vertices]
+    first[topology.vertices[leading]] = topology.ranks[leading]
+    around = np.flatnonzero(dart[topology.vertices])
+    centres = topology.vertices[around]
     valences = topology.valences[centres]
     ranks = (topology.ranks[around] - first[centres]) % valences
     rings = rings_of(topology, scheme)
@@ -262,7 +247,7 @@ def _dart_rows(
             for number, ring in enumerate(rings):
                 places = 1 + number * valence + ranks[alike]
                 kind.append((centres[alike], ring[around[alike]], weights[places]))
-    position, first_tangent, second = (matrix_of(kind, table.n_vertices) for kind in entries)
+    position, first_tangent, second = (matrix_of(kind, topology.n_vertices) for kind in entries)
     return position, first_tangent, second
 
 
@@ -277,15 +262,14 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     columns = [np.zeros_like(here), 1 + here, *([1 + valence + here] if quads else []), 1 + following]
     faces = np.column_stack(columns)
     n = 1 + (2 if quads else 1) * valence
-    table = table_of(faces.ravel(), n, *corner_neighbours(*faces.shape))
-    topology = topology_of_table(table)
-    edges = np.where(topology.edge_corners[:, 1] < 0, INFINITE_SHARPNESS, 0.0)
-    spokes = table.edges[:: faces.shape[1]]
+    topology = topology_of(faces.ravel(), n, *corner_neighbours(*faces.shape))
+    edges = np.where(topology.outer_edges, INFINITE_SHARPNESS, 0.0)
+    spokes = topology.edges[:: faces.shape[1]]
     edges[spokes[0]] = INFINITE_SHARPNESS
     smooth = np.zeros(n)
     sharpness = Sharpness(edges, np.column_stack([edges, edges]), smooth, smooth)
     matrix = subdivision_matrix(MeshState(topology, smooth.astype(bool), sharpness), scheme)
-    ring = np.concatenate([[0], n + spokes, *([n + table.n_edges + here] if quads else [])])
+    ring = np.concatenate([[0], n + spokes, *([n + topology.n_edges + here] if quads else [])])
     local = matrix[ring].toarray()
     # The ring is symmetric about the crease: one tangent is even, one odd, and neither eigenvalue is repeated.
     mirror = np.concatenate([[0], 1 + (-here) % valence, *([1 + valence + (-1 - here) % valence] if quads else [])])
@@ -317,14 +301,14 @@ def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> 
     rows = RowFiller(vertex_row_lengths(topology, corner, len(each)))
     put_inner_rows(rows, topology, own, *zip(rings_of(topology, scheme), each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_LIMIT)
-    return rows.matrix(topology.table.n_vertices)
+    return rows.matrix(topology.n_vertices)
 
 
 def ring_tangents(
     topology: Topology, scheme: SmoothScheme, corner: BoolArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Two tangents of every vertex, (n, 3) each; on the boundary the first follows the curve."""
-    n = topology.table.n_vertices
+    n = topology.n_vertices
     tangents = []
     for number, interior in enumerate(_interior_tangents(topology, scheme)):
         on_boundary = matrix_of(_boundary_tangents(topology, scheme, corner, number), n)
@@ -334,7 +318,6 @@ def ring_tangents(
 
 def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_array]:
     """Weights of the two tangents of interior vertices, (n, n) each; boundary rows are empty."""
-    table = topology.table
     rings = rings_of(topology, scheme)
     # Few (valence, rank) pairs occur: their trigonometry is done once each.
     present = np.flatnonzero(np.bincount(topology.valences))
@@ -347,25 +330,26 @@ def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_arr
         sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
         polygon = sign, none, none, sign
         masks = tuple(np.where(valences == 2, new, old) for new, old in zip(polygon, masks, strict=True))
-    inside = np.flatnonzero(~topology.boundary[table.vertices])
-    centres, rank = table.vertices[inside], topology.ranks[inside]
+    inside = np.flatnonzero(~topology.boundary[topology.vertices])
+    centres, rank = topology.vertices[inside], topology.ranks[inside]
     mask = first_of[topology.valences[centres]] + rank
     result = []
     for tangent in (masks[: len(rings)], masks[len(rings) :]):
         rows = RowFiller(np.where(topology.boundary, 0, len(rings) * topology.valences))
         for offset, (ring, weights) in enumerate(zip(rings, tangent, strict=True)):
             rows.put(centres, len(rings) * rank + offset, ring[inside], weights[mask])
-        result.append(csr_array((rows.data, rows.indices, rows.indptr), shape=(table.n_vertices, table.n_vertices)))
+        result.append(
+            csr_array((rows.data, rows.indices, rows.indptr), shape=(topology.n_vertices, topology.n_vertices))
+        )
     return result
 
 
 def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:
     """Entries of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
-    table = topology.table
     curve = topology.boundary_corners
     # The curve leaves vertex `here` towards `after`, and came from `before`; faces lie on its left.
-    here, after = table.vertices[curve], table.vertices[table.following[curve]]
-    before = np.empty(table.n_vertices, dtype=np.int32)
+    here, after = topology.vertices[curve], topology.vertices[topology.following[curve]]
+    before = np.empty(topology.n_vertices, dtype=np.int32)
     before[after] = here
     before = before[here]
     stays = corner[here].astype(np.float64)
@@ -378,14 +362,14 @@ def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArr
         (here[single], here[single], stays[single] - 2),
         (here[single], after[single], 1 - stays[single]),
     ]
-    corners_at = np.flatnonzero(topology.boundary[table.vertices])
+    corners_at = np.flatnonzero(topology.boundary[topology.vertices])
     for valence in np.unique(topology.valences[here[~single]]):
         centre, edges, faces = scheme.inward_tangent(int(valence))
         chosen = topology.valences[here] == valence
         entries.append((here[chosen], here[chosen], np.full(int(chosen.sum()), centre)))
         entries.append((here[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
-        corners = corners_at[topology.valences[table.vertices[corners_at]] == valence]
+        corners = corners_at[topology.valences[topology.vertices[corners_at]] == valence]
         ring_weights = (edges[:-1], faces)
         for ring, ring_weight in zip(rings_of(topology, scheme), ring_weights, strict=False):
-            entries.append((table.vertices[corners], ring[corners], ring_weight[topology.ranks[corners]]))
+            entries.append((topology.vertices[corners], ring[corners], ring_weight[topology.ranks[corners]]))
     return entries

@@ -14,9 +14,10 @@ from scipy import sparse
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Loop, Scheme
+from cagemap.mesh.topology import layout_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision.matrices import linear_matrix
-from cagemap.subdivision.topology import children, control_table, split_table
+from cagemap.subdivision.topology import children, split_topology
 from cagemap.surface.triangles import fan_triangles, triangles
 
 
@@ -53,12 +54,12 @@ def interpolate_linearly(
         identity = sparse.csr_array(sparse.eye_array(count, format="csr"))
         return LinearValues(identity, fan_triangles(control.face_offsets, nodes)[0])
     with_faces = not isinstance(scheme, Loop)
-    table = control_table(control, nodes, count)
-    matrix = linear_matrix(table, with_faces)
+    topology = layout_topology(control, nodes, count)
+    matrix = linear_matrix(topology, with_faces)
     for _ in range(level - 1):
-        table = split_table(table, scheme)
-        matrix = sparse.csr_array(linear_matrix(table, with_faces) @ matrix)
-    return LinearValues(matrix, triangles(children(table, scheme).astype(np.int64)))
+        topology = split_topology(topology, scheme)
+        matrix = sparse.csr_array(linear_matrix(topology, with_faces) @ matrix)
+    return LinearValues(matrix, triangles(children(topology, scheme).astype(np.int64)))
 
 
 def corner_triangles(control: ControlMesh, level: int, scheme: Scheme) -> IndexArray:

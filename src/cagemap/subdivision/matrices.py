@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, diags_array, vstack
 
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
+from cagemap.mesh.topology import BoolArray, IntArray, Topology
 from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision.sharpness import MeshState, sharpened
-from cagemap.subdivision.topology import BoolArray, CornerTable, IntArray, Topology
 
 
 class RowFiller:
@@ -38,10 +38,10 @@ class RowFiller:
 
 def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> None:
     """Fill the rows of boundary vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
-    table, crease = topology.table, topology.boundary & ~corner
+    crease = topology.boundary & ~corner
     curve = topology.boundary_corners
-    starts, ends = table.vertices[curve], table.vertices[table.following[curve]]
-    numbers = np.arange(table.n_vertices, dtype=np.int32)
+    starts, ends = topology.vertices[curve], topology.vertices[topology.following[curve]]
+    numbers = np.arange(topology.n_vertices, dtype=np.int32)
     rows.put(numbers[crease], 0, numbers[crease], weights[0])
     rows.put(numbers[corner], 0, numbers[corner], 1.0)
     rows.put(starts[crease[starts]], 1, ends[crease[starts]], weights[1])
@@ -50,11 +50,11 @@ def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, we
 
 def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
     """Fill the rows of inner vertices: own weight (n,), then per corner one vertex (c,) of weight (n,) per ring."""
-    table, smooth = topology.table, ~topology.boundary
+    smooth = ~topology.boundary
     numbers = np.flatnonzero(smooth).astype(np.int32)
     rows.put(numbers, 0, numbers, own[numbers])
-    around = np.flatnonzero(smooth[table.vertices]) if not smooth.all() else slice(None)
-    centres = table.vertices[around]
+    around = np.flatnonzero(smooth[topology.vertices]) if not smooth.all() else slice(None)
+    centres = topology.vertices[around]
     first = 1 + len(rings) * topology.ranks[around]
     for place, (columns, weights) in enumerate(rings):
         rows.put(centres, first + place, columns[around], weights[centres])
@@ -62,18 +62,17 @@ def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings:
 
 def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other_weight: float, n_others: int) -> None:
     """Fill the rows of edge points: the two ends, then on each side the ``n_others`` other vertices of the face."""
-    table = topology.table
     forward, backward = topology.edge_corners.T
     interior = backward >= 0
-    numbers = np.arange(table.n_vertices, table.n_vertices + table.n_edges, dtype=np.int32)
+    numbers = np.arange(topology.n_vertices, topology.n_vertices + topology.n_edges, dtype=np.int32)
     weight = np.where(interior, end_weight, 0.5)
-    rows.put(numbers, 0, table.vertices[forward], weight)
-    rows.put(numbers, 1, table.vertices[table.following[forward]], weight)
+    rows.put(numbers, 0, topology.vertices[forward], weight)
+    rows.put(numbers, 1, topology.vertices[topology.following[forward]], weight)
     place = 2
     for corner in (forward[interior], backward[interior]):
         for _ in range(n_others):
-            corner = table.previous[corner]
-            rows.put(numbers[interior], place, table.vertices[corner], other_weight)
+            corner = topology.previous[corner]
+            rows.put(numbers[interior], place, topology.vertices[corner], other_weight)
             place += 1
 
 
@@ -86,41 +85,40 @@ def vertex_row_lengths(topology: Topology, corner: BoolArray, n_rings: int) -> I
 
 def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
     """Per corner: the next vertex of its face, and under Catmull-Clark also the opposite one."""
-    table = topology.table
-    neighbours = table.vertices[table.following]
-    return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[table.following]]
+    neighbours = topology.vertices[topology.following]
+    return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[topology.following]]
 
 
 def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
     """One step of Catmull-Clark on quads or of Loop on triangles, from their masks."""
-    table, rings = topology.table, rings_of(topology, scheme)
+    rings = rings_of(topology, scheme)
     if isinstance(scheme, Loop):
         own, *each = scheme.vertex_weights(topology.valences)
         edge_weights, n_face_points = scheme.edge_weights(), 0
     else:
         own, *each = scheme.quad_vertex_weights(topology.valences)
-        edge_weights, n_face_points = scheme.quad_edge_weights(), table.n_faces
-    edge_lengths = np.where(topology.edge_corners[:, 1] >= 0, 2 + 2 * len(rings), 2)
+        edge_weights, n_face_points = scheme.quad_edge_weights(), topology.n_faces
+    edge_lengths = np.where(~topology.outer_edges, 2 + 2 * len(rings), 2)
     lengths = vertex_row_lengths(topology, corner, len(rings)), edge_lengths, np.full(n_face_points, 4)
     rows = RowFiller(np.concatenate(lengths))
     put_inner_rows(rows, topology, own, *zip(rings, each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
     _put_edge_rows(rows, topology, *edge_weights, n_others=len(rings))
     if n_face_points:
-        start = rows.indptr[table.n_vertices + table.n_edges]
-        rows.indices[start:], rows.data[start:] = table.vertices, 0.25
-    return rows.matrix(table.n_vertices)
+        start = rows.indptr[topology.n_vertices + topology.n_edges]
+        rows.indices[start:], rows.data[start:] = topology.vertices, 0.25
+    return rows.matrix(topology.n_vertices)
 
 
 def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
     """One step of Catmull-Clark on faces of any size, through the face points as in [CC78]; for control meshes."""
-    table, smooth = topology.table, ~topology.boundary
-    shape = (table.n_corners, table.n_vertices)
-    here = _selection(table.vertices, shape)
-    ends = _selection(table.vertices[table.following], shape)
-    of_face = _selection(table.faces, (table.n_corners, table.n_faces))
-    of_edge = _selection(table.edges, (table.n_corners, table.n_edges))
-    sizes = np.bincount(table.faces, minlength=table.n_faces)
+    smooth = ~topology.boundary
+    shape = (topology.n_corners, topology.n_vertices)
+    here = _selection(topology.vertices, shape)
+    ends = _selection(topology.vertices[topology.following], shape)
+    of_face = _selection(topology.faces, (topology.n_corners, topology.n_faces))
+    of_edge = _selection(topology.edges, (topology.n_corners, topology.n_edges))
+    sizes = np.bincount(topology.faces, minlength=topology.n_faces)
     face_points = diags_array(1 / sizes) @ (of_face.T @ here)
 
     own, neighbour, face = scheme.vertex_weights(topology.valences)
@@ -130,11 +128,11 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
         diags_array(np.where(smooth, own, 0.0))
         + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
         + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
-        + boundary.matrix(table.n_vertices)
+        + boundary.matrix(topology.n_vertices)
     )
-    interior = topology.edge_corners[:, 1] >= 0
+    interior = ~topology.outer_edges
     forward = topology.edge_corners[:, 0]
-    face_weight = 0.5 * np.bincount(table.edges, scheme.face_edge_weights(sizes)[table.faces])
+    face_weight = 0.5 * np.bincount(topology.edges, scheme.face_edge_weights(sizes)[topology.faces])
     edge_points = (
         diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (here[forward] + ends[forward])
         + diags_array(np.where(interior, face_weight, 0.0)) @ (of_edge.T @ of_face) @ face_points
@@ -150,26 +148,26 @@ def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
     return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
 
 
-def linear_matrix(table: CornerTable, with_faces: bool = True) -> csr_array:
+def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
     """One step without smoothing: vertices stay, edges get the middle, faces the mean of their corners."""
-    n, e = table.n_vertices, table.n_edges
-    forward = np.flatnonzero(table.forward)
-    edges = np.repeat(table.edges[forward], 2)
-    ends = np.stack([table.vertices[forward], table.vertices[table.following[forward]]], axis=1).ravel()
+    n, e = topology.n_vertices, topology.n_edges
+    forward = np.flatnonzero(topology.forward)
+    edges = np.repeat(topology.edges[forward], 2)
+    ends = np.stack([topology.vertices[forward], topology.vertices[topology.following[forward]]], axis=1).ravel()
     entries = [(np.arange(n), np.arange(n), np.ones(n)), (n + edges, ends, np.full(len(edges), 0.5))]
     if with_faces:
-        entries.append((n + e + table.faces, table.vertices, 1.0 / np.bincount(table.faces)[table.faces]))
+        entries.append((n + e + topology.faces, topology.vertices, 1.0 / np.bincount(topology.faces)[topology.faces]))
     rows, columns, values = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
     places = rows.astype(np.int32), columns.astype(np.int32)
-    return csr_array(coo_array((values, places), shape=(n + e + (table.n_faces if with_faces else 0), n)))
+    return csr_array(coo_array((values, places), shape=(n + e + (topology.n_faces if with_faces else 0), n)))
 
 
 def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
     """S of the step from a level to the next, (n_fine, n_coarse): rows sum to 1, indices ascend in every row."""
     topology = state.topology
     if isinstance(scheme, Bilinear):
-        return linear_matrix(topology.table)
-    if isinstance(scheme, Loop) or topology.table.has_only(4):
+        return linear_matrix(topology)
+    if isinstance(scheme, Loop) or topology.has_quads_only:
         matrix = regular_matrix(topology, scheme, state.corner)
     else:
         matrix = polygon_matrix(topology, scheme, state.corner)

@@ -1,4 +1,4 @@
-"""Refine a control mesh: every level's mesh, and the matrices between levels."""
+"""Refine a control mesh: every level's mesh, and the matrices between levels; levels as meshes for files."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import cage_triangles, keep_faces, labels_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
-from cagemap.mesh.topology import edge_table
+from cagemap.mesh.topology import BoolArray, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, control_state, next_state
-from cagemap.subdivision.topology import BoolArray, children, control_topology
+from cagemap.subdivision.topology import children, control_topology
+from cagemap.surface.triangles import fan_triangles
 from cagemap.surface.triangles import triangles as triangles
 
 # Nonzeros of the second S per control corner, about; each further S has four times as many.
@@ -164,10 +166,7 @@ class Refinement:
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
         """Rows of ``S^{fine,coarse}`` for vertices (m,) of the fine level, (m, n_coarse), without computing the others.
 
-        Raises
-        ------
-        ParameterError
-            If there is no such level or vertex.
+        ParameterError if there is no such level or vertex.
         """
         self._check_order(fine, coarse)
         n = self.levels[fine].n_vertices
@@ -229,13 +228,7 @@ def with_options(
     uv_interpolation: str | None = None,
     creasing: str | None = None,
 ) -> ControlMesh:
-    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file.
-
-    Raises
-    ------
-    ParameterError
-        If a value is not allowed.
-    """
+    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file."""
     before = default_scheme(control)
     kind = type(before)
     if scheme is not None:
@@ -280,7 +273,7 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     scheme = default_scheme(control) if scheme is None else scheme
     _check_input(control, levels, scheme)
     state = control_state(control, scheme)
-    entries = ENTRIES_PER_CORNER * state.topology.table.n_corners * 4 ** max(levels - 2, 0)
+    entries = ENTRIES_PER_CORNER * state.topology.n_corners * 4 ** max(levels - 2, 0)
     if entries >= 2**31:
         raise ParameterError(
             f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
@@ -291,10 +284,10 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     for step in range(levels):
         state = next_state(state, scheme) if step else state
         matrices.append(subdivision_matrix(state, scheme))
-        positions, table, parents = matrices[-1] @ result[-1].positions, state.topology.table, result[-1].face_parents
-        parents = np.repeat(parents, 4) if isinstance(scheme, Loop) else parents[table.faces]
+        positions, parents = matrices[-1] @ result[-1].positions, result[-1].face_parents
+        parents = np.repeat(parents, 4) if isinstance(scheme, Loop) else parents[state.topology.faces]
         lay = partial(refined_layout, control, step + 1, scheme) if has_uvs else None
-        result.append(Level(positions, children(table, scheme).astype(np.int64), parents, lay))
+        result.append(Level(positions, children(state.topology, scheme).astype(np.int64), parents, lay))
     return Refinement(control, scheme, tuple(matrices), tuple(result))
 
 
@@ -307,10 +300,7 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) control faces that are holes: those of the file, and under boundary ``none`` all at the boundary.
-
-    Bilinear faces need no neighbours, so that those at the boundary stay.
-    """
+    """(m,) faces that are holes: those of the file, and under boundary ``none`` all at the boundary."""
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
@@ -360,25 +350,68 @@ def level_triangles(refinement: Refinement, level: int) -> IndexArray:
 
 
 def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:
-    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`.
-
-    A step adds a vertex per edge and, but for Loop, per face; it splits every edge and adds one per corner.
-
-    Examples
-    --------
-    >>> from itertools import islice
-    >>> from cagemap import ControlMesh
-    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
-    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
-    >>> list(islice(vertex_counts(tetrahedron), 4))
-    [4, 10, 34, 130]
-    """
+    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`."""
     loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
     vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
-    edges = len(edge_table(control).vertices)
+    edges = mesh_topology(control).n_edges
     while True:
         yield vertices
         vertices += edges + (0 if loop else faces)
         edges = 2 * edges + corners
         faces = 4 * faces if loop else corners
         corners = (3 if loop else 4) * faces
+
+
+def finest_mesh(refinement: Refinement) -> ControlMesh:
+    """Finest level with all UV sets, colours, materials, objects and groups, without creases and holes."""
+    finest, control = refinement.finest, refinement.control
+    if finest.faces is None or refinement.n_levels == 0:
+        return control
+    mesh = replace(
+        control.without_sharpness(),
+        positions=finest.positions,
+        face_offsets=np.arange(0, finest.faces.size + 1, finest.faces.shape[1]),
+        face_indices=finest.faces.ravel(),
+        uvs=finest.uvs,
+        uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
+        **labels_of(control, finest.face_parents),
+        uv_sets=tuple(_refined_uvs(refinement, uv_set) for uv_set in control.uv_sets),
+        vertex_colors=_finest_colors(refinement),
+        hole_faces=None,
+        file_vertices=None,
+        file_faces=None,
+        file_copies=None,
+        scheme=None,
+    )
+    holes = refinement.holes(refinement.n_levels)
+    return keep_faces(mesh, np.flatnonzero(~holes)) if holes.any() else mesh
+
+
+def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
+    """An inactive UV set, refined as the active one."""
+    alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
+    finest = refine(alone, refinement.n_levels, refinement.scheme).finest
+    assert finest.uvs is not None
+    assert finest.uv_indices is not None
+    return UvSet(uv_set.name, finest.uvs, finest.uv_indices.ravel())
+
+
+def _finest_colors(refinement: Refinement) -> FloatArray | None:
+    """Colours of the finest vertices; None where some control vertices have none."""
+    colors = refinement.control.vertex_colors
+    if colors is None or not np.isfinite(colors).all():
+        return None
+    return np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0)
+
+
+def truncated(refinement: Refinement, level: int) -> Refinement:
+    """The levels from 0 to this one; polygons of level 0, if it is the last, are split into fans."""
+    found, control = refinement.up_to(level), refinement.control
+    last = found.levels[-1]
+    if last.faces is not None:
+        return found
+    split, parents = fan_triangles(control.face_offsets, control.face_indices)
+    fans = replace(last, faces=split, face_parents=parents)
+    if control.uvs is not None and control.uv_indices is not None:
+        fans = fans.with_uvs(control.uvs, fan_triangles(control.face_offsets, control.uv_indices)[0])
+    return replace(found, levels=(*found.levels[:-1], fans))

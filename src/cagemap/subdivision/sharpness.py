@@ -18,8 +18,9 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing, Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.topology import BoolArray, CornerTable, Topology, control_topology, split_topology
+from cagemap.mesh.topology import BoolArray, Topology
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.subdivision.topology import control_topology, split_topology
 
 # Vertex rules; smooth includes darts, where a single crease ends.
 SMOOTH, CREASE, CORNER = 0, 2, 3
@@ -38,31 +39,18 @@ class Sharpness:
     vertices: FloatArray
     after: FloatArray
 
-    def of_corners(self, table: CornerTable, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
+    def of_corners(self, topology: Topology, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
         """Sharpness of some corners' edges (k,) and of their halves (k, 2), in the corners' direction."""
-        edges = table.edges[corners]
+        edges = topology.edges[corners]
         halves = self.halves[edges]
-        return self.edges[edges], np.where(table.forward[corners][:, None], halves, halves[:, ::-1])
-
-
-def edge_ends(topology: Topology) -> IndexArray:
-    """(e, 2) vertices at the start and the end of every edge."""
-    table = topology.table
-    forward = topology.edge_corners[:, 0]
-    return np.column_stack([table.vertices[forward], table.vertices[table.following[forward]]]).astype(np.int64)
+        return self.edges[edges], np.where(topology.forward[corners][:, None], halves, halves[:, ::-1])
 
 
 def control_sharpness(
     control: ControlMesh, topology: Topology, corner: BoolArray, creasing: Creasing
 ) -> Sharpness | None:
-    """Sharpness in a control mesh's file, with fixed boundary vertices (n,); None if nothing else is sharp.
-
-    Raises
-    ------
-    InvalidMeshError
-        If a crease is not an edge of the mesh.
-    """
-    edges = np.zeros(topology.table.n_edges)
+    """Sharpness in a control mesh's file, with fixed boundary vertices (n,); None if nothing else is sharp."""
+    edges = np.zeros(topology.n_edges)
     vertices = np.zeros(control.n_vertices)
     if control.crease_edges is not None and control.crease_sharpness is not None:
         edges[_edge_numbers(control, topology)] = control.crease_sharpness
@@ -70,7 +58,7 @@ def control_sharpness(
         vertices[control.corner_vertices] = control.corner_sharpness
     if not (edges > 0).any() and not (vertices > 0).any():
         return None
-    edges[topology.edge_corners[:, 1] < 0] = INFINITE_SHARPNESS
+    edges[topology.outer_edges] = INFINITE_SHARPNESS
     vertices[corner] = INFINITE_SHARPNESS
     limits = 0.0, INFINITE_SHARPNESS
     return with_halves(topology, np.clip(edges, *limits), np.clip(vertices, *limits), creasing)
@@ -79,12 +67,8 @@ def control_sharpness(
 def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
     """Edges of the creases; InvalidMeshError where there is none."""
     assert control.crease_edges is not None
-    n = control.n_vertices
-    ends = edge_ends(topology)
-    keys = ends.min(axis=1) * n + ends.max(axis=1)
-    asked = control.crease_edges.min(axis=1) * n + control.crease_edges.max(axis=1)
-    order = np.argsort(keys)
-    numbers = order[np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)]
+    keys, asked = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
+    numbers = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)  # edges ascend, see `numbered_edges`
     missing = keys[numbers] != asked
     if missing.any():
         shown = first_few([tuple(pair) for pair in control.crease_edges[missing].tolist()])
@@ -109,7 +93,7 @@ def _reduced(sharpness: FloatArray) -> FloatArray:
 
 def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -> FloatArray:
     """Chaikin's rule: 3/4 of an edge's own sharpness and 1/4 of the mean of the other semi-sharp edges at that end."""
-    ends, n = edge_ends(topology), topology.table.n_vertices
+    ends, n = topology.edge_ends, topology.n_vertices
     semi = (edges > 0) & (edges < INFINITE_SHARPNESS)
     count = np.bincount(ends[semi].ravel(), minlength=n)
     total = np.bincount(ends[semi].ravel(), np.repeat(edges[semi], 2), minlength=n)
@@ -120,10 +104,10 @@ def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -
 
 def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) -> Sharpness:
     """Sharpness of the next level: edge e became 2e and 2e + 1, and all other edges and vertices are new and smooth."""
-    edges = np.zeros(child.table.n_edges)
+    edges = np.zeros(child.n_edges)
     edges[: sharpness.halves.size] = sharpness.halves.ravel()
-    edges[child.edge_corners[:, 1] < 0] = INFINITE_SHARPNESS
-    vertices = np.zeros(child.table.n_vertices)
+    edges[child.outer_edges] = INFINITE_SHARPNESS
+    vertices = np.zeros(child.n_vertices)
     vertices[: len(sharpness.after)] = sharpness.after
     return with_halves(child, edges, vertices, creasing)
 
@@ -135,7 +119,7 @@ def vertex_rules(
 
     UVs in ``follows`` (n,) have the edge sharpness around another UV.
     """
-    ends, n = edge_ends(topology), topology.table.n_vertices
+    ends, n = topology.edge_ends, topology.n_vertices
 
     def per_vertex(of_ends: FloatArray | BoolArray) -> FloatArray:
         sums = np.bincount(ends.ravel(), of_ends.ravel().astype(np.float64), minlength=n)
@@ -166,12 +150,12 @@ def sharpened(
     matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
 ) -> csr_array:
     """S (n_fine, n) of one step with creases and corners, from the S that has them on the boundary only."""
-    n = topology.table.n_vertices
-    ends, vertices = edge_ends(topology), np.arange(n)
+    n = topology.n_vertices
+    ends, vertices = topology.edge_ends, np.arange(n)
     smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
     # An edge of sharpness between 0 and 1 is half way to smooth, unless both its halves are still creases.
     hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
-    hard[topology.edge_corners[:, 1] < 0] = 0.0  # boundary edges have their midpoint already
+    hard[topology.outer_edges] = 0.0  # boundary edges have their midpoint already
     # A boundary row of the matrix is used as it is where the boundary is the vertex's crease.
     unchanged = topology.boundary & (crease == 1)
     smooth_part = np.ones(matrix.shape[0])
@@ -214,7 +198,7 @@ class MeshState:
 def boundary_corners(topology: Topology, scheme: Scheme) -> BoolArray:
     """(n,) boundary vertices that stay in place: those with a single face, if the boundary rule says so."""
     if scheme.boundary != "edge_and_corner":
-        return np.zeros(topology.table.n_vertices, dtype=bool)
+        return np.zeros(topology.n_vertices, dtype=bool)
     return topology.boundary & (topology.valences == 1)
 
 
@@ -228,7 +212,7 @@ def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
 def next_state(state: MeshState, scheme: Scheme) -> MeshState:
     """State one level finer."""
     topology = split_topology(state.topology, scheme)
-    corner = np.zeros(topology.table.n_vertices, dtype=bool)
+    corner = np.zeros(topology.n_vertices, dtype=bool)
     corner[: len(state.corner)] = state.corner
     sharpness = None if state.sharpness is None else next_sharpness(state.sharpness, topology, scheme.creasing)
     return MeshState(topology, corner, sharpness)

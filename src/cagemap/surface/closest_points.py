@@ -44,13 +44,7 @@ class TriangleTree:
 
 
 def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
-    """Search tree of triangles (t, 3) with vertices (n, 3), for `closest_points`.
-
-    Raises
-    ------
-    ParameterError
-        If there is no triangle or a position is not finite.
-    """
+    """Search tree of triangles (t, 3) with vertices (n, 3); ParameterError if there are none or not all are finite."""
     if len(triangles) == 0:
         raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
     positions = np.ascontiguousarray(positions, dtype=np.float64)
@@ -82,40 +76,19 @@ def closest_points(
     guess: IndexArray | None = None,
     within: FloatArray | float = np.inf,
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """Closest point of a surface for every query, in position and normal.
+    """Closest point of a surface for every query: triangle (m,), barycentric coordinates (m, 3) and distance (m,).
 
     Minimises ``|q - p|^2 + w^2 |n_q - n_p|^2`` over the surface's points ``p``, with ``n_p`` the normal of the triangle
-    of ``p``, over triangles whose normal makes a cosine of at least ``minimum_cosine`` with ``n_q``.
-
-    Parameters
-    ----------
-    tree : TriangleTree
-    points, normals : (m, 3) float64
-        Queries and, needed by the two options below, their unit normals.
-    normal_weight : float
-        ``w``, a length: opposite normals cost as much as a distance of ``2 w``.
-    minimum_cosine : float
-        Below -1 every triangle is allowed.
-    guess : (m,) int64, optional
-        A triangle near every query, -1 for none; makes the search faster, never changes the minimum.
-    within : (m,) float64 or float
-        A length: only points of a cost below its square are sought. It keeps the search local where no near triangle
-        has an allowed normal.
-
-    Returns
-    -------
-    triangle : (m,) int64
-        -1 where no triangle is allowed or near enough.
-    barycentric : (m, 3) float64
-    distance : (m,) float64
-        Euclidean ``|q - p|``, infinite where no triangle is found.
+    of ``p`` and ``w = normal_weight``, a length, over triangles whose normal makes a cosine of at least
+    ``minimum_cosine`` with ``n_q``. ``guess`` (m,) are triangles near the queries, -1 for none: they make the search
+    faster and never change the minimum. Only points of a cost below the square of ``within``, (m,) or one length, are
+    sought. Where no triangle is allowed or near enough, the triangle is -1 and the distance infinite.
     """
-    queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
-    directions = read_only(
-        np.zeros(queries.shape) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
-    )
     if normals is None and (normal_weight > 0 or minimum_cosine > -1):
         raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
+    queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
+    given = np.zeros(queries.shape) if normals is None else normals
+    directions = read_only(np.ascontiguousarray(given, dtype=np.float64))
     start = np.full(len(queries), -1, dtype=np.int64)
     if guess is not None:
         start = np.where(guess >= 0, tree.places[guess], -1)

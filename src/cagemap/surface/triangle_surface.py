@@ -123,10 +123,7 @@ class TriangleSurface:
         return bool(self.boundary_vertices.any())
 
     def at_boundary(self, triangle: IndexArray, barycentric: FloatArray) -> NDArray[np.bool_]:
-        """(m,) which points, by triangle (m,) and barycentric coordinates (m, 3), lie on the boundary.
-
-        A closest point there has no counterpart: the surface ends (Turk and Levoy 1994).
-        """
+        """(m,) which points lie on the boundary: closest points there have no counterpart (Turk and Levoy 1994)."""
         if not self.is_open:
             return np.zeros(len(triangle), dtype=np.bool_)
         on_edge = (barycentric <= ON_EDGE) & (self.neighbors[triangle] < 0)

@@ -118,7 +118,7 @@ def _each(
         f"left alone, since nothing goes with it by name or by landmarks: {names} of the {side}"
         for side, names in left.items()
     ]
-    return tuple(_inputs(target, source, landmarks, pair.target, pair.source) for pair in pairs), tuple(notes)
+    return tuple(_inputs(target, source, landmarks, *pair) for pair in pairs), tuple(notes)
 
 
 def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:

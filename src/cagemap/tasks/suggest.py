@@ -63,8 +63,8 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
     more = Landmarks.of_points(
         (*result.landmark_names, *free[:count]),
-        pairs.target_points.joined_with(CagePoints.of_vertices(chosen)),
-        pairs.source_points.joined_with(CagePoints.of_vertices(partners)),
+        CagePoints.joined((pairs.target_points, CagePoints.of_vertices(chosen))),
+        CagePoints.joined((pairs.source_points, CagePoints.of_vertices(partners))),
         result.target.control.name,
         result.source.control.name,
     )

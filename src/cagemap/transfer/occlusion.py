@@ -6,7 +6,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.libraries import library
+from cagemap.numerics.process import library
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.tangents import plane_basis
 

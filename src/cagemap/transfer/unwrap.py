@@ -18,7 +18,7 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.numerics.arrays import FloatArray, IndexArray, components
-from cagemap.numerics.libraries import library
+from cagemap.numerics.process import library
 from cagemap.subdivision import refine
 from cagemap.transfer.packing import pack_islands
 

@@ -104,9 +104,7 @@ def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> In
 
 def _uv_sets(mesh: ControlMesh) -> list[UvSet]:
     """All UV sets in the order of their names in glTF, others as the mesh has them."""
-    if mesh.uvs is None or mesh.uv_indices is None:
-        return []
-    sets = [UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets]
+    sets = [] if mesh.uvs is None else list(mesh.all_uv_sets)
     named = all(one.name.startswith("TEXCOORD_") for one in sets)
     return sorted(sets, key=lambda one: (len(one.name), one.name)) if named else sets
 

@@ -235,8 +235,7 @@ def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
     """Corners of one vertex with equal texture coordinates share them: normals alone make no UV seam."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return mesh
-    sets = [UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets]
-    first, *others = (UvSet(one.name, *_merged(mesh.face_indices, one)) for one in sets)
+    first, *others = (UvSet(one.name, *_merged(mesh.face_indices, one)) for one in mesh.all_uv_sets)
     return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))
 
 

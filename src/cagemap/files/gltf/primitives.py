@@ -15,7 +15,7 @@ from cagemap.files.gltf.nodes import distinct
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.join import join_meshes
+from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray, shown
 
 _log = logging.getLogger(__name__)

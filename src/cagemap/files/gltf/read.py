@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.parts import ReadPart, Scene, read_scene
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.join import join_meshes
+from cagemap.mesh.parts import join_meshes
 
 _log = logging.getLogger(__name__)
 

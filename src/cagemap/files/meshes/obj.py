@@ -257,11 +257,16 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
             f"{len(half)} face(s) with some: {first_few(half)} (0-based; the first is line "
             f"{statements.numbers[corners.rows[half[0]]]}). Unwrap those faces, or export without UVs."
         )
-    text = "%s: %d of %d faces have no texture coordinates: nothing is baked onto them"
-    _log.warning(text, statements.path, len(bare), len(corners.sizes))
+    warn_of_bare_faces(statements.path, len(bare), len(corners.sizes))
     uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
     indices = _resolve(statements, corners, np.where(corners.has_uv, corners.uvs, 1), _UV, "texture vertex")
     return np.vstack([uvs, [NO_UV]]), np.where(corners.has_uv, indices, len(uvs))
+
+
+def warn_of_bare_faces(path: Path, count: int, n_faces: int) -> None:
+    """Warn of faces without texture coordinates in a file that has some."""
+    if count:
+        _log.warning("%s: %d of %d faces have no texture coordinates: nothing is baked onto them", path, count, n_faces)
 
 
 def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:

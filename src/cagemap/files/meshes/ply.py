@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.obj import warn_of_bare_faces
 from cagemap.files.meshes.ply_records import Column, read_columns
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes
 from cagemap.files.values.colors import as_shares
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -106,19 +108,23 @@ def _indices(path: Path, corners: Column, count: int) -> IndexArray:
 def _uvs(
     path: Path, vertices: dict[str, Column], texcoord: Column | None, sizes: IndexArray, indices: IndexArray
 ) -> tuple[FloatArray | None, IndexArray | None]:
-    """Texture coordinates of the corners; corners of one vertex with equal coordinates share one texture vertex."""
+    """Texture coordinates of the corners, `NO_UV` on faces without; equal ones of a vertex are one texture vertex."""
     if texcoord is not None and len(texcoord.values):
-        unfit = np.flatnonzero(texcoord.lengths != 2 * sizes)
+        bare = texcoord.lengths == 0
+        unfit = np.flatnonzero(~bare & (texcoord.lengths != 2 * sizes))
         if len(unfit):
             raise FormatError(
-                f"{path}: expected two texture coordinates per corner on all faces or on none, got another "
+                f"{path}: expected two texture coordinates per corner of a face or none, got another "
                 f"number on {len(unfit)} face(s) (0-based): {first_few(unfit)}. "
-                "Unwrap those faces too, or export without UVs."
+                "Unwrap those faces, or export without UVs."
             )
-        values = texcoord.values.astype(np.float64).reshape(-1, 2)
+        has_uv = np.repeat(~bare, sizes)
+        values = np.full((len(indices), 2), NO_UV)
+        values[has_uv] = texcoord.values.reshape(-1, 2)
         if not np.isfinite(values).all():
             raise FormatError(f"{path}: expected finite texture coordinates, got NaN or infinity. Unwrap again.")
-        keys = np.column_stack([indices, values])
+        warn_of_bare_faces(path, int(bare.sum()), len(sizes))
+        keys = np.column_stack([np.where(has_uv, indices, -1), values])
         order = np.lexsort(keys.T)
         fresh = np.concatenate([[True], np.any(keys[order][1:] != keys[order][:-1], axis=1)])
         uv_indices = np.empty(len(indices), dtype=np.int64)

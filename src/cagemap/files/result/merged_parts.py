@@ -21,8 +21,8 @@ from cagemap.maps.quality import measure_quality, unshared_warnings
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import Curves
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import Loop, refine
@@ -214,7 +214,7 @@ def part_numbers(controls: Sequence[ControlMesh], level: int, *, loop: bool) -> 
     Subdivision numbers what it makes by kind: vertices, then edges, then faces; the halves of edges before those across
     faces. Pieces are therefore mixed, and followed here from level to level.
     """
-    tables = [control_topology(control).table for control in controls]
+    tables = [control_topology(control) for control in controls]
     counts = np.array([[t.n_vertices, t.n_edges, t.n_faces, t.n_corners] for t in tables])
     starts = np.cumsum(counts, axis=0) - counts
     parts = [

@@ -31,7 +31,7 @@ from cagemap.files.usd.primvars import (
 from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved, unflattened
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.join import join_meshes
+from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import default_scheme
 

@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, exact_basis, hierarchical_basis
-from cagemap.spectral.bands import clusters, new_directions
+from cagemap.spectral.basis import clusters, new_directions
 from cagemap.spectral.config import MIN_VERTICES, SOLVER, VERTICES_PER_FUNCTION
 from cagemap.subdivision import refine
 
