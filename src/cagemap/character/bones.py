@@ -26,8 +26,8 @@ CONVENTIONS: Mapping[str, tuple[str, str]] = {
     "Khronos CesiumMan": ("L", "R"),
 }
 
-# One row a bone: VRM 1.0 name, VRM parent, its name in each convention. "=": as in VRM 1.0; "-": none; "|": first present,
-# "/": left and right differ. Case, separators, namespaces and "DEF-" are ignored.
+# One row a bone: VRM 1.0 name, VRM parent, its name in each convention. "=": the VRM 1.0 name; "-": none;
+# "|": first present; "/": left and right differ. Case, separators, namespaces and "DEF-" are ignored.
 _ROWS = """
 hips                  -                     =                    Hips           spine           root           pelvis        CC_Base_Hip          Hips|Pelvis|Hip                   torso_joint_1   torso_joint_1
 spine                 hips                  =                    Spine          spine.001       spine05        spine_01      CC_Base_Waist        Spine|Abdomen                     torso_joint_2   torso_joint_2

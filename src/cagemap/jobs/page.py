@@ -20,8 +20,8 @@ from cagemap.files.ownership import mark
 from cagemap.files.result.folder import file_hash
 from cagemap.jobs.plan import PICTURE, RESULT, STATE, Plan, Task
 from cagemap.jobs.run import Outcome
-from cagemap.report.page import flattened
-from cagemap.report.verdicts import explain, overall
+from cagemap.report.page import flatten_entries
+from cagemap.report.verdicts import overall_verdict, rate_figures
 
 _RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}
 _SAYS = {"failed": "failed", "poor": "do not use", "fair": "look at it", "good": "sound"}
@@ -86,7 +86,7 @@ def pair_rows(
         failures = [f"{o.name}: {o.message}" for _, o in own if o is not None and not o.usable]
         warnings = [str(text) for text in figures.get("warnings", [])]
         quality = dict(figures.get("quality") or {})
-        verdict = "failed" if failures or match is None else overall(explain(quality), warnings)
+        verdict = "failed" if failures or match is None else overall_verdict(rate_figures(quality), warnings)
         files = [name for _, outcome in own if outcome is not None and outcome.usable for name in _shown(outcome.files)]
         picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE
         rows.append(
@@ -142,7 +142,7 @@ def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
             "verdict": row.verdict,
             "seconds": row.seconds,
             "cycle_error": row.cycle_error,
-            **flattened("", {name: value for name, value in row.quality.items() if name != "warnings"}),
+            **flatten_entries("", {name: value for name, value in row.quality.items() if name != "warnings"}),
             "messages": " | ".join(row.messages),
         }
         for row in rows
