@@ -18,8 +18,8 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
     BACK,
-    ENOUGH,
     FRONT,
+    TRUST_SCALE,
     VIEWS,
     Image,
     Model,
@@ -139,7 +139,7 @@ def draw_gallery(
     appearance, source_skin, target_skin = _skins(scene, texture, baked)
     target_colors = position_colors(result.image(), result.source.vertices)
     source_colors = position_colors(result.source.vertices, result.source.vertices)
-    trust = scalar_colors(result.trust, 0.0, 1.0, ENOUGH)
+    trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
     jobs: list[_Job] = [
         *((view, source_skin, target_skin, False) for view in VIEWS),
         *((view, Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors), True) for view in (FRONT, BACK)),
@@ -183,7 +183,7 @@ def _answer_jobs(result: MatchResult) -> list[_Job]:
         for colors in (
             position_colors(vertices, vertices),
             position_colors(image, vertices),
-            scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, ENOUGH[::-1]),
+            scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, TRUST_SCALE[::-1]),
         )
     ]
     return [job for view in (FRONT, BACK) for job in ((view, skins[0], skins[1], True), (view, None, skins[2], False))]

@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.maps.regions import local_size
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures import BALANCE, position_colors, sample_texture, scalar_colors, to_display
+from cagemap.pictures import BALANCE_SCALE, position_colors, sample_texture, scalar_colors, to_display
 from cagemap.report.figures import Pixels, display_image, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
@@ -80,7 +80,7 @@ def report_models(
             "Red: larger on the target than on the source; blue: smaller. The darkest are twice or half as long. Both "
             "models are compared at equal area.",
             np.broadcast_to(CLAY, (len(source.vertices), 3)),
-            scalar_colors(np.log2(local_size(result)[target.vertices]), -1.0, 1.0, BALANCE),
+            scalar_colors(np.log2(local_size(result)[target.vertices]), -1.0, 1.0, BALANCE_SCALE),
         ),
     ]
     runner_up = runner_up_image(result)

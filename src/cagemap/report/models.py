@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures import ENOUGH, distinct_colors, scalar_colors
+from cagemap.pictures import TRUST_SCALE, distinct_colors, scalar_colors
 from cagemap.report.marks import SOURCE, TARGET, Mark
 from cagemap.report.shown import DisplaySurface
 
@@ -161,7 +161,7 @@ def pack_models(models: Models, result: MatchResult) -> tuple[str, str]:
         "landmarks": list(result.landmark_names),
         "landmark_colors": np.round(255 * distinct_colors(len(result.landmarks))).astype(int).tolist(),
         "cells": (CHECKER_CELLS * span / span.max()).tolist(),
-        "ramp": scalar_colors(np.linspace(0.0, 1.0, 6), 0.0, 1.0, ENOUGH).tolist(),
+        "ramp": scalar_colors(np.linspace(0.0, 1.0, 6), 0.0, 1.0, TRUST_SCALE).tolist(),
     }
     arrays = base64.b64encode(zlib.compress(b"".join(packer.parts), 9)).decode("ascii")
     return json.dumps(description, separators=(",", ":")).replace("<", "\\u003c"), arrays

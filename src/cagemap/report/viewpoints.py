@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
-from cagemap.pictures import Orientation, matching_turn, orientation
+from cagemap.pictures import Orientation, find_orientation, matching_turn
 from cagemap.subdivision import level_triangles
 
 
@@ -39,5 +39,5 @@ def choose_viewpoints(result: MatchResult, upright: FloatArray | None = None, re
     """
     refinement = result.target.refinement
     positions = np.asarray(refinement.finest.positions)
-    target = orientation(positions, level_triangles(refinement, refinement.n_levels), upright, reason)
+    target = find_orientation(positions, level_triangles(refinement, refinement.n_levels), upright, reason)
     return Viewpoints(target, matching_turn(result.image(), positions, target.turn))
