@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from cagemap.errors import FormatError, in_options
+from cagemap.errors import FormatError, use_option_names
 from cagemap.files.ownership import mark
 from cagemap.files.result.folder import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
@@ -83,7 +83,7 @@ def build_page(
         _still_pictures(result, gallery),
         _mark_list(marks),
         _message_list(
-            [name_marks(in_options(text), marks) for text in warnings],
+            [name_marks(use_option_names(text), marks) for text in warnings],
             [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])],
         ),
         _answers_section(result, gallery),
@@ -340,7 +340,7 @@ def _answers_section(result: MatchResult, gallery: Gallery) -> str:
         "places. A landmark where they differ decides; `answer=1` takes the other."
     )
     title = "Two answers" if result.confidence.verdict == TWO else "The next best answer"
-    return _section(f"{title}: which is right?", in_options(lead), body)
+    return _section(f"{title}: which is right?", use_option_names(lead), body)
 
 
 def _rating_cards(ratings: list[Any]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from cagemap.errors import CagemapError, ParameterError, in_options
+from cagemap.errors import CagemapError, ParameterError, use_option_names
 from cagemap.files.code_version import code_version
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import landmark_messages, read_manifest, read_result, write_result
@@ -130,7 +130,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
             outcome = _done_alone(task.name, current)
             lines.append(f"{number} {task.name}: {outcome.state}{': ' * bool(outcome.message)}{outcome.message}")
             whole &= outcome.usable
-    return in_options("\n".join(lines)), whole
+    return use_option_names("\n".join(lines)), whole
 
 
 def _require_one_way(request: RunRequest) -> None:
@@ -205,7 +205,7 @@ _EXPORTS: dict[str, Callable[[Path, tuple[Step, ...]], str]] = {
 
 def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
     """Rows of the page with messages in the words of the command line and of job files."""
-    return [replace(row, messages=tuple(map(in_options, row.messages))) for row in rows]
+    return [replace(row, messages=tuple(map(use_option_names, row.messages))) for row in rows]
 
 
 def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
