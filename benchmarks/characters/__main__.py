@@ -16,10 +16,10 @@ from scipy.spatial import cKDTree
 
 from benchmarks.accuracy.data import DATA
 from benchmarks.accuracy.posed import landmarks_of
-from cagemap.character.poses import pose_at, to_parents
+from cagemap.character.poses import parent_transforms, pose_at
 from cagemap.character.retarget import retarget
 from cagemap.character.skeleton import carry_rig
-from cagemap.character.values import Animation, Character, Part, Rig, posed
+from cagemap.character.values import Animation, Character, Part, Rig, skinned_positions
 from cagemap.files.gltf.character import read_character
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.result import MatchResult
@@ -105,7 +105,7 @@ def _numbers(of: Body, rows: np.ndarray) -> np.ndarray:
 def pose_errors(part: Part, rig: Rig, animation: Animation, truth: dict[str, np.ndarray]) -> list[float]:
     """Mean distances from the true poses."""
     return [
-        float(np.linalg.norm(posed(part, rig, pose_at(rig, animation, time)) - truth[key], axis=1).mean())
+        float(np.linalg.norm(skinned_positions(part, rig, pose_at(rig, animation, time)) - truth[key], axis=1).mean())
         for key, time in KEYS.items()
     ]
 
@@ -119,7 +119,7 @@ def measure(cage: str, count: int) -> None:
     unit = 100 * found.point_map.target.scale
     poses = {}
     for key, time in KEYS.items():
-        places = posed(true_body.part, known.rig, pose_at(known.rig, known.animations[0], time))
+        places = skinned_positions(true_body.part, known.rig, pose_at(known.rig, known.animations[0], time))
         poses[key] = on_target(cage, places[_numbers(true_body, np.arange(len(places)))])[target.rows]
     images = found.point_map.images.positions / found.point_map.source.scale
     at_source = source.part.mesh.positions[_numbers(source, np.arange(len(source.rows)))]
@@ -142,7 +142,7 @@ def measure(cage: str, count: int) -> None:
     spine = [joint for joint, name in enumerate(rig.names) if name.startswith("spine")]
     straight = rig.bind.copy()
     straight[spine, 3, :3] = known.rig.heads[spine]
-    straight_rig = replace(rig, bind=straight, local=to_parents(straight, rig.parents))
+    straight_rig = replace(rig, bind=straight, local=parent_transforms(straight, rig.parents))
     for title, part, of in (
         ("all carried", carried, rig),
         ("true joints", carried, known.rig),

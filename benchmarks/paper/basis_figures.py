@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from benchmarks.paper.data import SCHEDULE, human, picture, prepared, verdict
 from cagemap.operators import build_operators
 from cagemap.paper.descriptors import heat_filters, heat_times, signatures
-from cagemap.pictures import BALANCE, scalar_colors
+from cagemap.pictures import BALANCE_SCALE, scalar_colors
 from cagemap.spectral import exact_basis
 from cagemap.spectral.basis import HierarchicalBasis
 from cagemap.subdivision import level_triangles, refine
@@ -91,7 +91,7 @@ def figure_5() -> Drawn:
     for column, j in enumerate(shown):
         for row, values in enumerate((fine.vectors[:, j], np.sign(products[j]) * prolonged[:, j])):
             reach = np.abs(values).max()
-            colors = scalar_colors(values, -reach, reach, BALANCE)
+            colors = scalar_colors(values, -reach, reach, BALANCE_SCALE)
             axes[row, column].imshow(picture(refinement.finest.positions, triangles, colors, size=(240, 400)))
             axes[row, column].axis("off")
         axes[0, column].set_title(f"{j}: {abs(products[j]):.4f}")

@@ -16,7 +16,7 @@ from cagemap.maps.quality import flipped_triangles
 from cagemap.maps.result import LevelMap
 from cagemap.paper.descriptors import choose_filters, landmark_descriptors
 from cagemap.paper.method import paper_map
-from cagemap.pictures import BALANCE, position_colors, scalar_colors
+from cagemap.pictures import BALANCE_SCALE, position_colors, scalar_colors
 from cagemap.subdivision import level_triangles
 
 Drawn = tuple[Figure, str]
@@ -44,7 +44,7 @@ def figure_2() -> Drawn:
     kernel = rows @ landmark_descriptors(rows[pair.target_landmarks[:1]], filters.at(spectrum))[:, 3]
     for axis, values, title in ((axes[0], rows[:, 9], "(a) basis"), (axes[1], kernel, "(b) descriptors")):
         reach = np.abs(values).max()
-        axis.imshow(picture(positions, triangles, scalar_colors(values, -reach, reach, BALANCE)))
+        axis.imshow(picture(positions, triangles, scalar_colors(values, -reach, reach, BALANCE_SCALE)))
         axis.set_title(title)
     c = maps[-1].functional_map
     axes[2].imshow(c, cmap="RdBu", vmin=-1, vmax=1)

@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.result.folder import read_result
 from cagemap.pictures import FRONT, Image, Model, Skin, View, frame, render
-from cagemap.report.figures import for_display
+from cagemap.report.figures import display_image
 from cagemap.spectral.surface import Surface
 from cagemap.transfer.textured_surface import TexturedSurface
 
@@ -22,7 +22,7 @@ def draw(side: Surface, texture: Path, view: View) -> Image:
     """One side of the result in its texture."""
     surface = TexturedSurface.from_level(side.refinement.finest)
     model = Model(surface.positions, surface.triangles)
-    skin = Skin(texture=for_display(read_image(texture).pixels), corner_uvs=surface.corner_uvs())
+    skin = Skin(texture=display_image(read_image(texture).pixels), corner_uvs=surface.corner_uvs())
     camera = frame(model.positions, view, aspect=WIDTH / HEIGHT)
     return render(model, skin, camera, width=WIDTH, height=HEIGHT, samples=3)
 

@@ -34,7 +34,7 @@ from cagemap.pictures import (
     render,
     scalar_colors,
 )
-from cagemap.report.figures import for_display
+from cagemap.report.figures import display_image
 from cagemap.report.rig_panels import control_edges
 from cagemap.spectral.surface import Surface
 from cagemap.subdivision import Refinement, refine
@@ -79,7 +79,7 @@ def screenshot(page: Path, width: int, height: int, scale: float) -> Image:
 def textured(side: Surface, texture: Pixels) -> Skin:
     """The skin of an image over a side's UVs."""
     corners = TexturedSurface.from_level(side.refinement.finest).corner_uvs()
-    return Skin(texture=for_display(texture), corner_uvs=corners)
+    return Skin(texture=display_image(texture), corner_uvs=corners)
 
 
 def with_landmarks(side: Surface, model: Model, points: FloatArray) -> Image:

@@ -1,4 +1,4 @@
-"""Named errors, one class per kind of cause.
+"""Exception classes, one for each kind of cause.
 
 Every message says what was expected, what was found, where, and what to do about it.
 """
@@ -11,7 +11,7 @@ class CagemapError(Exception):
 
 
 class InvalidMeshError(CagemapError, ValueError):
-    """A control mesh that the method cannot take (non-manifold, flipped, degenerate, ...)."""
+    """A control mesh that cannot be used (non-manifold, flipped, degenerate, ...)."""
 
 
 class InvalidLandmarksError(CagemapError, ValueError):
@@ -27,19 +27,19 @@ class ParameterError(CagemapError, ValueError):
 
 
 class FormatError(CagemapError, ValueError):
-    """A file that cannot be read as what it claims to be, or a format that is not supported."""
+    """A file that is not valid in its format, or an unsupported format."""
 
 
 class SolverError(CagemapError, RuntimeError):
-    """A linear or eigenvalue solve that did not reach its accuracy."""
+    """A linear or eigenvalue solver that did not reach its accuracy."""
 
 
 class MissingLibraryError(CagemapError, ImportError):
-    """A library that this step needs and that is not installed, as where it has no wheel for the platform."""
+    """A required library that is not installed, for example because its platform has no wheel."""
 
 
-# What messages name as Python has it, and how the command line calls it.
-OPTIONS = {
+# Python names in messages, and the options of the command line for the same.
+OPTION_NAMES = {
     "`force=True`": "--force",
     "`check_landmarks=False`": "--trust-landmarks",
     "`Landmarks.reversed()`": "--exchange-landmarks",
@@ -51,17 +51,17 @@ OPTIONS = {
 }
 
 
-def in_options(text: str) -> str:
-    """A message in the words of the command line, for its users and for pages."""
-    for python, option in OPTIONS.items():
+def use_option_names(text: str) -> str:
+    """A message with Python names replaced by options, for the command line and pages."""
+    for python, option in OPTION_NAMES.items():
         text = text.replace(python, option)
     return text
 
 
-def explained(error: Exception) -> str:
-    """What to say to a user of the command line or the studio of any error that ended a task."""
+def explain_error(error: Exception) -> str:
+    """Message to the user for any error that ended a task."""
     if isinstance(error, CagemapError):
-        return in_options(str(error))
+        return use_option_names(str(error))
     if isinstance(error, MemoryError):
         return "not enough memory for surfaces of this size. Use a lower --level or fewer --vertices."
     if not isinstance(error, OSError):
@@ -72,7 +72,7 @@ def explained(error: Exception) -> str:
     reason = error.strerror or error
     if error.filename:
         return f"{error.filename}: {reason}. Check the path and the space left on the disk."
-    return (  # of a library's own files
+    return (  # without a name: a file of a library
         f"a file that a library keeps could not be read or written: {reason}. Is there room in the temporary folder "
         "(TMPDIR), and where compiled code is kept (NUMBA_CACHE_DIR, else beside cagemap or in ~/.cache)?"
     )

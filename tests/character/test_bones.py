@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.character.bones import CONVENTIONS, PARENTS, TABLES, bones_above, humanoid_names, mirrored_joints
+from cagemap.character.bones import (
+    BONE_NAMES,
+    BONE_PARENTS,
+    CONVENTIONS,
+    ancestor_bones,
+    humanoid_joints,
+    mirrored_joints,
+)
 from cagemap.character.values import Rig
 
 # Names and parents as the programs write them.
@@ -100,7 +107,7 @@ def test_real_names_are_known(convention: str) -> None:
         parents = [short.get(parent, "") for parent, _ in rows.values()]
     else:
         parents = [parent for parent, _ in rows.values()]
-    found = humanoid_names(rig_of(names, parents))
+    found = humanoid_joints(rig_of(names, parents))
     assert {bone: names[joint] for bone, joint in found.items()} == {
         bone: name for name, (_, bone) in rows.items() if bone
     }
@@ -108,22 +115,22 @@ def test_real_names_are_known(convention: str) -> None:
 
 @pytest.mark.parametrize("convention", ["VRM 1.0", *CONVENTIONS])
 def test_every_name_of_a_table_is_its_bone(convention: str) -> None:
-    table = TABLES[convention]
+    table = BONE_NAMES[convention]
     names = [known[0] for known in table.values()]
     assert len(set(names)) == len(names)
-    nearest = {bone: next((above for above in bones_above(bone) if above in table), "") for bone in table}
+    nearest = {bone: next((above for above in ancestor_bones(bone) if above in table), "") for bone in table}
     parents = [table[above][0] if above else "" for above in nearest.values()]
-    assert humanoid_names(rig_of(names, parents)) == {bone: joint for joint, bone in enumerate(table)}
+    assert humanoid_joints(rig_of(names, parents)) == {bone: joint for joint, bone in enumerate(table)}
 
 
 def test_joints_on_wrong_parents_and_unknown_ones_are_left_out() -> None:
     names = ["Hips", "Spine", "LeftUpLeg", "LeftFoot", "tail"]
-    assert set(humanoid_names(rig_of(names, ["", "Hips", "Hips", "Spine", "Hips"]))) == {
+    assert set(humanoid_joints(rig_of(names, ["", "Hips", "Hips", "Spine", "Hips"]))) == {
         "hips",
         "spine",
         "leftUpperLeg",
     }
-    assert humanoid_names(rig_of(["b_Tail01", "b_Tail02"], ["", "b_Tail01"])) == {}
+    assert humanoid_joints(rig_of(["b_Tail01", "b_Tail02"], ["", "b_Tail01"])) == {}
 
 
 def test_joints_of_the_other_side() -> None:
@@ -133,7 +140,7 @@ def test_joints_of_the_other_side() -> None:
 
 
 def test_parents_are_bones() -> None:
-    assert set(PARENTS.values()) - {"-"} <= set(PARENTS)
+    assert set(BONE_PARENTS.values()) - {"-"} <= set(BONE_PARENTS)
 
 
 def gltf(path: Path) -> dict:
@@ -159,7 +166,7 @@ def test_bones_that_vrm_files_state(shared_data: Path, name: str) -> None:
     joints = sorted(document["skins"][0]["joints"], key=depth.get)
     named = [nodes[k]["name"] for k in joints]
     rig = rig_of(named, [nodes[parents[k]]["name"] if parents.get(k) in joints else "" for k in joints])
-    found = {bone: joints[joint] for bone, joint in humanoid_names(rig).items()}
+    found = {bone: joints[joint] for bone, joint in humanoid_joints(rig).items()}
     assert {bone: found.get(bone) for bone in stated} == stated
 
 

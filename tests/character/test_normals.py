@@ -9,7 +9,7 @@ import pytest
 from examples.shapes import creature, cube
 from scipy.spatial.transform import Rotation
 
-from cagemap.character.normals import moved
+from cagemap.character.normals import move_vertices
 from cagemap.character.values import Character, Part
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, read_character
@@ -34,7 +34,7 @@ def _unit(rng: np.random.Generator, count: int) -> np.ndarray:
 
 def test_flat_normals_are_flat_on_the_moved_part() -> None:
     box = cube()
-    part = moved(
+    part = move_vertices(
         Part("box", box, normals=_flat(box, box.positions)),
         box.positions @ np.array([[2, 0.5, 0], [0, 1, 0.3], [-0.4, 0, 1]]),
     )
@@ -45,12 +45,12 @@ def test_flat_normals_are_flat_on_the_moved_part() -> None:
 def test_edited_normals_stay_or_keep_their_tilt() -> None:
     body, rng = creature(), np.random.default_rng(4)
     part = Part("body", body, normals=_unit(rng, len(body.face_indices)))
-    still = moved(part, body.positions)
+    still = move_vertices(part, body.positions)
     assert still.normals is not None
     assert part.normals is not None
     np.testing.assert_allclose(still.normals, part.normals, atol=1e-9)
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
-    turned = moved(part, body.positions @ turn.T)
+    turned = move_vertices(part, body.positions @ turn.T)
     assert turned.normals is not None
     # A corner with a normal of its own has one face's geometry: compare with that.
     before, after = (_corner_normals(body, mesh.positions) for mesh in (body, turned.mesh))
@@ -69,7 +69,7 @@ def _corner_normals(mesh: ControlMesh, positions: np.ndarray) -> np.ndarray:
 
 def test_normals_turned_over_take_the_new_direction() -> None:
     box = cube()
-    part = moved(Part("box", box, normals=_flat(box, box.positions)), -box.positions)
+    part = move_vertices(Part("box", box, normals=_flat(box, box.positions)), -box.positions)
     assert part.normals is not None
     np.testing.assert_allclose(part.normals, _flat(box, -box.positions), atol=1e-9)
 

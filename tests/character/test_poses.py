@@ -9,8 +9,16 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from cagemap.character.poses import LEAST_TURN, least_rotation, pose_at, pose_towards, to_parents, to_world, value_at
-from cagemap.character.retarget import joint_pairs, retarget, retargeted
+from cagemap.character.poses import (
+    MIN_BONE_TURN,
+    aligned_pose,
+    least_rotation,
+    parent_transforms,
+    pose_at,
+    track_value,
+    world_transforms,
+)
+from cagemap.character.retarget import joint_pairs, retarget, retarget_all
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
 
@@ -25,7 +33,7 @@ def test_rotations_are_interpolated_as_scipy_does(signs: tuple[int, int, int]) -
     track = Track(0, "rotation", TIMES, QUATERNIONS * np.array(signs)[:, None])
     slerp = Slerp(TIMES, Rotation.from_quat(QUATERNIONS))
     for time in np.linspace(0, 2, 23):
-        apart = Rotation.from_quat(value_at(track, time)) * slerp(time).inv()
+        apart = Rotation.from_quat(track_value(track, time)) * slerp(time).inv()
         assert apart.magnitude() < 1e-7
 
 
@@ -37,14 +45,14 @@ def test_splines_steps_and_ends() -> None:
         slopes = np.stack([keys[left, 2], keys[left + 1, 0]])
         expected = CubicHermiteSpline(TIMES[left : left + 2], keys[left : left + 2, 1], slopes)
         for time in np.linspace(TIMES[left], TIMES[left + 1], 7):
-            np.testing.assert_allclose(value_at(spline, time), expected(time), atol=1e-12)
+            np.testing.assert_allclose(track_value(spline, time), expected(time), atol=1e-12)
     turning = Track(0, "rotation", TIMES, rng.standard_normal((3, 3, 4)), "CUBICSPLINE")
-    np.testing.assert_allclose(np.linalg.norm(value_at(turning, 0.7)), 1)
+    np.testing.assert_allclose(np.linalg.norm(track_value(turning, 0.7)), 1)
     steps = Track(0, "scale", TIMES, keys[:, 0], "STEP")
     for time, key in ((-1.0, 0), (0.4999, 0), (0.5, 1), (1.9, 1), (2.0, 2), (9.0, 2)):
-        np.testing.assert_array_equal(value_at(steps, time), keys[key, 0])
+        np.testing.assert_array_equal(track_value(steps, time), keys[key, 0])
     once = Track(0, "scale", TIMES[:1], keys[:1, 0])
-    np.testing.assert_array_equal(value_at(once, 3.0), keys[0, 0])
+    np.testing.assert_array_equal(track_value(once, 3.0), keys[0, 0])
 
 
 def test_channels_replace_their_part_of_a_joint() -> None:
@@ -52,7 +60,7 @@ def test_channels_replace_their_part_of_a_joint() -> None:
     np.testing.assert_allclose(pose_at(rig, Animation("none", ()), 1.0), rig.bind, atol=1e-12)
     turn = Rotation.from_rotvec((0.0, 0.0, np.pi / 2))
     tracks = (Track(4, "rotation", TIMES[:1], turn.as_quat()[None]), Track(4, "scale", TIMES[:1], np.full((1, 3), 2.0)))
-    local = to_parents(pose_at(rig, Animation("one", tracks), 0.0), rig.parents)
+    local = parent_transforms(pose_at(rig, Animation("one", tracks), 0.0), rig.parents)
     np.testing.assert_allclose(local[4, :3, :3], 2 * turn.as_matrix().T, atol=1e-9)
     np.testing.assert_allclose(local[4, 3, :3], rig.local[4, 3, :3], atol=1e-9)
     np.testing.assert_allclose(np.delete(local, 4, axis=0), np.delete(rig.local, 4, axis=0), atol=1e-9)
@@ -74,7 +82,9 @@ def test_a_rig_with_other_names_and_axes_moves_alike() -> None:
     names |= {"LeftHand": "hand_l", "RightUpLeg": "thigh_r"}
     bind = source.bind.copy()
     bind[:, :3, :3] = Rotation.random(len(bind), rng=np.random.default_rng(8)).as_matrix()
-    target = Rig(tuple(names[name] for name in source.names), source.parents, to_parents(bind, source.parents), bind)
+    target = Rig(
+        tuple(names[name] for name in source.names), source.parents, parent_transforms(bind, source.parents), bind
+    )
     assert joint_pairs(source, target) == {joint: joint for joint in range(len(bind))}
     animation = dance(source)
     again = retarget(animation, source, target)
@@ -89,43 +99,43 @@ def test_a_rig_with_other_names_and_axes_moves_alike() -> None:
 
 def raised(rig: Rig, angle: float, name: str = "LeftArm", axis: int = 2) -> Rig:
     """The rig bound with its arm raised, or another joint turned."""
-    local = to_parents(rig.bind, rig.parents)
+    local = parent_transforms(rig.bind, rig.parents)
     world = rig.bind.copy()
     for joint, parent in enumerate(rig.parents):
         world[joint] = local[joint] @ world[parent] if parent >= 0 else world[joint]
         if rig.names[joint] == name:
             turn = Rotation.from_rotvec(-angle * np.eye(3)[axis]).as_matrix()
             world[joint, :3, :3] = world[joint, :3, :3] @ turn
-    return replace(rig, bind=world, local=to_parents(world, rig.parents))
+    return replace(rig, bind=world, local=parent_transforms(world, rig.parents))
 
 
 def test_poses_come_together() -> None:
     low = person()
     high = raised(low, 0.8)
     assert np.linalg.norm(high.heads - low.heads, axis=1).max() > 0.3
-    np.testing.assert_allclose(pose_towards(low, high)[:, 3], high.bind[:, 3], atol=1e-9)
-    np.testing.assert_allclose(pose_towards(low, low), low.bind, atol=1e-9)
+    np.testing.assert_allclose(aligned_pose(low, high)[:, 3], high.bind[:, 3], atol=1e-9)
+    np.testing.assert_allclose(aligned_pose(low, low), low.bind, atol=1e-9)
     # The whole rig turned: its pose stays, and it is not turned back.
     turn = Rotation.from_rotvec((0.0, 1.2, 0.0)).as_matrix()
     turned = high.bind.copy()
     turned[:, :3] = turned[:, :3] @ np.block([[turn, np.zeros((3, 1))], [np.zeros((1, 3)), 1]])
     turned[:, 3, :3] = turned[:, 3, :3] @ turn
-    other = replace(high, bind=turned, local=to_parents(turned, high.parents))
-    np.testing.assert_allclose(pose_towards(low, other)[:, 3], high.bind[:, 3], atol=1e-9)
+    other = replace(high, bind=turned, local=parent_transforms(turned, high.parents))
+    np.testing.assert_allclose(aligned_pose(low, other)[:, 3], high.bind[:, 3], atol=1e-9)
     with pytest.raises(ParameterError, match="humanoid bones in common"):
-        pose_towards(replace(low, names=tuple("abcdefghijk")), high)
+        aligned_pose(replace(low, names=tuple("abcdefghijk")), high)
 
 
 def test_a_bent_back_is_a_pose_and_no_turned_rig() -> None:
     straight = person()
     bent = raised(straight, 0.9, "Spine", 0)
-    np.testing.assert_allclose(pose_towards(straight, bent)[:, 3], bent.bind[:, 3], atol=1e-9)
+    np.testing.assert_allclose(aligned_pose(straight, bent)[:, 3], bent.bind[:, 3], atol=1e-9)
 
 
 def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:
     low = person()
-    for angle, kept in ((0.9 * LEAST_TURN, True), (1.1 * LEAST_TURN, False)):
-        assert np.allclose(pose_towards(low, raised(low, angle)), low.bind) == kept
+    for angle, kept in ((0.9 * MIN_BONE_TURN, True), (1.1 * MIN_BONE_TURN, False)):
+        assert np.allclose(aligned_pose(low, raised(low, angle)), low.bind) == kept
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.8])
@@ -134,7 +144,7 @@ def test_animations_go_to_a_body_in_another_pose(angle: float) -> None:
     low = person()
     high = raised(low, angle)
     animation = dance(low)
-    (again,), posed_otherwise = retargeted((animation,), low, high)
+    (again,), posed_otherwise = retarget_all((animation,), low, high)
     assert posed_otherwise == (angle > 0)
     for time in (0.0, 0.5):
         np.testing.assert_allclose(pose_at(high, again, time)[:, 3], pose_at(low, animation, time)[:, 3], atol=1e-7)
@@ -144,7 +154,7 @@ def test_motion_is_relative_to_the_common_pose() -> None:
     low = person()
     high = raised(low, 0.8)
     animation = dance(low)
-    again = retarget(animation, low, high, reference=pose_towards(high, low))
+    again = retarget(animation, low, high, reference=aligned_pose(high, low))
     for time in (0.0, 0.5):
         np.testing.assert_allclose(pose_at(high, again, time)[:, 3], pose_at(low, animation, time)[:, 3], atol=1e-7)
 
@@ -162,4 +172,4 @@ def test_least_rotation() -> None:
 
 def test_worlds_and_parents_are_inverse() -> None:
     rig = person()
-    np.testing.assert_allclose(to_world(rig.local, rig.parents), rig.bind, atol=1e-12)
+    np.testing.assert_allclose(world_transforms(rig.local, rig.parents), rig.bind, atol=1e-12)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cagemap.character.poses import pose_at, to_parents, to_world
+from cagemap.character.poses import parent_transforms, pose_at, world_transforms
 from cagemap.character.retarget import retarget
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Rig
@@ -51,7 +51,10 @@ def test_rig_and_poses_move_with_the_body(rig: Rig, cubic: bool) -> None:
     carried = carry_rig(body_moved(*MOVED), rig)
     np.testing.assert_allclose(carried.bind, moved(rig.bind, *MOVED), rtol=0, atol=1e-8)
     np.testing.assert_allclose(
-        to_world(carried.local, carried.parents), moved(to_world(rig.local, rig.parents), *MOVED), rtol=0, atol=1e-8
+        world_transforms(carried.local, carried.parents),
+        moved(world_transforms(rig.local, rig.parents), *MOVED),
+        rtol=0,
+        atol=1e-8,
     )
     animation = dance(rig, cubic=cubic)
     again = retarget(animation, rig, carried)
@@ -69,14 +72,14 @@ def test_axes_along_bones_stay_along_bones() -> None:
         across = np.cross(along, (0.3, 0.2, 1.0))
         across /= np.linalg.norm(across)
         bind[joint, :3, :3] = [across, along, np.cross(across, along)]
-    rig = replace(rig, bind=bind, local=to_parents(bind, rig.parents))
+    rig = replace(rig, bind=bind, local=parent_transforms(bind, rig.parents))
     still, turned = body_moved(*STILL), body_moved(1.0, np.diag([1.4, 0.8, 1.0]), np.zeros(3))
     carried = carry_rig(replace(turned, images=still.images), rig)
     for joint, child in ((4, 5), (5, 6), (7, 8)):
         along = carried.heads[child] - carried.heads[joint]
         np.testing.assert_allclose(carried.bind[joint, 1, :3], along / np.linalg.norm(along), atol=1e-12)
         np.testing.assert_allclose(np.linalg.det(carried.bind[joint, :3, :3]), 1, atol=1e-12)
-    np.testing.assert_allclose(to_world(carried.local, carried.parents), carried.bind, atol=1e-12)
+    np.testing.assert_allclose(world_transforms(carried.local, carried.parents), carried.bind, atol=1e-12)
 
 
 def test_rigs_of_one_frame_keep_it() -> None:

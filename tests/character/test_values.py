@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.character.values import Part, Rig, posed
+from cagemap.character.values import Part, Rig, skinned_positions
 from cagemap.mesh import ControlMesh
 
 
@@ -21,14 +21,14 @@ def _arm() -> tuple[Part, Rig]:
 
 def test_bind_pose_leaves_vertices_where_they_are() -> None:
     part, rig = _arm()
-    np.testing.assert_allclose(posed(part, rig, rig.bind), part.mesh.positions, atol=1e-15)
+    np.testing.assert_allclose(skinned_positions(part, rig, rig.bind), part.mesh.positions, atol=1e-15)
 
 
 def test_vertices_turn_about_their_joint_and_blend_between_joints() -> None:
     part, rig = _arm()
     turned = rig.bind.copy()
     turned[1, :3, :3] = [(0, 1, 0), (-1, 0, 0), (0, 0, 1)]  # x becomes y: rows are images of the axes
-    moved = posed(part, rig, turned)
+    moved = skinned_positions(part, rig, turned)
     np.testing.assert_allclose(moved[[0, 3]], part.mesh.positions[[0, 3]], atol=1e-15)
     np.testing.assert_allclose(moved[[2, 5]], [(1, 1, 0), (0, 1, 0)], atol=1e-15)
     np.testing.assert_allclose(moved[4], (0.5, 0.5, 0), atol=1e-15)

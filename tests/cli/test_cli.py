@@ -18,7 +18,7 @@ from typer.main import get_command
 from cagemap import __version__
 from cagemap.cli.app import app
 from cagemap.cli.console import set_verbosity
-from cagemap.cli.progress import ShownStages
+from cagemap.cli.progress import ConsoleStages
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
@@ -253,7 +253,7 @@ def test_progress_is_timed_and_silent_without_a_terminal(
 ) -> None:
     clock = iter(range(100))
     monkeypatch.setattr("cagemap.tasks.progress.time.perf_counter", lambda: float(next(clock)))
-    with ShownStages() as stages:
+    with ConsoleStages() as stages:
         stages("one")
         stages("two")
         stages("one")
@@ -264,7 +264,7 @@ def test_progress_is_timed_and_silent_without_a_terminal(
 def test_a_long_command_without_a_terminal_says_its_stages(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cagemap.cli.progress.SILENT", 0.05)
+    monkeypatch.setattr("cagemap.cli.progress.SILENT_SECONDS", 0.05)
     seen = ""
 
     def until(text: str) -> None:
@@ -274,7 +274,7 @@ def test_a_long_command_without_a_terminal_says_its_stages(
             time.sleep(0.01)
             seen += capsys.readouterr().err
 
-    with ShownStages() as stages:
+    with ConsoleStages() as stages:
         stages("first")
         until("first")  # the one that runs is said, however long it is
         stages("second")
@@ -283,7 +283,7 @@ def test_a_long_command_without_a_terminal_says_its_stages(
     assert seen == "cagemap: stage: first\ncagemap: stage: second\ncagemap: stage: third\n"
     for quiet, said in ((True, ""), (False, "cagemap: stage: fourth\n")):  # -v says stages by itself, once
         set_verbosity(1, quiet)
-        with ShownStages() as stages:
+        with ConsoleStages() as stages:
             stages("fourth")
             time.sleep(0.2)
         assert capsys.readouterr().err == said

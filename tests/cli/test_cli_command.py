@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.testing import CliRunner
 
-from cagemap.cli.request_command import asks, in_stages
+from cagemap.cli.request_command import request_command, with_stages
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap import WrapConfig
@@ -33,8 +33,8 @@ def _asked(*words: str, **options: Any) -> Asked:
     app = typer.Typer()
 
     @app.command()
-    @asks(Asked, **options)
-    @in_stages
+    @request_command(Asked, **options)
+    @with_stages
     def run(request: Asked, stages: Stages) -> Outcome:
         got.append(request)
         return "done", []
@@ -57,9 +57,9 @@ def test_a_field_may_be_said_in_words_of_its_own() -> None:
     def read(kinds: str | None, **others: Any) -> Asked:
         return Asked(kinds=tuple(kinds.split(",")) if kinds else (), **others)
 
-    said = {"kinds": str | None}
-    assert _asked("--kinds", "x,y", said=said, read=read).kinds == ("x", "y")
-    assert _asked(said=said, read=read) == Asked(())
+    types = {"kinds": str | None}
+    assert _asked("--kinds", "x,y", word_types=types, make_request=read).kinds == ("x", "y")
+    assert _asked(word_types=types, make_request=read) == Asked(())
 
 
 def test_wrap_is_asked_for_what_the_library_does_by_itself() -> None:
@@ -69,10 +69,10 @@ def test_wrap_is_asked_for_what_the_library_does_by_itself() -> None:
 def test_what_no_command_uses_is_loaded_when_it_is_asked_for_after_all() -> None:
     asked = """
 import sys
-from cagemap.cli.request_command import UNUSED, load_when_used
-load_when_used(UNUSED)
+from cagemap.cli.request_command import LAZY_MODULES, load_lazily
+load_lazily(LAZY_MODULES)
 import numpy, scipy.linalg
-print(any(name.startswith(f"{late}.") for name in sys.modules for late in UNUSED))
+print(any(name.startswith(f"{late}.") for name in sys.modules for late in LAZY_MODULES))
 numpy.testing.assert_equal(1, 1)
 from numpy.f2py import crackfortran
 print(crackfortran.__name__)

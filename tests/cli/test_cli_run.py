@@ -99,7 +99,7 @@ def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, mon
     for workers in (1, 2, 500):
         said = CliRunner().invoke(app, [*asked, str(workers)]).output
         core, found = map(float, re.findall(r"about ([0-9.]+) core minutes, ([0-9.]+) minutes with", said)[0])
-        minutes[workers] = found - dry_run.STARTUP / 60
+        minutes[workers] = found - dry_run.STARTUP_SECONDS / 60
     assert minutes[1] == pytest.approx(core, abs=0.1)
     assert minutes[2] == pytest.approx(core / 2, abs=0.1)
     assert minutes[500] == pytest.approx(10.0, abs=0.1)  # a task takes what it takes

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cagemap.cli.app import app
-from cagemap.cli.entry import HELP
+from cagemap.cli.entry import HELP_FILE
 
 RENEW = (
     "the text of `cagemap --help` is not that of its commands any more: run COLUMNS=80 python -c "
@@ -22,7 +22,7 @@ def test_the_kept_help_is_what_the_commands_say(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         app(["--help"], prog_name="cagemap")
-    assert capsys.readouterr().out == HELP.read_text(encoding="utf-8"), RENEW
+    assert capsys.readouterr().out == HELP_FILE.read_text(encoding="utf-8"), RENEW
 
 
 @pytest.mark.parametrize("word", ["--help", "-h"])
@@ -33,7 +33,7 @@ def test_help_loads_no_library(word: str) -> None:
         "slow = {'typer', 'pydantic', 'numpy', 'scipy', 'numba', 'rich'} & set(sys.modules)\nassert not slow, slow"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == HELP.read_text(encoding="utf-8")
+    assert done.stdout == HELP_FILE.read_text(encoding="utf-8")
 
 
 def test_commands_load_no_pydantic_before_they_run() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cagemap.deform.config import StartConfig
-from cagemap.errors import FormatError, ParameterError, explained
+from cagemap.errors import FormatError, ParameterError, explain_error
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import write_result
 from cagemap.paper.hfm import HfmConfig
@@ -114,8 +114,8 @@ def test_levels_are_not_sought_by_fewer_than_no_vertices(kind: type[StartConfig 
 
 
 def test_an_error_of_no_file_says_where_room_may_be_missing() -> None:
-    assert explained(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
-    assert "NUMBA_CACHE_DIR" in explained(OSError(28, "No space left on device"))
+    assert explain_error(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
+    assert "NUMBA_CACHE_DIR" in explain_error(OSError(28, "No space left on device"))
 
 
 def test_a_result_that_may_only_be_read_is_used_with_a_word(

@@ -15,7 +15,7 @@ import typer
 
 import cagemap
 from cagemap.cli.app import app
-from cagemap.errors import OPTIONS, in_options
+from cagemap.errors import OPTION_NAMES, use_option_names
 
 from locations import ROOT
 
@@ -270,7 +270,7 @@ def find_class(name: str, room: str) -> type:
 
 
 def test_only_the_command_line_names_its_options() -> None:
-    """Rooms below it say what Python calls a thing; `cagemap.errors.OPTIONS` translates, and has nothing unused."""
+    """Packages below it use Python names; `cagemap.errors.OPTION_NAMES` translates them, without unused entries."""
     below = [path for path in SOURCE.glob("*/**/*.py") if path.relative_to(SOURCE).parts[0] not in ABOVE]
     texts = {
         node.value
@@ -280,5 +280,5 @@ def test_only_the_command_line_names_its_options() -> None:
     }
     assert len(below) > 150
     assert [text for text in texts if re.search(r"(^|[\s(`>])--[a-z]{2}", text)] == []
-    assert [python for python in OPTIONS if not any(python in text for text in texts)] == []
-    assert in_options("allow it (`force=True`).") == "allow it (--force)."
+    assert [python for python in OPTION_NAMES if not any(python in text for text in texts)] == []
+    assert use_option_names("allow it (`force=True`).") == "allow it (--force)."

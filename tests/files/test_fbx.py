@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.character.poses import pose_at, to_parents
-from cagemap.character.values import Character, posed
+from cagemap.character.poses import parent_transforms, pose_at
+from cagemap.character.values import Character, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.fbx import read as fbx_read
 from cagemap.files.gltf.character import character_of, read_character
@@ -40,7 +40,7 @@ def _file(folder: Path, made: Fbx, name: str = "arm.fbx") -> Path:
 
 def _at_half_a_second(character: Character) -> np.ndarray:
     assert character.rig is not None
-    return posed(character.parts[0], character.rig, pose_at(character.rig, character.animations[0], 0.5))
+    return skinned_positions(character.parts[0], character.rig, pose_at(character.rig, character.animations[0], 0.5))
 
 
 def test_a_made_file_holds_what_its_gltf_twin_holds(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) ->
     plain, turned = (read_character(_file(tmp_path, fbx_arm(posed=posed))) for posed in (False, True))
     for one in (plain, turned):
         assert one.rig is not None
-        np.testing.assert_allclose(one.rig.local, to_parents(one.rig.bind, one.rig.parents), atol=1e-6)
+        np.testing.assert_allclose(one.rig.local, parent_transforms(one.rig.bind, one.rig.parents), atol=1e-6)
     np.testing.assert_allclose(_at_half_a_second(turned), _at_half_a_second(plain), atol=1e-6)
     made = fbx_arm(posed=True)
     made.connections = [one for one in made.connections if "Lcl Rotation" not in one.properties]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
-from cagemap.character.values import posed
+from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.accessors import read_accessor
 from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
@@ -89,7 +89,7 @@ def test_a_skin_in_its_bind_pose(bind: np.ndarray) -> None:
     assert strip.weights is not None
     np.testing.assert_allclose(strip.weights.sum(axis=1), 1.0)
     np.testing.assert_allclose(strip.weights.toarray()[2], [0.5, 0.5])
-    np.testing.assert_allclose(posed(strip, rig, _rest(rig)), strip.mesh.positions, atol=1e-6)
+    np.testing.assert_allclose(skinned_positions(strip, rig, _rest(rig)), strip.mesh.positions, atol=1e-6)
     assert ball.weights is not None
     np.testing.assert_array_equal(ball.weights.toarray(), [[0, 1]] * 3)
     np.testing.assert_allclose(ball.mesh.positions[0], [1, 0, 5])

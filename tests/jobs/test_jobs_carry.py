@@ -19,8 +19,8 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_manifest, write_result
 from cagemap.jobs import Plan, plan_job, read_job, spanning_tree
-from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
-from cagemap.jobs.detours import with_detours
+from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
+from cagemap.jobs.detours import add_detours
 from cagemap.maps.places import cage_points_of, located
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.spectral.surface import prepare_surface
@@ -65,7 +65,7 @@ def folder(tmp_path: Path) -> Path:
 
 def planned(folder: Path) -> Plan:
     job = read_job(folder / "job.toml", COMMANDS)
-    return with_carried(plan_job(job, "1", spanning_tree), job, "1")
+    return add_carry_tasks(plan_job(job, "1", spanning_tree), job, "1")
 
 
 def test_every_other_model_gets_a_file_along_the_shortest_way(folder: Path) -> None:
@@ -88,7 +88,7 @@ def test_a_way_round_is_taken_where_a_map_is_doubtful(folder: Path) -> None:
     pairs = {("a", "b"): ("a", "c", "b")}
     matches = [replace(t, pair=("b", "c"), name="match b c") for t in plan.tasks if t.pair == ("b", "a")][:1]
     extra = [replace(t, pair=("c", "a"), name="match c a") for t in matches]
-    around = with_detours(replace(plan, tasks=(*matches, *extra, *plan.tasks)), pairs, "1")
+    around = add_detours(replace(plan, tasks=(*matches, *extra, *plan.tasks)), pairs, "1")
     before, after = ({t.request["asset"]: t for t in p.tasks if t.kind == "carry"} for p in (plan, around))
     assert after["b"].request["steps"][0][0].endswith("RESULT-composed")
     assert any(name.startswith("compose b -> a") for name in after["b"].needs)
@@ -145,7 +145,7 @@ def test_points_and_curves_arrive_where_the_map_says(forward: bool, tmp_path: Pa
     assert found.vertices.tolist() == [5, -1]
     np.testing.assert_allclose(found.positions[1], ratio * middle, atol=1e-3)
     np.testing.assert_allclose(found.curves[0].positions, end.control.positions[edge], atol=1e-3)
-    assert "2 landmarks carried" in carried_notes([figures])[0]
+    assert "2 landmarks carried" in carry_notes([figures])[0]
 
 
 def test_points_where_both_directions_disagree_are_to_be_looked_at(tmp_path: Path) -> None:

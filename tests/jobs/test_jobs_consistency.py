@@ -18,7 +18,7 @@ from cagemap.jobs.consistency import (
     read_consistency,
     write_consistency,
 )
-from cagemap.jobs.detours import composed_map, has_detours, with_detours
+from cagemap.jobs.detours import add_detours, compose_maps, has_detours
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -92,7 +92,7 @@ def test_a_way_round_is_the_composition_of_its_maps() -> None:
     n = good.target.n
     shifted = PointMap.from_vertices(good.target, good.source, np.roll(np.arange(n), 1))
     twice = PointMap.from_vertices(good.target, good.source, np.roll(np.arange(n), 2))
-    found = composed_map([PointMap(good.target, shifted.images), PointMap(good.source, shifted.images)])
+    found = compose_maps([PointMap(good.target, shifted.images), PointMap(good.source, shifted.images)])
     assert np.abs(found.images.positions - twice.images.positions).max() < 1e-12
 
 
@@ -106,7 +106,7 @@ def test_outputs_of_a_doubtful_pair_are_made_from_the_way_round(tmp_path: Path) 
     pairs = (("c", "a"), ("b", "a"), ("c", "b"))  # source, target
     plan = Plan(tmp_path, tuple(task(kind, pair) for pair in pairs for kind in ("match", "transfer")), pairs)
     assert has_detours(plan)
-    changed = with_detours(plan, {("a", "c"): ("a", "b", "c")}, "1")
+    changed = add_detours(plan, {("a", "c"): ("a", "b", "c")}, "1")
     compose = next(task for task in changed.tasks if task.kind == "compose")
     assert compose.pair == ("c", "a")
     assert compose.needs == ("match ('b', 'a')", "match ('c', 'b')")

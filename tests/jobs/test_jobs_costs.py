@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from cagemap.jobs.costs import COSTS, FACTOR, stored_result, stored_surface, task_seconds, worker_memory
+from cagemap.jobs.costs import COSTS, ERROR_FACTOR, result_bytes, surface_bytes, task_seconds, worker_memory
 
 from locations import ROOT
 
@@ -15,7 +15,7 @@ STAGES = [(row, stage) for row in ROWS for stage in row["seconds"]]
 
 
 def near(estimate: float, measured: float) -> bool:
-    return measured / FACTOR <= estimate <= measured * FACTOR
+    return measured / ERROR_FACTOR <= estimate <= measured * ERROR_FACTOR
 
 
 def sizes_of(row: dict) -> list[tuple[int, int]]:
@@ -38,8 +38,8 @@ def test_seconds_are_within_the_stated_factor(row: dict, stage: str) -> None:
 def test_memory_and_disk_are_within_the_stated_factor(row: dict) -> None:
     sizes = sizes_of(row)
     assert near(worker_memory(sizes), row["memory_bytes"])
-    assert near(stored_result(sizes), row["result_bytes"])
-    stored = sum(stored_surface(size, count) for size, count in zip(sizes, row["prepared"], strict=True))
+    assert near(result_bytes(sizes), row["result_bytes"])
+    stored = sum(surface_bytes(size, count) for size, count in zip(sizes, row["prepared"], strict=True))
     assert near(stored, row["store_bytes"])
 
 

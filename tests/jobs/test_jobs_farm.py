@@ -11,7 +11,7 @@ import pytest
 
 from cagemap.errors import ParameterError
 from cagemap.jobs import Plan, Task
-from cagemap.jobs.farm import chosen_numbers, farm_steps, openjd_template, slurm_script
+from cagemap.jobs.farm import farm_steps, openjd_template, parse_task_range, slurm_script
 
 
 def plan(root: Path, pairs: int = 2) -> Plan:
@@ -39,11 +39,11 @@ def test_outputs_of_a_pair_share_a_number_and_come_after_all_maps(tmp_path: Path
 
 
 def test_numbers_and_ranges() -> None:
-    assert list(chosen_numbers("3", 7)) == [3]
-    assert list(chosen_numbers("2-4", 7)) == [2, 3, 4]
+    assert list(parse_task_range("3", 7)) == [3]
+    assert list(parse_task_range("2-4", 7)) == [2, 3, 4]
     for wrong in ("0", "8", "4-2", "2-8", "two", "-1", "1-", ""):
         with pytest.raises(ParameterError, match="--task: expected a number or a range such as 2-5, of tasks 1 to 7"):
-            chosen_numbers(wrong, 7)
+            parse_task_range(wrong, 7)
 
 
 def test_open_job_description_accepts_the_template(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_the_slurm_script_runs_every_number_once_after_the_step_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stand-in for sbatch runs each array at once, as Slurm would when all before has ended."""
-    monkeypatch.setattr("cagemap.jobs.farm._SLURM_ARRAY", 4)
+    monkeypatch.setattr("cagemap.jobs.farm.MAX_SLURM_ARRAY_SIZE", 4)
     programs = tmp_path / "bin"
     programs.mkdir()
     (programs / "cagemap").write_text(f'#!/bin/bash\necho "$@" >> "{tmp_path}/ran"\n')

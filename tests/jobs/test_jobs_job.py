@@ -13,7 +13,7 @@ from examples.shapes import cube, icosahedron, torus
 from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.jobs import Job, Plan, Task, plan_job, read_job, spanning_tree
-from cagemap.jobs.job_checks import line_of
+from cagemap.jobs.job_checks import find_line
 from cagemap.jobs.job_schema import Scheme
 from cagemap.jobs.tree import shape_distribution
 from cagemap.mesh.schemes import SCHEMES
@@ -130,7 +130,7 @@ def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
 def test_lines_are_found_in_nested_tables() -> None:
     text = "a = 1\n[b.c]\nd = 2\n[[e]]\nf = 3\n[[e]]\n[e.g]\nh = 4\n"
     assert [
-        line_of(text, place) for place in [("a",), ("b", "c", "d"), ("e", 0, "f"), ("e", 1), ("e", 1, "g", "h")]
+        find_line(text, place) for place in [("a",), ("b", "c", "d"), ("e", 0, "f"), ("e", 1), ("e", 1, "g", "h")]
     ] == [
         1,
         3,
@@ -138,7 +138,7 @@ def test_lines_are_found_in_nested_tables() -> None:
         6,
         8,
     ]
-    assert line_of(text, ("e", 0, "f", "deeper")) == 5
+    assert find_line(text, ("e", 0, "f", "deeper")) == 5
 
 
 def test_every_surface_is_prepared_once_and_every_pair_matched_after(folder: Path) -> None:
@@ -217,7 +217,7 @@ def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> No
     baked = [task for task in plan.tasks if task.kind == "transfer"]
     assert [task.outputs for task in baked] == [("a__b/b.png",)]
     assert baked[0].request["texture"] == str(folder / "a.png")
-    assert len(plan.left_out) == 3
+    assert len(plan.omitted_outputs) == 3
     with pytest.raises(FormatError, match="two outputs of"):
         plan_of(folder, HEAD + assets + PAIRS + 2 * output)
     with pytest.raises(FormatError, match="two outputs of"):

@@ -17,7 +17,7 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.cli import main
-from cagemap.cli.console import say, set_verbosity, tolerate_odd_names, warn
+from cagemap.cli.console import escape_unprintable_output, say, set_verbosity, warn
 from cagemap.errors import FormatError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -108,7 +108,7 @@ def test_an_output_that_is_closed_takes_all_words(monkeypatch: pytest.MonkeyPatc
     """As in `cagemap --version >&-`, where Python has no stream."""
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, None)
-    tolerate_odd_names()
+    escape_unprintable_output()
     say("nobody reads this")
     warn(["nor this"])
 

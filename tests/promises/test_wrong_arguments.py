@@ -32,7 +32,7 @@ from cagemap import (
     SurfacePoints,
     TriangleSurface,
 )
-from cagemap.character.roles import body_of
+from cagemap.character.roles import find_body
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.numerics.kinds import _expected, kinds_checked
@@ -190,7 +190,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "no rays": lambda s: ambient_occlusion(s.triangles, 0),
     "a size of the texture": lambda s: example_pair(3),
     "a set of UVs": lambda s: s.mesh.with_uv_set("x"),
-    "a body of no parts": lambda s: body_of(()),
+    "a body of no parts": lambda s: find_body(()),
     # landmarks
     "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
     "landmarks as text": lambda s: marks("abc"),

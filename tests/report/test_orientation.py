@@ -15,7 +15,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
-from cagemap.pictures import Y_UP, Z_UP, Orientation, matching_turn, orientation
+from cagemap.pictures import Y_UP, Z_UP, Orientation, find_orientation, matching_turn
 from cagemap.report import draw_gallery
 from cagemap.report.figures import Gallery
 
@@ -40,7 +40,7 @@ def deer() -> ControlMesh:
 
 
 def seen(mesh: ControlMesh, turned: FloatArray, *known: object) -> Orientation:
-    return orientation(mesh.positions @ turned, cage_triangles(mesh)[0], *known)
+    return find_orientation(mesh.positions @ turned, cage_triangles(mesh)[0], *known)
 
 
 @pytest.mark.parametrize(("turned", "said"), FILES)

@@ -7,7 +7,7 @@ import pytest
 
 from cagemap.errors import ParameterError
 from cagemap.pictures import (
-    BALANCE,
+    BALANCE_SCALE,
     VIEWS,
     Model,
     Skin,
@@ -20,8 +20,8 @@ from cagemap.pictures import (
     scalar_colors,
     to_display,
     to_linear,
-    turn_between,
-    visible,
+    turn_angle,
+    visible_points,
 )
 
 SIZE = {"width": 96, "height": 72}
@@ -57,7 +57,7 @@ def test_turning_by_the_difference_makes_figures_face_alike() -> None:
     angle = np.radians(130.0)
     turned = points @ np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
     view = View("any", 20.0, 10.0)
-    further = View("any", 20.0 + turn_between(points, turned), 10.0)
+    further = View("any", 20.0 + turn_angle(points, turned), 10.0)
     pictures = [frame(points, view).project(points, 80, 60), frame(turned, further).project(turned, 80, 60)]
     np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-9)
 
@@ -122,7 +122,9 @@ def test_face_and_vertex_colours_arrive() -> None:
 def test_visible_knows_front_from_back() -> None:
     model = cube()
     camera = frame(model.positions, STRAIGHT)
-    np.testing.assert_array_equal(visible(model, camera, np.array([[0.1, 0.2, 1.0], [0.1, 0.2, -1.0]])), [True, False])
+    np.testing.assert_array_equal(
+        visible_points(model, camera, np.array([[0.1, 0.2, 1.0], [0.1, 0.2, -1.0]])), [True, False]
+    )
 
 
 def test_dots_are_drawn_where_points_are_and_only_if_seen() -> None:
@@ -143,9 +145,9 @@ def test_encodings_are_inverse() -> None:
 
 
 def test_scalar_colours_end_at_the_ends_and_nan_is_grey() -> None:
-    colors = scalar_colors(np.array([-5.0, 0.0, 1.0, 9.0, np.nan]), 0.0, 1.0, BALANCE)
-    np.testing.assert_allclose(colors[[0, 1]], BALANCE[[0, 0]])
-    np.testing.assert_allclose(colors[[2, 3]], BALANCE[[-1, -1]])
+    colors = scalar_colors(np.array([-5.0, 0.0, 1.0, 9.0, np.nan]), 0.0, 1.0, BALANCE_SCALE)
+    np.testing.assert_allclose(colors[[0, 1]], BALANCE_SCALE[[0, 0]])
+    np.testing.assert_allclose(colors[[2, 3]], BALANCE_SCALE[[-1, -1]])
     np.testing.assert_allclose(colors[4], 0.6)
 
 

@@ -27,9 +27,9 @@ from cagemap.report import (
     draw_gallery,
     write_report,
 )
-from cagemap.report.figures import PAPER, for_display
-from cagemap.report.rig_panels import _edges, control_edges
-from cagemap.report.verdicts import explain, overall
+from cagemap.report.figures import BACKGROUND, display_image
+from cagemap.report.rig_panels import cage_edges, control_edges
+from cagemap.report.verdicts import overall_verdict, rate_figures
 
 from example_result import identity_result
 
@@ -149,31 +149,31 @@ def test_progress_names_every_picture(result: MatchResult) -> None:
     ("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1.0), (np.float16, 1.0)]
 )
 def test_any_pixels_are_shown(dtype: type, white: float) -> None:
-    np.testing.assert_allclose(for_display(np.full((4, 4, 4), white, dtype)), np.ones((4, 4, 3)))
-    np.testing.assert_allclose(for_display(np.full((4, 4, 1), white, dtype)), np.ones((4, 4, 3)))
+    np.testing.assert_allclose(display_image(np.full((4, 4, 4), white, dtype)), np.ones((4, 4, 3)))
+    np.testing.assert_allclose(display_image(np.full((4, 4, 1), white, dtype)), np.ones((4, 4, 3)))
 
 
 def test_large_textures_are_averaged_down() -> None:
     tall = np.zeros((4096, 8, 3), np.uint8)
     tall[::2] = 255
-    shown = for_display(tall)
+    shown = display_image(tall)
     assert shown.shape == (2048, 4, 3)
     np.testing.assert_allclose(shown, 0.5, atol=1e-6)
 
 
 def test_verdicts_follow_the_figures() -> None:
-    good = explain({"flipped_area": 0.001, "coverage": 0.999})
+    good = rate_figures({"flipped_area": 0.001, "coverage": 0.999})
     assert [rating.verdict for rating in good] == ["good", "good"]
-    assert overall(good, []) == "good"
-    assert overall(good, ["look at the ears"]) == "fair"
-    assert overall(explain({"flipped_area": 0.01}), []) == "fair"
-    assert overall(explain({"flipped_area": 0.09, "coverage": 0.999}), []) == "poor"
+    assert overall_verdict(good, []) == "good"
+    assert overall_verdict(good, ["look at the ears"]) == "fair"
+    assert overall_verdict(rate_figures({"flipped_area": 0.01}), []) == "fair"
+    assert overall_verdict(rate_figures({"flipped_area": 0.09, "coverage": 0.999}), []) == "poor"
     # A cow whose udder the target lacks: a remark that names the share, not a verdict on the map.
-    missing = explain({"flipped_area": 0.001, "coverage": 0.847})
-    assert overall(missing, []) == "fair"
+    missing = rate_figures({"flipped_area": 0.001, "coverage": 0.847})
+    assert overall_verdict(missing, []) == "fair"
     assert missing[1].value == "15.30 %"
-    assert overall(explain({"flipped_area": 0.001, "coverage": 0.4}), []) == "poor"
-    assert explain({"flipped_area": None, "coverage": "many"}) == []
+    assert overall_verdict(rate_figures({"flipped_area": 0.001, "coverage": 0.4}), []) == "poor"
+    assert rate_figures({"flipped_area": None, "coverage": "many"}) == []
 
 
 def test_report_without_figures_is_still_a_page(result: MatchResult, gallery: Gallery) -> None:
@@ -204,7 +204,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     assert page.count("the other: mirrored &amp; all, ") == 4  # alt text and caption of two views
 
     def drawn(picture: np.ndarray) -> np.ndarray:
-        return picture[np.abs(picture / 255.0 - PAPER).max(axis=2) > 0.02].astype(float)
+        return picture[np.abs(picture / 255.0 - BACKGROUND).max(axis=2) > 0.02].astype(float)
 
     # The same answer again differs nowhere, so all of it is clay; the mirrored one differs away from the plane x = 0.
     same = replace(unsure, confidence=Confidence(LOOK, (answers[0], answers[0]), deciding=0))
@@ -281,7 +281,7 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     result = identity_result()
     refinement = result.target.refinement
     segments = control_edges(refinement)
-    edges = _edges(refinement.control)
+    edges = cage_edges(refinement.control)
     assert len(segments) == len(edges) * 2**refinement.n_levels
     assert draw_carried(result, CarriedData(), SIZE) == ()
 

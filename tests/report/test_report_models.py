@@ -35,12 +35,12 @@ from cagemap.report import (
     report_models,
     write_report,
 )
-from cagemap.report.marks import SOURCE, TARGET, find_marks, with_marks
-from cagemap.report.models import pack
-from cagemap.report.page import MAX_TEXTURE_BYTES, encoded_texture
-from cagemap.report.shown import reached, shown_surface, shown_surfaces
-from cagemap.report.verdicts import explain, overall, sentence
-from cagemap.report.viewpoints import seen
+from cagemap.report.marks import SOURCE, TARGET, find_marks, name_marks
+from cagemap.report.models import pack_models
+from cagemap.report.page import MAX_TEXTURE_BYTES, encode_texture
+from cagemap.report.shown import display_surface, display_surfaces, reached_vertices
+from cagemap.report.verdicts import overall_verdict, rate_figures, verdict_sentence
+from cagemap.report.viewpoints import choose_viewpoints
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 
@@ -65,7 +65,7 @@ def unpacked(described: dict[str, Any], content: bytes) -> np.ndarray:
 
 
 def opened(models: Any, result: MatchResult) -> tuple[dict[str, Any], bytes]:
-    described, arrays = pack(models, result)
+    described, arrays = pack_models(models, result)
     assert "<" not in described
     return json.loads(described), zlib.decompress(base64.b64decode(arrays))
 
@@ -73,7 +73,7 @@ def opened(models: Any, result: MatchResult) -> tuple[dict[str, Any], bytes]:
 def test_arrays_come_back_to_the_last_of_16_bits(result: MatchResult) -> None:
     rng = np.random.default_rng(0)
     texture = rng.integers(0, 255, (64, 64, 3), np.uint8)
-    models = report_models(result, seen(result), texture=texture, baked=texture)
+    models = report_models(result, choose_viewpoints(result), texture=texture, baked=texture)
     described, content = opened(models, result)
     for name, shown in ((SOURCE, models.source), (TARGET, models.target)):
         said = described["sides"][name]
@@ -94,14 +94,14 @@ def test_arrays_come_back_to_the_last_of_16_bits(result: MatchResult) -> None:
 
 
 def test_first_look_is_the_texture_else_materials_else_the_checker(result: MatchResult) -> None:
-    models = report_models(result, seen(result))
+    models = report_models(result, choose_viewpoints(result))
     assert [look.name for look in models.looks] == ["Materials", "Checker", "Places", "Problems", "Sizes"]
     described, content = opened(models, result)
     colors = unpacked(described["sides"][SOURCE]["key_colors"], content)
     assert len(np.unique(colors.round(2), axis=0)) == 2  # red and grey, and nothing between them
     bare = replace(result.source.control, face_materials=None, material_colors=None)
     plain = replace(result, source=result.source.with_control(bare))
-    assert report_models(plain, seen(plain)).looks[0].name == "Checker"
+    assert report_models(plain, choose_viewpoints(plain)).looks[0].name == "Checker"
 
 
 def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchResult) -> None:
@@ -116,7 +116,7 @@ def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchRe
     )
     n = len(result.target.vertices)
     masked = replace(result, masks=Masks(np.linspace(0, 1, n), None))
-    models = report_models(masked, seen(masked), carried=carried)
+    models = report_models(masked, choose_viewpoints(masked), carried=carried)
     assert [look.name for look in models.looks][-2:] == ["Masks", "Weights"]
     wrapped, smile, sit = models.shapes
     assert wrapped.source is None
@@ -128,16 +128,16 @@ def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchRe
 
 
 def test_large_surfaces_are_shown_by_vertices_of_their_own(result: MatchResult) -> None:
-    shown = shown_surface(result.target, np.eye(3), most=30)
+    shown = display_surface(result.target, np.eye(3), max_vertices=30)
     assert len(shown.vertices) == 26  # level 1 of a cube
     assert shown.corner_uvs is not None
     finest = np.asarray(result.target.refinement.finest.positions)
     np.testing.assert_allclose(shown.positions * shown.radius + shown.centre, finest[shown.vertices])
     scan = identity_plain(4)
-    few = shown_surface(scan.target, np.eye(3), most=600)
+    few = display_surface(scan.target, np.eye(3), max_vertices=600)
     assert 300 <= len(few.vertices) <= 750
     assert few.corner_uvs is None
-    assert report_models(scan, seen(scan), most=600).looks[0].name == "Checker"
+    assert report_models(scan, choose_viewpoints(scan), max_vertices=600).looks[0].name == "Checker"
 
 
 def identity_plain(level: int) -> MatchResult:
@@ -153,9 +153,9 @@ def identity_plain(level: int) -> MatchResult:
 
 
 def test_troubles_are_marked_where_they_are(result: MatchResult) -> None:
-    views = seen(result)
-    target, source = shown_surfaces(result, views)
-    everything = reached(result, source)
+    views = choose_viewpoints(result)
+    target, source = display_surfaces(result, views)
+    everything = reached_vertices(result, source)
     assert everything.all()
     assert find_marks(result, target, source, everything) == ()
     # A corner that is not trusted, and the opposite one of the source that nothing comes to.
@@ -177,7 +177,7 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     answers = (Placement(places, 1e-4, name="one"), Placement(-places, 1.1e-4, name="another"))
     unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
     unsure = replace(unsure, quality=replace(result.quality, landmark_errors=np.zeros(3)))
-    models = report_models(unsure, seen(unsure))
+    models = report_models(unsure, choose_viewpoints(unsure))
     assert [(mark.number, mark.side, mark.vertex) for mark in models.marks] == [
         (1, TARGET, 5),
         (2, TARGET, 5),
@@ -189,30 +189,33 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     assert "away from its mark" in page
     shown = page.split("<script")[0]
     assert "vertex" not in shown.split("Look here")[1].split("</ul>")[0]
-    assert with_marks("1 % is folded over, worst at (1, -2.5, 3) of the target's file", ()) == "1 % is folded over"
+    assert name_marks("1 % is folded over, worst at (1, -2.5, 3) of the target's file", ()) == "1 % is folded over"
 
 
 def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
-    poor = explain({"flipped_area": 0.12, "coverage": 0.9})
-    assert sentence(poor, overall(poor, [])) == "Do not use this map as it is: 12.00 % of the target is folded over."
-    fair = explain({"flipped_area": 0.001, "coverage": 0.85})
-    assert sentence(fair, "fair") == (
+    poor = rate_figures({"flipped_area": 0.12, "coverage": 0.9})
+    assert (
+        verdict_sentence(poor, overall_verdict(poor, []))
+        == "Do not use this map as it is: 12.00 % of the target is folded over."
+    )
+    fair = rate_figures({"flipped_area": 0.001, "coverage": 0.85})
+    assert verdict_sentence(fair, "fair") == (
         "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
     )
-    assert sentence([], "fair", marked=False) == "The map is usable; read the remarks below."
+    assert verdict_sentence([], "fair", marked=False) == "The map is usable; read the remarks below."
 
 
 def test_models_with_z_up_stand_upright(result: MatchResult) -> None:
     lying = result.target.control.with_positions(result.target.control.positions @ np.diag([1.0, 1.0, 3.0]))
     tall = identity_result(controls=(lying, lying))
-    shown, _ = shown_surfaces(tall, seen(tall, Z_UP, "as asked"))
+    shown, _ = display_surfaces(tall, choose_viewpoints(tall, Z_UP, "as asked"))
     extent = np.ptp(shown.positions, axis=0)
     assert extent[1] > 2 * max(extent[0], extent[2])
 
 
 def test_textures_become_small_enough_for_a_page() -> None:
     noise = np.random.default_rng(0).random((2048, 2048, 3))
-    texture = encoded_texture("t", "noise", noise)
+    texture = encode_texture("t", "noise", noise)
     assert len(texture.content) <= MAX_TEXTURE_BYTES
     assert texture.size[0] < 2048
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Character, Part, posed
+from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
@@ -112,10 +112,10 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         found = _part(made, given.name)
         moved = replace(given, mesh=given.mesh.with_positions(2 * given.mesh.positions @ turn + [0.1, 0.2, 0.3]))
         rows = _same_order(found, moved, 1e-2)
-        expected = 2 * posed(given, files.rig, poses[0]) @ turn + [0.1, 0.2, 0.3]
+        expected = 2 * skinned_positions(given, files.rig, poses[0]) @ turn + [0.1, 0.2, 0.3]
         # The map is found, not given: a thousandth of the size.
         size = float(np.ptp(body.positions, axis=0).max())
-        np.testing.assert_allclose(posed(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
+        np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
 def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Character, body: ControlMesh) -> None:

@@ -1,1 +1,1 @@
-"""A character: body, passengers (clothes, eyes, hair), skeleton, animations; and carrying it to another body."""
+"""Characters (body, passengers such as clothes, skeleton, animations) and their transfer to another body."""

@@ -1,4 +1,4 @@
-"""Humanoid bones: names of joints in common rigs, as VRM 1.0 names them."""
+"""Humanoid bones: their VRM 1.0 names and the names of their joints in common rigs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.numerics.arrays import IndexArray
 
 SIDES = ("left", "right")
 
-# How each convention writes left and right in place of {}.
+# Left and right in each convention, for {} below.
 CONVENTIONS: Mapping[str, tuple[str, str]] = {
     "VRM 0.x": ("left", "right"),
     "Mixamo": ("Left", "Right"),
@@ -26,9 +26,8 @@ CONVENTIONS: Mapping[str, tuple[str, str]] = {
     "Khronos CesiumMan": ("L", "R"),
 }
 
-# One row a bone: VRM 1.0 name, VRM parent, then its name in each convention; "=" as in VRM 1.0, "-" none, "|" between
-# names of which the first that is there counts, "/" between left and right. Case, separators, a namespace such as
-# "mixamorig:" and Rigify's "DEF-" do not matter.
+# One row a bone: VRM 1.0 name, VRM parent, its name in each convention. "=": the VRM 1.0 name; "-": none;
+# "|": first present; "/": left and right differ. Case, separators, namespaces and "DEF-" are ignored.
 _ROWS = """
 hips                  -                     =                    Hips           spine           root           pelvis        CC_Base_Hip          Hips|Pelvis|Hip                   torso_joint_1   torso_joint_1
 spine                 hips                  =                    Spine          spine.001       spine05        spine_01      CC_Base_Waist        Spine|Abdomen                     torso_joint_2   torso_joint_2
@@ -63,23 +62,23 @@ jaw                   head                  =                    Jaw            
 {}LittleDistal        {}LittleIntermediate  =                    {}HandPinky3   f_pinky.03.{}   finger5-3.{}   pinky_03_{}   CC_Base_{}_Pinky3    Pinky3.{}|Pinky.03.{}|Little3.{}  -               -
 """  # noqa: E501
 
-# Prefixes that say nothing of the bone: of a namespace or object, of Rigify's deforming bones, of Khronos' samples.
+# Prefixes without meaning: namespaces and objects, Rigify's deforming bones, Khronos' samples.
 _PREFIX = re.compile(r"^.*[:|/]|^(DEF[-_]|Skeleton_)")
-# Sides in names: words, or a letter of its own.
+# Sides in names: a word, or a single letter.
 _SIDE_WORD = re.compile(r"[Ll]eft|[Rr]ight|LEFT|RIGHT|(?<![A-Za-z])[LlRr](?![A-Za-z])")
 _SIDE_PAIRS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
-_OTHER_SIDE = {one: other for pair in _SIDE_PAIRS for one, other in (pair, pair[::-1])}
-# Numbers that some exporters append to every name.
+_OPPOSITE_SIDE = {spelling: other for pair in _SIDE_PAIRS for spelling, other in (pair, pair[::-1])}
+# Numbers that some exporters append to all names.
 _SUFFIX = re.compile(r"_\d+$")
 
 
-def _plain(name: str) -> str:
-    """A name without prefix, separators and case."""
+def _bare_name(name: str) -> str:
+    """A name in lower case without prefix and separators."""
     return re.sub(r"[^a-z0-9]", "", _PREFIX.sub("", _PREFIX.sub("", name)).lower())
 
 
-def _tables() -> tuple[dict[str, str], dict[str, dict[str, tuple[str, ...]]]]:
-    """VRM parents, and for each convention plain names of each VRM bone, in order of preference."""
+def _read_rows() -> tuple[dict[str, str], dict[str, dict[str, tuple[str, ...]]]]:
+    """VRM parents; and bare names of each VRM bone by convention, in order of preference."""
     parents: dict[str, str] = {}
     tables: dict[str, dict[str, tuple[str, ...]]] = {name: {} for name in ("VRM 1.0", *CONVENTIONS)}
     for row in _ROWS.strip().splitlines():
@@ -87,22 +86,24 @@ def _tables() -> tuple[dict[str, str], dict[str, dict[str, tuple[str, ...]]]]:
         for side in range(2 if "{}" in bone else 1):
             name = bone.format(SIDES[side])
             parents[name] = parent.format(SIDES[side])
-            tables["VRM 1.0"][name] = (_plain(name),)
+            tables["VRM 1.0"][name] = (_bare_name(name),)
             for (convention, words), cell in zip(CONVENTIONS.items(), cells, strict=True):
                 if cell != "-":
-                    one = cell.replace("=", bone).split("/")[side if "/" in cell else 0]
-                    tables[convention][name] = tuple(_plain(text.format(words[side])) for text in one.split("|"))
+                    spelling = cell.replace("=", bone).split("/")[side if "/" in cell else 0]
+                    tables[convention][name] = tuple(
+                        _bare_name(text.format(words[side])) for text in spelling.split("|")
+                    )
     return parents, tables
 
 
-PARENTS, TABLES = _tables()
+BONE_PARENTS, BONE_NAMES = _read_rows()
 
 
-def humanoid_names(rig: Rig) -> dict[str, int]:
-    """Joints of a rig that are humanoid bones, by their VRM 1.0 names.
+def humanoid_joints(rig: Rig) -> dict[str, int]:
+    """Joints of a rig that are humanoid bones, by VRM 1.0 name.
 
-    Of all naming conventions the one counts that names the most joints. Joints that hang on others than their bones do
-    are left out.
+    The naming convention that names the most joints is used. Joints whose parents contradict the bones' parents are
+    left out.
 
     Parameters
     ----------
@@ -113,37 +114,40 @@ def humanoid_names(rig: Rig) -> dict[str, int]:
     dict of str to int
         Empty where no convention knows the joints.
     """
-    given = [tuple(_plain(name) for name in rig.names)]
-    given.append(tuple(_plain(_SUFFIX.sub("", name)) for name in rig.names))
-    found = (_named(rig, names, table) for names, table in product(given, TABLES.values()))
-    return max(chain([{}], found), key=len)
+    name_lists = [tuple(_bare_name(name) for name in rig.names)]
+    name_lists.append(tuple(_bare_name(_SUFFIX.sub("", name)) for name in rig.names))
+    matches = (_matched_joints(rig, names, table) for names, table in product(name_lists, BONE_NAMES.values()))
+    return max(chain([{}], matches), key=len)
 
 
-def _named(rig: Rig, names: tuple[str, ...], table: Mapping[str, tuple[str, ...]]) -> dict[str, int]:
-    """Joints that one table names, as far as their parents agree with it."""
+def _matched_joints(rig: Rig, names: tuple[str, ...], table: Mapping[str, tuple[str, ...]]) -> dict[str, int]:
+    """Joints that a table names and whose parents agree with the bones' parents."""
     joint_of = {name: joint for joint, name in reversed(list(enumerate(names)))}
-    chosen = {bone: next((joint_of[name] for name in known if name in joint_of), -1) for bone, known in table.items()}
-    bone_of = {joint: bone for bone, joint in chosen.items() if joint >= 0}
-    kept: dict[int, str] = {}
+    joint_of_bone = {
+        bone: next((joint_of[name] for name in candidates if name in joint_of), -1)
+        for bone, candidates in table.items()
+    }
+    bone_of = {joint: bone for bone, joint in joint_of_bone.items() if joint >= 0}
+    accepted: dict[int, str] = {}
     for joint in sorted(bone_of):  # parents stand before children
-        above = int(rig.parents[joint])
-        while above >= 0 and above not in kept:
-            above = int(rig.parents[above])
-        if above < 0 or kept[above] in bones_above(bone_of[joint]):
-            kept[joint] = bone_of[joint]
-    return {bone: joint for bone, joint in chosen.items() if kept.get(joint) == bone}
+        ancestor = int(rig.parents[joint])
+        while ancestor >= 0 and ancestor not in accepted:
+            ancestor = int(rig.parents[ancestor])
+        if ancestor < 0 or accepted[ancestor] in ancestor_bones(bone_of[joint]):
+            accepted[joint] = bone_of[joint]
+    return {bone: joint for bone, joint in joint_of_bone.items() if accepted.get(joint) == bone}
 
 
 def mirrored_joints(names: Sequence[str]) -> IndexArray:
-    """Joint on the other side (j,) of each joint, by left and right in the names; itself where none is."""
+    """(j,) joint on the other side, by left and right in the names; else the joint itself."""
     numbers = {name: joint for joint, name in enumerate(names)}
-    others = [_SIDE_WORD.sub(lambda word: _OTHER_SIDE[word.group()], name, count=1) for name in names]
-    return np.array([numbers.get(other, joint) for joint, other in enumerate(others)], dtype=np.int64)
+    mirrored_names = [_SIDE_WORD.sub(lambda word: _OPPOSITE_SIDE[word.group()], name, count=1) for name in names]
+    return np.array([numbers.get(other, joint) for joint, other in enumerate(mirrored_names)], dtype=np.int64)
 
 
-def bones_above(bone: str) -> list[str]:
-    """VRM bones that a VRM bone hangs on, the nearest first."""
-    above = []
-    while (bone := PARENTS[bone]) != "-":
-        above.append(bone)
-    return above
+def ancestor_bones(bone: str) -> list[str]:
+    """VRM bones above a VRM bone, its parent first."""
+    ancestors = []
+    while (bone := BONE_PARENTS[bone]) != "-":
+        ancestors.append(bone)
+    return ancestors

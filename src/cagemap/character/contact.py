@@ -1,4 +1,4 @@
-"""Contact of a carried passenger with the body: what was outside stays outside, and the body stays below."""
+"""Contact of a carried passenger with the body: vertices outside the body stay outside."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from cagemap.surface.triangles import normalized, row_lengths
 class ContactConfig:
     """Numbers of `push_out`; lengths in units of sqrt(area). What was tried: docs/lab/passengers.md."""
 
-    share: float = 0.5  # least share of its height over the source that a point keeps over the target
-    reach: float = 0.03  # passenger and body further apart than this do not touch
-    above: float = 0.5  # least cosine of the body's normal with the way to the passenger above it
-    facing: float = 0.3  # least cosine of the body's normal with that of the anchor
+    height_share: float = 0.5  # smallest height over the target, as a share of the height over the source
+    reach: float = 0.03  # largest distance of passenger and body in contact
+    min_above_cosine: float = 0.5  # of the body's normal with the direction to the passenger above it
+    min_facing_cosine: float = 0.3  # of the body's normal with that of the anchor
     tolerance: float = 1e-5
-    rounds: int = 12
-    halvings: int = 4  # of a push that ends in another part of the body
-    spreading: int = 4  # rounds in which a push spreads to neighbouring vertices
+    max_rounds: int = 12
+    max_halvings: int = 4  # of a push that ends in another part of the body
+    spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What touches what: vertices over the body, and vertices of the body below the passenger.
+    """Passenger vertices over the body, and body vertices below the passenger.
 
     Attributes
     ----------
-    outside : (k,) int64
-        Passenger vertices over the source.
-    ways : (k, 3) float64
+    vertices : (k,) int64
+        Passenger vertices above the source's body.
+    directions : (k, 3) float64
         Unit directions away from the target at them.
-    floors : (k,) float64
-        Least heights over the target.
-    covered : (c,) int64
+    min_heights : (k,) float64
+        Smallest allowed heights over the target.
+    body_vertices : (c,) int64
         Vertices of the target's body that the passenger covers.
     corners, barycentric : (c, 3)
         Point of the passenger over each.
-    gaps : (c,) float64
-        Least heights of these points over them.
+    min_gaps : (c,) float64
+        Smallest allowed heights of these points.
     """
 
-    outside: IndexArray
-    ways: FloatArray
-    floors: FloatArray
-    covered: IndexArray
+    vertices: IndexArray
+    directions: FloatArray
+    min_heights: FloatArray
+    body_vertices: IndexArray
     corners: IndexArray
     barycentric: FloatArray
-    gaps: FloatArray
+    min_gaps: FloatArray
 
     @classmethod
     def find(
@@ -67,7 +67,7 @@ class Contact:
         linear: FloatArray,
         config: ContactConfig = ContactConfig(),
     ) -> Contact:
-        """Contact on the source. Every mesh is over the body on its own, whatever lies between.
+        """Find the contact on the source, for every mesh on its own.
 
         Parameters
         ----------
@@ -83,28 +83,38 @@ class Contact:
         config : ContactConfig
         """
         heights, _ = _heights(frames.point_map.source, points, normals, config)
-        outside = np.flatnonzero((heights > 0) & (heights < config.reach))
-        ways = normalized(np.einsum("nd,nde->ne", normals, linear))[outside]
-        covered = [_covered(frames, points, triangles, config) for triangles in meshes]
-        body, corners, barycentric, gaps = (np.concatenate(arrays) for arrays in zip(*covered, strict=True))
-        return cls(outside, ways, config.share * heights[outside], body, corners, barycentric, config.share * gaps)
+        vertices = np.flatnonzero((heights > 0) & (heights < config.reach))
+        directions = normalized(np.einsum("nd,nde->ne", normals, linear))[vertices]
+        found_per_mesh = [_find_covered(frames, points, triangles, config) for triangles in meshes]
+        body_vertices, corners, barycentric, gaps = (
+            np.concatenate(arrays) for arrays in zip(*found_per_mesh, strict=True)
+        )
+        return cls(
+            vertices,
+            directions,
+            config.height_share * heights[vertices],
+            body_vertices,
+            corners,
+            barycentric,
+            config.height_share * gaps,
+        )
 
 
-def _covered(
+def _find_covered(
     frames: BodyFrames, points: FloatArray, triangles: IndexArray, config: ContactConfig
 ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
-    """Vertices of the body below a mesh, corners and barycentric coordinates of the point over each, and heights."""
+    """Body vertices below a mesh; corners and barycentric coordinates of the points above them; their heights."""
     images, upward = frames.point_map.images.positions, frames.source_normals
-    used, own = np.unique(triangles, return_inverse=True)
-    own_points, own_triangles = points[used], own.reshape(-1, 3)
-    low, high = own_points.min(axis=0) - config.reach, own_points.max(axis=0) + config.reach
+    used, inverse = np.unique(triangles, return_inverse=True)
+    mesh_points, mesh_triangles = points[used], inverse.reshape(-1, 3)
+    low, high = mesh_points.min(axis=0) - config.reach, mesh_points.max(axis=0) + config.reach
     body = np.flatnonzero(((images > low) & (images < high)).all(axis=1))
     triangle, barycentric, distance = closest_points(
-        build_tree(own_points, own_triangles), images[body], within=config.reach
+        build_tree(mesh_points, mesh_triangles), images[body], within=config.reach
     )
-    over = np.einsum("nc,ncd->nd", barycentric, own_points[own_triangles[triangle]]) - images[body]
-    gaps = np.einsum("nd,nd->n", over, upward[body])
-    kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.above * distance))
+    offsets = np.einsum("nc,ncd->nd", barycentric, mesh_points[mesh_triangles[triangle]]) - images[body]
+    gaps = np.einsum("nd,nd->n", offsets, upward[body])
+    kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.min_above_cosine * distance))
     return body[kept], triangles[triangle[kept]], barycentric[kept], gaps[kept]
 
 
@@ -115,43 +125,45 @@ def push_out(
     triangles: IndexArray,
     config: ContactConfig = ContactConfig(),
 ) -> FloatArray:
-    """Places (n, 3) in the target's unit, moved away from its body until all are as high as the contact asks for.
+    """Positions (n, 3), at unit area, moved away from the target's body to at least the contact's heights.
 
-    A push spreads to the passenger's vertices around, and fades with each step.
+    A push spreads to neighbouring vertices of the passenger and fades with each step.
     """
-    below, upward = target.positions[contact.covered], target.vertex_normals[contact.covered]
+    body_positions, upward = target.positions[contact.body_vertices], target.vertex_normals[contact.body_vertices]
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
     means = neighbor_means(triangles, len(places))
     start = places
     moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
-    heights, upright = np.full(len(contact.outside), np.inf), np.zeros_like(contact.ways)
-    for _ in range(config.rounds):
-        again = np.flatnonzero(moved[contact.outside])
-        heights[again], upright[again] = _heights(target, places[contact.outside[again]], contact.ways[again], config)
-        own = np.maximum(contact.floors - heights, 0.0)  # not where nothing is near: heights are infinite
-        own[own < config.tolerance] = 0.0
-        over = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - below
-        lacking = np.maximum(contact.gaps - np.einsum("nd,nd->n", over, upward), 0.0)
-        rows = np.flatnonzero(lacking > config.tolerance)
-        if not len(rows) and not own.any():
+    heights, upright = np.full(len(contact.vertices), np.inf), np.zeros_like(contact.directions)
+    for _ in range(config.max_rounds):
+        changed = np.flatnonzero(moved[contact.vertices])
+        heights[changed], upright[changed] = _heights(
+            target, places[contact.vertices[changed]], contact.directions[changed], config
+        )
+        rise = np.maximum(contact.min_heights - heights, 0.0)  # 0 where no body is near: heights are infinite
+        rise[rise < config.tolerance] = 0.0
+        offsets = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - body_positions
+        missing = np.maximum(contact.min_gaps - np.einsum("nd,nd->n", offsets, upward), 0.0)
+        rows = np.flatnonzero(missing > config.tolerance)
+        if not len(rows) and not rise.any():
             break
         shares = contact.barycentric[rows] / squared[rows, None]
-        moves = (lacking[rows, None] * shares)[:, :, None] * upward[rows, None]
+        moves = (missing[rows, None] * shares)[:, :, None] * upward[rows, None]
         corners, weights = contact.corners[rows].ravel(), contact.barycentric[rows].ravel()
         total = np.bincount(corners, weights, minlength=len(places))[:, None]
         push = grouped_sums(corners, weights[:, None] * moves.reshape(-1, 3), len(places)) / np.where(total, total, 1.0)
-        push[contact.outside] = _longer(own[:, None] * upright, push[contact.outside])
-        for _ in range(config.spreading):
-            push = _longer(push, means @ push)
+        push[contact.vertices] = _longer_rows(rise[:, None] * upright, push[contact.vertices])
+        for _ in range(config.spreading_rounds):
+            push = _longer_rows(push, means @ push)
         places, moved = places + push, np.asarray(push.any(axis=1))
-    return _not_deeper(target, start, places, config)
+    return _limit_depth(target, start, places, config)
 
 
-def _not_deeper(target: TriangleSurface, before: FloatArray, after: FloatArray, config: ContactConfig) -> FloatArray:
-    """(n, 3) places after a push, with pushes into another part of the body cut to a half until they are none."""
+def _limit_depth(target: TriangleSurface, before: FloatArray, after: FloatArray, config: ContactConfig) -> FloatArray:
+    """(n, 3) positions after a push; pushes that go deeper into another part of the body are halved."""
     moved = np.flatnonzero((before != after).any(axis=1))
     depths = np.minimum(_heights(target, before[moved], None, config)[0], 0.0)
-    for _ in range(config.halvings):
+    for _ in range(config.max_halvings):
         worse = _heights(target, after[moved], None, config)[0] < depths - config.tolerance
         moved, depths = moved[worse], depths[worse]
         after[moved] = 0.5 * (before[moved] + after[moved])
@@ -164,23 +176,20 @@ def _heights(
     normals: FloatArray | None,
     config: ContactConfig,
 ) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (m,) from closest points that face as normals given do, and the normals (m, 3) there.
-
-    Infinite where there is none in reach.
-    """
+    """Signed distances (m,), infinite out of reach, from closest points with similar normals; normals (m, 3) there."""
     triangle, barycentric, distance = closest_points(
         surface.tree,
         points,
         normals,
-        minimum_cosine=-2.0 if normals is None else config.facing,
+        minimum_cosine=-2.0 if normals is None else config.min_facing_cosine,
         within=2.0 * config.reach,
     )
     corners = surface.triangles[triangle]
-    feet = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
+    closest = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
     upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
-    return np.copysign(distance, np.einsum("nd,nd->n", points - feet, upward)), upward
+    return np.copysign(distance, np.einsum("nd,nd->n", points - closest, upward)), upward
 
 
-def _longer(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(n, 3) the longer of two vectors, row by row."""
+def _longer_rows(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(n, 3) the longer vector of each row."""
     return np.where((row_lengths(first) >= row_lengths(second))[:, None], first, second)

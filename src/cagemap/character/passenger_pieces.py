@@ -1,4 +1,4 @@
-"""Connected pieces of a passenger: which keep their shape, and the similarity that moves each."""
+"""Connected pieces of a passenger: which are rigid, and the similarity that moves each rigid group."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ KINDS: tuple[Kind, ...] = ("cloth", "rigid", "similarity")
 
 @dataclass(frozen=True)
 class PieceConfig:
-    """What tells pieces that keep their shape from cloth; lengths in units of sqrt(area)."""
+    """Bounds that separate rigid pieces from cloth; lengths in units of sqrt(area)."""
 
-    small: float = 0.04  # radius of a button, a tooth or an eyeball at most
-    compact: float = 0.75  # least ratio of the middle to the largest of the three extents: a strip has less
-    apart: float = 0.15  # a piece further from the body than this on average is a prop
-    concentric: float = 0.5  # pieces with centres closer than this, of the larger's radius, move together
+    max_radius: float = 0.04  # of a button, a tooth or an eyeball
+    min_compactness: float = 0.75  # middle over largest extent; strips have less
+    prop_distance: float = 0.15  # mean distance from the body beyond which a piece is a prop
+    concentric_share: float = 0.5  # largest distance of the centres of one group, over the larger radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,21 +34,22 @@ class Pieces:
     ----------
     group : (n,) int64
         Of every vertex.
-    firm : (g,) bool
-        Whether a group keeps its shape.
-    scaled : bool
-        Whether firm groups take the size of their surroundings, or that of the whole body.
+    is_rigid : (g,) bool
+        Whether a group keeps its shape, up to its size.
+    has_local_scale : bool
+
+        Whether rigid groups scale with their surroundings, not with the whole body.
     """
 
     group: IndexArray
-    firm: NDArray[np.bool_]
-    scaled: bool
+    is_rigid: NDArray[np.bool_]
+    has_local_scale: bool
 
 
 def find_pieces(
     mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: Kind | None, config: PieceConfig = PieceConfig()
 ) -> Pieces:
-    """Pieces of a mesh and what becomes of them; a kind, if given, holds for all.
+    """Group the connected pieces of a mesh; decide which are rigid.
 
     Parameters
     ----------
@@ -58,6 +59,7 @@ def find_pieces(
     heights : (n,) float64
         Their signed distances from the body.
     kind : str, optional
+        Of all pieces.
     config : PieceConfig
     """
     piece = components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
@@ -69,62 +71,66 @@ def find_pieces(
     extents = np.sqrt(np.maximum(np.linalg.eigvalsh(moments / sizes[:, None, None]), 0.0))
     radius = np.zeros(count)
     np.maximum.at(radius, piece, np.linalg.norm(offsets, axis=1))
-    away = np.bincount(piece, np.abs(heights), minlength=count) / sizes
-    firm = (radius < config.small) & (extents[:, 1] > config.compact * extents[:, 2]) | (away > config.apart)
+    mean_height = np.bincount(piece, np.abs(heights), minlength=count) / sizes
+    is_rigid = (radius < config.max_radius) & (extents[:, 1] > config.min_compactness * extents[:, 2]) | (
+        mean_height > config.prop_distance
+    )
     if kind is not None:
-        firm = np.full(count, kind != "cloth")
-    heads, tails = _near_pairs(centres, config.concentric * config.small)
-    together = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric * np.maximum(
+        is_rigid = np.full(count, kind != "cloth")
+    heads, tails = _near_pairs(centres, config.concentric_share * config.max_radius)
+    is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
         radius[heads], radius[tails]
     )
-    together &= firm[heads] & firm[tails]
-    group = components(heads[together], tails[together], count)
-    joined = np.zeros(int(group.max()) + 1, dtype=bool)
-    joined[group[firm]] = True
-    return Pieces(group[piece], joined, kind != "rigid")
+    is_joined &= is_rigid[heads] & is_rigid[tails]
+    group = components(heads[is_joined], tails[is_joined], count)
+    group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
+    group_rigid[group[is_rigid]] = True
+    return Pieces(group[piece], group_rigid, kind != "rigid")
 
 
-def _near_pairs(centres: FloatArray, within: float) -> tuple[IndexArray, IndexArray]:
-    pairs = cKDTree(centres).query_pairs(within, output_type="ndarray")
+def _near_pairs(centres: FloatArray, max_distance: float) -> tuple[IndexArray, IndexArray]:
+    pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray")
     return pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
 
 
-def keep_shape(
+def fit_similarities(
     pieces: Pieces, points: FloatArray, places: FloatArray, frames: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Move every firm group by the similarity of its points that comes nearest to their places.
+    """Move every rigid group by the least-squares similarity from its points to their places.
 
-    The frames (n, 3, 3) decide the rotation where a group is a point, a line or flat.
+    The frames (n, 3, 3) decide the rotation of a group that is a point, a line or flat.
 
     Returns
     -------
     places : (n, 3) float64
     turns : (n, 3, 3) float64
-        How each vertex's surroundings turn: rotations for rows.
+        Rotations, for rows, of the surroundings of each vertex.
     scales : (n,) float64
-        And how they change in size.
+        Their scales.
     """
-    group, count = pieces.group, len(pieces.firm)
+    group, count = pieces.group, len(pieces.is_rigid)
     sizes = np.bincount(group, minlength=count)[:, None]
-    centres, goals = (grouped_sums(group, array, count) / sizes for array in (points, places))
-    offsets, moved = points - centres[group], places - goals[group]
-    mixed = grouped_sums(group, (offsets[:, :, None] * moved[:, None]).reshape(-1, 9), count).reshape(-1, 3, 3)
+    centres, place_centres = (grouped_sums(group, array, count) / sizes for array in (points, places))
+    offsets, place_offsets = points - centres[group], places - place_centres[group]
+    covariance = grouped_sums(group, (offsets[:, :, None] * place_offsets[:, None]).reshape(-1, 9), count).reshape(
+        -1, 3, 3
+    )
     spread = np.bincount(group, np.einsum("nd,nd->n", offsets, offsets), minlength=count)
-    mean = grouped_sums(group, frames.reshape(-1, 9), count).reshape(-1, 3, 3) / sizes[:, :, None]
-    turns = nearest_rotations(mixed + (1e-3 * spread + 1e-12)[:, None, None] * mean)
+    mean_frames = grouped_sums(group, frames.reshape(-1, 9), count).reshape(-1, 3, 3) / sizes[:, :, None]
+    turns = nearest_rotations(covariance + (1e-3 * spread + 1e-12)[:, None, None] * mean_frames)
     scales = np.ones(count)
-    if pieces.scaled:
-        fitted = np.einsum("gab,gab->g", turns, mixed) / np.where(spread > 0, spread, 1.0)
-        scales = np.where(spread > 0, fitted, _sizes(mean))
-    firm = pieces.firm[group]
-    kept = goals[group] + scales[group, None] * np.einsum("nd,nde->ne", offsets, turns[group])
+    if pieces.has_local_scale:
+        fitted_scales = np.einsum("gab,gab->g", turns, covariance) / np.where(spread > 0, spread, 1.0)
+        scales = np.where(spread > 0, fitted_scales, _length_factors(mean_frames))
+    is_rigid = pieces.is_rigid[group]
+    rigid_places = place_centres[group] + scales[group, None] * np.einsum("nd,nde->ne", offsets, turns[group])
     return (
-        np.where(firm[:, None], kept, places),
-        np.where(firm[:, None, None], turns[group], nearest_rotations(frames)),
-        np.where(firm, scales[group], _sizes(frames)),
+        np.where(is_rigid[:, None], rigid_places, places),
+        np.where(is_rigid[:, None, None], turns[group], nearest_rotations(frames)),
+        np.where(is_rigid, scales[group], _length_factors(frames)),
     )
 
 
-def _sizes(frames: FloatArray) -> FloatArray:
-    """(n,) mean factor of lengths of linear maps (n, 3, 3)."""
+def _length_factors(frames: FloatArray) -> FloatArray:
+    """(n,) mean length factors of linear maps (n, 3, 3)."""
     return np.asarray(np.cbrt(np.abs(np.linalg.det(frames))))

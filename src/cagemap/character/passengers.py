@@ -1,4 +1,4 @@
-"""Passengers: clothes, shoes, eyes, teeth, hair and props that follow a body along a finished map."""
+"""Transfer of passengers along a map: clothes, shoes, eyes, teeth, hair and props of a body."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.contact import Contact, push_out
-from cagemap.character.passenger_pieces import KINDS, Kind, find_pieces, keep_shape
+from cagemap.character.passenger_pieces import KINDS, Kind, find_pieces, fit_similarities
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -20,15 +20,15 @@ from cagemap.surface.triangles import fan_triangles
 
 @dataclass(frozen=True, eq=False)
 class CarriedPassenger:
-    """A passenger where it belongs on the target.
+    """A passenger on the target's body.
 
     Attributes
     ----------
     positions : (n, 3) float64
         In the target's file units.
     linear : (n, 3, 3) float64
-        An offset of a vertex, as a row, times it is the offset on the target: a rotation times a scale.
-    distance: float
+        Rotation times scale that takes an offset of a vertex, as a row, to the target.
+    distance : float
         Mean distance of the vertices from the source's body, in units of sqrt(area).
     """
 
@@ -37,30 +37,30 @@ class CarriedPassenger:
     distance: float
 
     def carry_offsets(self, offsets: FloatArray) -> FloatArray:
-        """Offsets (n, 3) of a shape of the passenger, turned and scaled as its surroundings are."""
+        """Offsets (n, 3) of a shape key of the passenger, rotated and scaled for the target."""
         if np.shape(offsets) != self.positions.shape:
             raise ParameterError(f"expected offsets {self.positions.shape}, one a vertex, got {np.shape(offsets)}")
         return np.asarray(np.einsum("nd,nde->ne", offsets, self.linear))
 
 
-def carry_passenger(found: PointMap | MatchResult, mesh: ControlMesh, *, kind: Kind | None = None) -> CarriedPassenger:
-    """Carry one mesh that sits on the source's body to the target's body; see `carry_passengers`."""
-    return carry_passengers(found, [mesh], kinds=None if kind is None else {mesh.name: kind})[0]
+def carry_passenger(result: PointMap | MatchResult, mesh: ControlMesh, *, kind: Kind | None = None) -> CarriedPassenger:
+    """Carry one mesh on the source's body to the target's body; see `carry_passengers`."""
+    return carry_passengers(result, [mesh], kinds=None if kind is None else {mesh.name: kind})[0]
 
 
 def carry_passengers(
-    found: PointMap | MatchResult, meshes: Sequence[ControlMesh], *, kinds: Mapping[str, Kind] | None = None
+    result: PointMap | MatchResult, meshes: Sequence[ControlMesh], *, kinds: Mapping[str, Kind] | None = None
 ) -> list[CarriedPassenger]:
-    """Carry meshes that sit on the source's body to the target's body.
+    """Carry meshes on the source's body to the target's body.
 
     Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs, buttons, teeth) and pieces
-    far from the body keep their shape, as 'similarity' does; `find_pieces` decides which. What follows the surface and
-    was outside the source's body ends outside the target's.
+    far from the body keep their shape, as 'similarity' does; `find_pieces` decides which. Cloth outside the source's
+    body stays outside the target's.
 
     Parameters
     ----------
-    found : PointMap or MatchResult
-        The map from the target to the source; passengers are carried against it.
+    result : PointMap or MatchResult
+        The map from the target to the source.
     meshes : sequence of ControlMesh
         In the file units of the source.
     kinds : mapping of str to {'cloth', 'rigid', 'similarity'}, optional
@@ -75,12 +75,12 @@ def carry_passengers(
     Raises
     ------
     ParameterError
-        If a mesh has no faces or a place that is not finite, or a kind is unknown.
+        If a mesh has no faces or a position that is not finite, or a kind is unknown.
     """
-    point_map = found.point_map if isinstance(found, MatchResult) else found
+    point_map = result.point_map if isinstance(result, MatchResult) else result
     kinds = dict(kinds or {})
     for mesh in meshes:
-        _require_passenger(mesh)
+        _check_passenger(mesh)
     for name, kind in kinds.items():
         if kind not in KINDS:
             raise ParameterError(f"{name}: expected cloth, rigid or similarity, got {kind!r}")
@@ -102,15 +102,17 @@ def carry_passengers(
     factor = source.scale / target.scale
     carried = []
     for mesh, start in zip(meshes, starts[:-1], strict=True):
-        own = slice(start, start + mesh.n_vertices)
-        pieces = find_pieces(mesh, points[own], anchors.heights[own], kinds.get(mesh.name))
-        kept, turns, scales = keep_shape(pieces, points[own], places[own], linear[own])
-        linear_of = factor * scales[:, None, None] * turns
-        carried.append(CarriedPassenger(kept / target.scale, linear_of, float(np.abs(anchors.heights[own]).mean())))
+        rows = slice(start, start + mesh.n_vertices)
+        pieces = find_pieces(mesh, points[rows], anchors.heights[rows], kinds.get(mesh.name))
+        positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], linear[rows])
+        linear_map = factor * scales[:, None, None] * turns
+        carried.append(
+            CarriedPassenger(positions / target.scale, linear_map, float(np.abs(anchors.heights[rows]).mean()))
+        )
     return carried
 
 
-def _require_passenger(mesh: ControlMesh) -> None:
+def _check_passenger(mesh: ControlMesh) -> None:
     if mesh.n_faces == 0 or mesh.n_vertices == 0:
         raise ParameterError(f"{mesh.name}: expected a passenger with faces, got none. Leave it out.")
     if not np.isfinite(mesh.positions).all():

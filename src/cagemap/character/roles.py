@@ -1,4 +1,4 @@
-"""Which part of a character is its body."""
+"""The body among the parts of a character."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.mesh_report import first_few
 
-# Words in the names of parts that are worn or set in, whatever their size.
-_PASSENGERS = re.compile(
+# Words in the names of passengers.
+_PASSENGER_WORDS = re.compile(
     r"eye|lash|brow|teeth|tooth|tongue|gum|hair|beard|moustache|hat|cap\b|helmet|glasses|shirt|top\b|jacket|coat|suit|"
     r"dress|skirt|trouser|pant|jean|short|cloth|outfit|garment|shoe|boot|sock|glove|belt|bag|scarf|cape|armor|armour|"
     r"weapon|sword|accessor",
@@ -19,14 +19,14 @@ _PASSENGERS = re.compile(
 )
 
 
-def role(name: str) -> str:
-    """The word in a part's name that says what is worn or set in, in lower case; '' where there is none."""
-    found = _PASSENGERS.search(name)
-    return "" if found is None else found[0].lower()
+def passenger_word(name: str) -> str:
+    """The word in a part's name that marks a passenger, in lower case; '' if none does."""
+    match = _PASSENGER_WORDS.search(name)
+    return "" if match is None else match[0].lower()
 
 
-def body_of(parts: Sequence[Part], name: str | None = None) -> Part:
-    """The part of that name; without one the part with the largest area among those not named as passengers.
+def find_body(parts: Sequence[Part], name: str | None = None) -> Part:
+    """The part of that name; by default the largest one without a passenger's name.
 
     Raises
     ------
@@ -36,10 +36,10 @@ def body_of(parts: Sequence[Part], name: str | None = None) -> Part:
     if not parts:
         raise ParameterError("expected a character with meshes, got none")
     if name is not None:
-        found = [part for part in parts if part.name == name]
-        if not found:
-            listed = first_few([part.name for part in parts])
-            raise ParameterError(f"expected a part named {name!r}, there is none. It has {listed}.")
-        return found[0]
-    candidates = [part for part in parts if not role(part.name)] or list(parts)
+        named = [part for part in parts if part.name == name]
+        if not named:
+            names = first_few([part.name for part in parts])
+            raise ParameterError(f"expected a part named {name!r}, there is none. It has {names}.")
+        return named[0]
+    candidates = [part for part in parts if not passenger_word(part.name)] or list(parts)
     return max(candidates, key=lambda part: float(face_areas(part.mesh).sum()))

@@ -1,4 +1,4 @@
-"""Values of a character, as files hold it and as functions take it."""
+"""Data classes of characters: rigs, animations, parts."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Joints with their transforms at rest.
+    """Joints with their rest and bind transforms.
 
-    Matrices act on rows: a point (1, 4), times one of them, is in the parent's space.
+    Matrices act on rows: a point (1, 4) times a matrix is in the parent's space.
 
     Attributes
     ----------
     names : tuple of str
     parents : (j,) int64
-        -1 for a root. A parent stands before its children.
+        -1 for a root. Parents stand before children.
     local : (j, 4, 4) float64
-        From a joint's space to its parent's, of a root to the world, at rest.
+        From a joint's space to its parent's (a root's: to the world) in the rest pose.
     bind : (j, 4, 4) float64
-        From a joint's space to the world in the pose in which the weights were made.
+        From a joint's space to the world in the bind pose.
     """
 
     names: tuple[str, ...]
@@ -39,7 +39,7 @@ class Rig:
 
     @property
     def heads(self) -> FloatArray:
-        """Places of the joints in the bind pose, (j, 3) float64."""
+        """Positions of the joints in the bind pose, (j, 3) float64."""
         return self.bind[:, 3, :3]
 
 
@@ -52,10 +52,10 @@ class Track:
     joint : int
     channel : 'translation', 'rotation' or 'scale'
     times : (k,) float64
-        Seconds, rising.
+        Seconds, increasing.
     values : (k, 3) float64, or (k, 4) of a rotation
-        Replace that part of the joint's local transform. Rotations are unit quaternions (x, y, z, w). With
-        'CUBICSPLINE' (k, 3, 3) or (k, 3, 4): in-tangent, value, out-tangent.
+        Of that part of the joint's local transform. Rotations are unit quaternions (x, y, z, w). With 'CUBICSPLINE'
+        (k, 3, 3) or (k, 3, 4): in-tangent, value, out-tangent.
     interpolation : str
     """
 
@@ -68,7 +68,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """Tracks that run together."""
+    """Tracks that are played together."""
 
     name: str
     tracks: tuple[Track, ...] = field(repr=False)
@@ -82,13 +82,13 @@ class Part:
     ----------
     name : str
     mesh : ControlMesh
-        Vertices that the file splits at seams are joined; `ControlMesh.file_copies` says which they were.
+        Vertices that the file splits at seams are joined; `ControlMesh.file_copies` lists them.
     weights : (n, j) csr_array or None
-        Of the joints of the character's rig, rows sum to 1.
+        Of the rig's joints; rows sum to 1.
     shapes : dict of str to (n, 3) float64
         Offsets of the vertices.
     normals : (c, 3) float64 or None
-        Unit normal of every face corner, where a file states them; `cagemap.character.normals.moved` keeps them.
+        Unit normal of every face corner, if the file has them; see `cagemap.character.normals.move_vertices`.
     """
 
     name: str
@@ -107,11 +107,11 @@ class Character:
     animations: tuple[Animation, ...] = ()
 
 
-def posed(part: Part, rig: Rig, transforms: FloatArray) -> FloatArray:
-    """Linear blend skinning: vertices (n, 3) of a part, its joints at ``transforms`` (j, 4, 4) in the world."""
+def skinned_positions(part: Part, rig: Rig, transforms: FloatArray) -> FloatArray:
+    """Linear blend skinning: vertices (n, 3) of a part with its joints at world transforms (j, 4, 4)."""
     if part.weights is None:
         return part.mesh.positions
-    change = np.linalg.inv(rig.bind) @ transforms
-    blended = (part.weights @ change.reshape(len(change), 16)).reshape(-1, 4, 4)
-    places = np.concatenate([part.mesh.positions, np.ones((part.mesh.n_vertices, 1))], axis=1)
-    return np.einsum("na,nab->nb", places, blended)[:, :3]
+    from_bind = np.linalg.inv(rig.bind) @ transforms
+    blended = (part.weights @ from_bind.reshape(len(from_bind), 16)).reshape(-1, 4, 4)
+    homogeneous = np.concatenate([part.mesh.positions, np.ones((part.mesh.n_vertices, 1))], axis=1)
+    return np.einsum("na,nab->nb", homogeneous, blended)[:, :3]

@@ -1,4 +1,4 @@
-"""The command ``cagemap``: options in, tasks called, messages out."""
+"""The command line ``cagemap``: options to requests, tasks, messages."""
 
 from __future__ import annotations
 

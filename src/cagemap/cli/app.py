@@ -1,4 +1,4 @@
-"""The typer application with all commands; their work is imported only when a command runs."""
+"""The typer application with all commands; tasks are imported when a command runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import typer
 from cagemap import __version__
 from cagemap.cli.commands import face, functions, map_file, match, report, rig, run, studio, transfer, wrap
 from cagemap.cli.console import say, set_verbosity
-from cagemap.cli.request_command import command_class, of_typer
+from cagemap.cli.request_command import command_class, typer_parameter
 from cagemap.tasks.requests.options import (
     BoundaryOption,
     CreasingOption,
@@ -55,41 +55,41 @@ app = typer.Typer(
 
 
 def _command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add a command that takes -v and -q after its name too."""
+    """Decorator that adds a command with the options -v and -q."""
 
-    def added(run: Callable[..., None]) -> Callable[..., None]:
+    def add(run: Callable[..., None]) -> Callable[..., None]:
         @wraps(run)
-        def command(*, verbose: int, quiet: bool, **given: Any) -> None:
+        def command(*, verbose: int, quiet: bool, **options: Any) -> None:
             if verbose or quiet:
                 set_verbosity(verbose, quiet)
-            run(**given)
+            run(**options)
 
         hints = get_type_hints(run, include_extras=True)
-        own = [
-            one.replace(annotation=_of_typer(hints[one.name], one.default))
-            for one in signature(run).parameters.values()
+        parameters = [
+            parameter.replace(annotation=_typer_annotation(hints[parameter.name], parameter.default))
+            for parameter in signature(run).parameters.values()
         ]
-        both = [
+        output_options = [
             Parameter("verbose", Parameter.KEYWORD_ONLY, default=0, annotation=_Verbose),
             Parameter("quiet", Parameter.KEYWORD_ONLY, default=False, annotation=_Quiet),
         ]
-        vars(command).update(__signature__=Signature([*own, *both]))
-        app.command(name, cls=command_class(getattr(run, "moved", {})))(command)
+        vars(command).update(__signature__=Signature([*parameters, *output_options]))
+        app.command(name, cls=command_class(getattr(run, "replacements", {})))(command)
         return run
 
-    return added
+    return add
 
 
-def _of_typer(hint: Any, default: Any) -> Any:
-    """A parameter's type with options of requests as typer has them."""
+def _typer_annotation(hint: Any, default: Any) -> Any:
+    """A parameter's type with request options converted for typer."""
     if get_origin(hint) is not Annotated:
         return hint
-    kind, *said = get_args(hint)
-    return Annotated[kind, *(of_typer(one, default) for one in said)]
+    kind, *metadata = get_args(hint)
+    return Annotated[kind, *(typer_parameter(item, default) for item in metadata)]
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(is_wanted: bool) -> None:
+    if is_wanted:
         say(f"cagemap {__version__}")
         raise typer.Exit
 
@@ -133,10 +133,10 @@ def demo(
     Two small creatures made for this purpose: the striped pony gives its texture to the deer. The folder also gets
     the meshes, landmarks and texture, so that you can repeat every step by hand.
     """
-    from cagemap.cli.progress import ShownStages
+    from cagemap.cli.progress import ConsoleStages
     from cagemap.tasks.demo import run_demo
 
-    with ShownStages() as stages:
+    with ConsoleStages() as stages:
         report, by_hand = run_demo(output, stages, force=force)
     say(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
 
@@ -161,8 +161,8 @@ def check(
     from cagemap.tasks import mesh_commands
     from cagemap.tasks.subdivision import SubdivisionRequest
 
-    checked = mesh_commands.check_values if as_json else mesh_commands.check_files
-    text, sound = checked(meshes, SubdivisionRequest(scheme), weld)
+    check_meshes = mesh_commands.check_values if as_json else mesh_commands.check_files
+    text, sound = check_meshes(meshes, SubdivisionRequest(scheme), weld)
     say(text, always=not sound)
     if not sound:
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""Commands of the command line: each makes a request from its options and runs its task."""
+"""Commands that make a request from their options and run its task."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 from typer import Exit
 
 from cagemap.cli.console import say
-from cagemap.cli.progress import ShownStages
-from cagemap.cli.request_command import asks, in_stages
+from cagemap.cli.progress import ConsoleStages
+from cagemap.cli.request_command import request_command, with_stages
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.functions import FunctionsRequest
@@ -22,8 +22,8 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 
 
-@asks(MatchRequest)
-@in_stages
+@request_command(MatchRequest)
+@with_stages
 def match(request: MatchRequest, stages: Stages) -> Outcome:
     """Find for every point of the target its place on the source.
 
@@ -39,22 +39,22 @@ def match(request: MatchRequest, stages: Stages) -> Outcome:
 def _read_transfer(
     texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
 ) -> TransferRequest:
-    """The request of a command line, where an image may have a name and kinds of bakes are listed with commas."""
+    """The transfer request of option words: named images and comma-separated kinds of bakes."""
     from cagemap.tasks.texture_maps import texture_and_maps
 
     image, maps = texture_and_maps(texture)
-    whole, named = texture_and_maps(bases, "--base")
-    kinds = tuple(name.strip() for name in bake.split(",")) if bake else ()
-    under = named if whole is None else (("", whole),)
-    return TransferRequest(texture=image, maps=maps, bases=under, bake=kinds, **others)
+    base, named_bases = texture_and_maps(bases, "--base")
+    bakes = tuple(name.strip() for name in bake.split(",")) if bake else ()
+    all_bases = named_bases if base is None else (("", base),)
+    return TransferRequest(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
 
 
-@asks(
+@request_command(
     TransferRequest,
-    said={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None},
-    read=_read_transfer,
+    word_types={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None},
+    make_request=_read_transfer,
 )
-@in_stages
+@with_stages
 def transfer(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry textures, values, rigs or shapes to the target.
 
@@ -65,8 +65,8 @@ def transfer(request: TransferRequest, stages: Stages) -> Outcome:
     return run_transfer(request, stages)
 
 
-@asks(WrapRequest)
-@in_stages
+@request_command(WrapRequest)
+@with_stages
 def wrap(request: WrapRequest, stages: Stages) -> Outcome:
     """Give the target's cage the source's shape.
 
@@ -77,8 +77,8 @@ def wrap(request: WrapRequest, stages: Stages) -> Outcome:
     return run_wrap(request, stages)
 
 
-@asks(RigRequest)
-@in_stages
+@request_command(RigRequest)
+@with_stages
 def rig(request: RigRequest, stages: Stages) -> Outcome:
     """Rig, texture, dress and animate a body like a character.
 
@@ -90,8 +90,8 @@ def rig(request: RigRequest, stages: Stages) -> Outcome:
     return run_rig(request, stages)
 
 
-@asks(FaceRequest)
-@in_stages
+@request_command(FaceRequest)
+@with_stages
 def face(request: FaceRequest, stages: Stages) -> Outcome:
     """Give a head the face shapes that ARKit names.
 
@@ -104,8 +104,8 @@ def face(request: FaceRequest, stages: Stages) -> Outcome:
     return run_face(request, stages)
 
 
-@asks(ReportRequest)
-@in_stages
+@request_command(ReportRequest)
+@with_stages
 def report(request: ReportRequest, stages: Stages) -> Outcome:
     """Write one HTML page: a verdict, and both models turning.
 
@@ -117,7 +117,7 @@ def report(request: ReportRequest, stages: Stages) -> Outcome:
     return run_report(request, stages)
 
 
-@asks(RunRequest)
+@request_command(RunRequest)
 def run(request: RunRequest) -> None:
     """Match and transfer many pairs, as a job file says.
 
@@ -126,14 +126,14 @@ def run(request: RunRequest) -> None:
     """
     from cagemap.tasks.run_job import run_job
 
-    with ShownStages() as stages:
+    with ConsoleStages() as stages:
         text, complete = run_job(request, stages)
     say(text, always=not complete)
     if not complete:
         raise Exit(1)
 
 
-@asks(StudioRequest)
+@request_command(StudioRequest)
 def studio(request: StudioRequest) -> None:
     """See the map in the browser, click where it is wrong, bake.
 
@@ -144,8 +144,8 @@ def studio(request: StudioRequest) -> None:
     run_studio(request, say)
 
 
-@asks(FunctionsRequest)
-@in_stages
+@request_command(FunctionsRequest)
+@with_stages
 def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     """Write eigenfunctions and descriptors of one mesh.
 
@@ -157,8 +157,8 @@ def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     return run_functions(request, stages)
 
 
-@asks(MapRequest)
-@in_stages
+@request_command(MapRequest)
+@with_stages
 def map_file(request: MapRequest, stages: Stages) -> Outcome:
     """Take a point map of any method as a RESULT.
 

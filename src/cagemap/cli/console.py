@@ -7,75 +7,75 @@ import os
 import sys
 from collections.abc import Iterable
 
-from cagemap.errors import in_options
+from cagemap.errors import use_option_names
 
 _log = logging.getLogger("cagemap.cli")
 
 
-class _StandardError(logging.Handler):
-    """``cagemap: warning: ...`` for warnings, ``cagemap: ...`` for what is only said when asked for.
+class _StatusHandler(logging.Handler):
+    """Log handler for standard error: ``cagemap: warning: ...``, or ``cagemap: ...`` for information.
 
-    A command opens some files several times: each warning is said once.
+    A command reads some files several times: each warning is written once.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.warned: set[str] = set()
+        self.shown_warnings: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        text = in_options(self.format(record))
+        text = use_option_names(self.format(record))
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        if level and text in self.warned:
+        if level and text in self.shown_warnings:
             return
-        self.warned |= {text} if level else set()
-        say_aside(f"{level}{text}")
+        self.shown_warnings |= {text} if level else set()
+        write_status(f"{level}{text}")
 
 
-def say_aside(text: str) -> None:
-    """Write a line to standard error; a reader who has gone is no error."""
+def write_status(text: str) -> None:
+    """Write a line to standard error; a closed pipe is no error."""
     try:
         sys.stderr.write(f"cagemap: {text}\n")
         sys.stderr.flush()
     except BrokenPipeError:
-        _forget(sys.stderr.fileno())
+        _discard_output(sys.stderr.fileno())
 
 
 def set_verbosity(verbose: int, quiet: bool) -> None:
-    """Choose what is said: errors only, warnings too (the default), steps and what they fell back to, or everything.
+    """Set the log level: errors, warnings (default), steps and fallbacks, or everything.
 
     Parameters
     ----------
     verbose : int
-        How often ``-v`` was given.
+        Number of ``-v``.
     quiet : bool
     """
     logger = logging.getLogger("cagemap")
-    for handler in [handler for handler in logger.handlers if isinstance(handler, _StandardError)]:
+    for handler in [handler for handler in logger.handlers if isinstance(handler, _StatusHandler)]:
         logger.removeHandler(handler)
-    logger.addHandler(_StandardError())
+    logger.addHandler(_StatusHandler())
     levels = (logging.WARNING, logging.INFO, logging.DEBUG)
     logger.setLevel(logging.ERROR if quiet else levels[min(verbose, 2)])
 
 
 def say(text: str, *, always: bool = False) -> None:
-    """Write a command's result, unless asked to be quiet of what went well; a reader who has gone is no error."""
+    """Write a command's result, unless quiet and not ``always``; a closed pipe is no error."""
     if not always and not _log.isEnabledFor(logging.WARNING):
         return
     try:
-        sys.stdout.write(f"{in_options(text)}\n")
+        sys.stdout.write(f"{use_option_names(text)}\n")
         sys.stdout.flush()
     except BrokenPipeError:
-        _forget(sys.stdout.fileno())
+        _discard_output(sys.stdout.fileno())
 
 
 def warn(messages: Iterable[str]) -> None:
-    """Write warnings, one a line."""
+    """Log warnings."""
     for message in messages:
         _log.warning("%s", message)
 
 
-def tolerate_odd_names() -> None:
-    """File names that are no text, and signs that a terminal lacks, are written as escapes; closed outputs are none."""
+def escape_unprintable_output() -> None:
+    """Make outputs escape characters that they cannot encode; replace closed outputs by the null device."""
     if sys.stdout is None:
         sys.stdout = open(os.devnull, "w", encoding="utf-8")
     if sys.stderr is None:
@@ -85,8 +85,8 @@ def tolerate_odd_names() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _forget(descriptor: int) -> None:
-    """Send what is still written to a closed pipe nowhere, so that the interpreter ends without a complaint."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, descriptor)
-    os.close(nowhere)
+def _discard_output(descriptor: int) -> None:
+    """Redirect a closed pipe to the null device, so that the interpreter ends without an error."""
+    null_device = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, descriptor)
+    os.close(null_device)

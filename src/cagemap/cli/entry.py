@@ -1,4 +1,4 @@
-"""Entry point of the command line: every error becomes one message and an exit code."""
+"""Entry point of the command line; every error becomes one message and an exit code."""
 
 from __future__ import annotations
 
@@ -11,79 +11,81 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from cagemap.cli.console import say, set_verbosity, tolerate_odd_names
-from cagemap.errors import CagemapError, ParameterError, explained
+from cagemap.cli.console import escape_unprintable_output, say, set_verbosity
+from cagemap.errors import CagemapError, ParameterError, explain_error
 from cagemap.numerics.process import set_up_process
 
-# What `cagemap --help` writes, as text: typer and all requests cost 0.2 s. A test compares; it says how to renew it.
-HELP = Path(__file__).with_name("help.txt")
-WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
+# Text of `cagemap --help`, since importing typer and all requests takes 0.2 s. A test says how to renew it.
+HELP_FILE = Path(__file__).with_name("help.txt")
+EXIT_WRONG_INPUT, EXIT_INTERNAL_ERROR, EXIT_SIGNAL = 2, 70, 128
 
 
-class Stop:
-    """Turns Ctrl-C and a polite kill into an interrupt of the main thread, once; the next one ends the process.
+class Interruption:
+    """Turns the first SIGINT or SIGTERM into a KeyboardInterrupt; the next one ends the process.
 
     Attributes
     ----------
     signal : int or None
-        The signal that came.
+        The received signal.
     """
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        self._before: dict[int, Any] = {}
+        self._handlers: dict[int, Any] = {}
 
-    def __enter__(self) -> Stop:
+    def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+            self._handlers = {
+                number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)
+            }
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
-    def _stop(self, number: int, frame: FrameType | None) -> None:
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
-        for known in self._before:
-            signal.signal(known, signal.SIG_DFL)
+        for handled in self._handlers:
+            signal.signal(handled, signal.SIG_DFL)
         raise KeyboardInterrupt
 
 
 def main() -> None:
-    """Run the command line; problems become one message and an exit code, never a traceback."""
+    """Run the command line; errors become one message and an exit code, not a traceback."""
     set_up_process()
-    tolerate_odd_names()
+    escape_unprintable_output()
     set_verbosity(0, quiet=False)
-    with Stop() as stop:
+    with Interruption() as interruption:
         try:
             _run()
-        except (KeyboardInterrupt, SystemExit) as ended:
-            code = getattr(ended, "code", None)
-            if stop.signal is None or code == 0:
+        except (KeyboardInterrupt, SystemExit) as error:
+            code = getattr(error, "code", None)
+            if interruption.signal is None or code == 0:
                 raise
-            _fail("stopped; outputs that were not finished are as they were before.", SIGNALLED + stop.signal)
+            _fail("stopped; outputs that were not finished are as they were before.", EXIT_SIGNAL + interruption.signal)
 
 
 def _run() -> None:
     try:
         if sys.argv[1:] in (["--help"], ["-h"]) and shutil.get_terminal_size().columns >= 80:
-            say(HELP.read_text(encoding="utf-8").rstrip("\n"), always=True)
+            say(HELP_FILE.read_text(encoding="utf-8").rstrip("\n"), always=True)
             raise SystemExit(0)
-        from cagemap.cli.app import app  # here, so that Ctrl-C while commands are loaded is no traceback
+        from cagemap.cli.app import app  # here, so that Ctrl-C during imports gives no traceback
 
-        _require_words(sys.argv[1:])
+        _check_words(sys.argv[1:])
         app()
     except Exception as error:
-        known = isinstance(error, CagemapError | MemoryError | OSError)
-        if not known and os.environ.get("CAGEMAP_DEBUG"):
+        is_known = isinstance(error, CagemapError | MemoryError | OSError)
+        if not is_known and os.environ.get("CAGEMAP_DEBUG"):
             raise
-        _fail(explained(error), WRONG_INPUT if known else INTERNAL)
+        _fail(explain_error(error), EXIT_WRONG_INPUT if is_known else EXIT_INTERNAL_ERROR)
 
 
-def _require_words(words: list[str]) -> None:
-    """Refuse empty words, which as names of files would be the folder one stands in, and ``-`` as an output."""
-    for before, word in zip(["the command line", *words], words, strict=False):
-        option, equals, value = word.partition("=") if word.startswith("--") else (before, "=", word)
+def _check_words(words: list[str]) -> None:
+    """Raise for empty values, which would name the current folder, and for ``-`` as output."""
+    for previous, word in zip(["the command line", *words], words, strict=False):
+        option, equals, value = word.partition("=") if word.startswith("--") else (previous, "=", word)
         if equals and not value:
             raise ParameterError(
                 f"{option}: expected a value, got an empty one. Give one; is a variable of the shell not set?"

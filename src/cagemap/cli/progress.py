@@ -1,4 +1,4 @@
-"""Progress on the command line: a line per stage; without a terminal only where a stage takes long."""
+"""Progress on the command line: one line a stage; without a terminal only for long commands."""
 
 from __future__ import annotations
 
@@ -8,32 +8,31 @@ import threading
 from types import TracebackType
 from typing import Any, Self
 
-from cagemap.cli.console import say_aside
+from cagemap.cli.console import write_status
 from cagemap.tasks.progress import Stages
 
 _log = logging.getLogger("cagemap.cli")
 
-# Seconds after which a command without a terminal says its stages: short ones leave a log empty.
-SILENT = 5.0
+# A command without a terminal writes its stages after this time: short ones leave logs empty.
+SILENT_SECONDS = 5.0
 
 
-class ShownStages(Stages):
-    """Stages of a command, used as a context manager around it.
+class ConsoleStages(Stages):
+    """Stages of a command on standard error, as a context manager.
 
-    On a terminal it shows the running stage on standard error and leaves one line for every finished one. Anywhere else
-    it writes a line as a stage begins, once it has run for `SILENT` seconds. It is silent where silence or more words
-    were asked for.
+    A terminal shows the running stage and one line for every finished one. Elsewhere each stage is written as it
+    begins, after `SILENT_SECONDS`. With -q or -v nothing is shown.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._status: Any = None
-        self._lock, self._says_lines = threading.Lock(), False
+        self._lock, self._writes_lines = threading.Lock(), False
         self._timer: threading.Timer | None = None
         if _log.getEffectiveLevel() != logging.WARNING:
             return
         if not sys.stderr.isatty():
-            self._timer = threading.Timer(SILENT, self._say_lines)
+            self._timer = threading.Timer(SILENT_SECONDS, self._start_lines)
             self._timer.daemon = True
         else:
             from rich.console import Console
@@ -49,12 +48,12 @@ class ShownStages(Stages):
         self.show(f"{stage} ...")
 
     def show(self, text: str) -> None:
-        """Say how far the running stage is."""
+        """Show the progress of the running stage."""
         if self._status is not None:
             self._status.update(text)
 
     def note(self, text: str) -> None:
-        """Say something that stays on the terminal; in the log in any case."""
+        """Print a note on the terminal and log it."""
         super().note(text)
         if self._status is not None:
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -73,15 +72,15 @@ class ShownStages(Stages):
         if self._status is not None:
             self._status.stop()
 
-    def _say_lines(self) -> None:
-        """From now on, write a line per stage."""
+    def _start_lines(self) -> None:
+        """Write the running stage and all later ones."""
         with self._lock:
-            self._says_lines = True
+            self._writes_lines = True
             self._write_line()
 
     def _write_line(self) -> None:
-        if self._says_lines and self._name is not None:
-            say_aside(f"stage: {self._name}")
+        if self._writes_lines and self._name is not None:
+            write_status(f"stage: {self._name}")
 
     def _finished(self, stage: str, seconds: float) -> None:
         if self._status is not None:

@@ -1,4 +1,4 @@
-"""Typer commands made from request dataclasses, whose fields are annotated with their options."""
+"""Typer commands from request dataclasses whose fields are annotated with options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand
 
 from cagemap.cli.console import say, warn
-from cagemap.cli.progress import ShownStages
+from cagemap.cli.progress import ConsoleStages
 from cagemap.errors import ParameterError
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, RESEARCH, Argument, Option
@@ -23,7 +23,7 @@ from cagemap.tasks.requests.settings import moved_options, read_settings
 
 Request = TypeVar("Request")
 
-# The parameter that holds what was said after `--set`.
+# Parameter with the values of `--set`.
 _SETTINGS = "settings"
 _SET = Annotated[
     list[str],
@@ -38,124 +38,130 @@ _SET = Annotated[
 # Sections of `--help`, in this order.
 _SECTIONS = ("Arguments", INPUT, LANDMARKS, OUTPUT, RESEARCH, "Options")
 
-# Modules that SciPy takes up with all of NumPy's names, and no command uses.
-UNUSED = ("numpy.f2py", "numpy.testing")
+# Modules that SciPy imports and no command uses.
+LAZY_MODULES = ("numpy.f2py", "numpy.testing")
 
 
-def asks(
-    kind: type[Request], *, said: Mapping[str, Any] = MappingProxyType({}), read: Callable[..., Request] | None = None
+def request_command(
+    kind: type[Request],
+    *,
+    word_types: Mapping[str, Any] = MappingProxyType({}),
+    make_request: Callable[..., Request] | None = None,
 ) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
-    """Make a command of a function that takes a request: typer sees the request's fields as its parameters.
+    """Decorator that makes a typer command, with a request's fields as parameters, of a function.
 
-    A field without an option is none of the command line's. One that may be None need not be given; a tuple of any
-    length is an option that may be repeated, or left out.
+    Fields without an option are not on the command line. Fields that may be None are optional; tuples of any length are
+    optional and may be repeated.
 
     Parameters
     ----------
     kind : type
         The request's dataclass.
-    said : mapping of str to type
-        What some fields are on the command line, where words are not yet what the field holds.
-    read : callable, optional
-        Makes the request of the words, by the fields' names; ``kind`` itself where all words are values.
+    word_types : mapping of str to type
+        Types on the command line of fields that have another type there.
+    make_request : callable, optional
+        Makes the request from values by field name; default: ``kind``.
     """
     hints = get_type_hints(kind, include_extras=True)
-    moved = moved_options(kind)
-    grouped = bool(moved)  # long enough to need headings
+    replacements = moved_options(kind)
+    grouped = bool(replacements)  # such requests have many options: group them
     parameters = [
         Parameter(
             field.name,
             Parameter.KEYWORD_ONLY,
             default=default,
             annotation=Annotated[
-                _shown(said.get(field.name, own)),
-                *(of_typer(option, default, grouped=grouped) for option in options),
+                _typer_type(word_type),
+                *(typer_parameter(option, default, grouped=grouped) for option in options),
             ],
         )
         for field in fields(kind)  # type: ignore[arg-type]
         if get_origin(hints[field.name]) is Annotated
-        for own, *options in [get_args(hints[field.name])]
+        for field_type, *options in [get_args(hints[field.name])]
+        for word_type in [word_types.get(field.name, field_type)]
         if not any(isinstance(option, Option) and option.setting for option in options)
-        for default in [_default(MISSING if field.name in said else field.default, said.get(field.name, own))]
+        for default in [_typer_default(MISSING if field.name in word_types else field.default, word_type)]
     ]
-    if moved:
+    if replacements:
         parameters.append(Parameter(_SETTINGS, Parameter.KEYWORD_ONLY, default=[], annotation=_SET))
 
     def command_of(run: Callable[[Request], None]) -> Callable[..., None]:
         @wraps(run)
         def command(**given: Any) -> None:
-            words = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-            settings = read_settings(kind, words.pop(_SETTINGS, ()))
-            run((read or kind)(**words, **settings))
+            values = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+            settings = read_settings(kind, values.pop(_SETTINGS, ()))
+            run((make_request or kind)(**values, **settings))
 
-        vars(command).update(__signature__=Signature(parameters), moved=moved)
-        command.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}
+        vars(command).update(__signature__=Signature(parameters), replacements=replacements)
+        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters} | {"return": None}
         return command
 
     return command_of
 
 
-def in_stages(run: Callable[[Request, Stages], Outcome]) -> Callable[[Request], None]:
-    """Make a function that shows its stages, and says its outcome, of one that has them."""
+def with_stages(run: Callable[[Request, Stages], Outcome]) -> Callable[[Request], None]:
+    """Decorator that shows the stages of a task and writes its outcome."""
 
     @wraps(run)
-    def told(request: Request) -> None:
-        load_when_used(UNUSED)
-        with ShownStages() as stages:
+    def command(request: Request) -> None:
+        load_lazily(LAZY_MODULES)
+        with ConsoleStages() as stages:
             summary, warnings = run(request, stages)
         warn(warnings)
         say(summary)
 
-    return told
+    return command
 
 
-def load_when_used(names: Sequence[str]) -> None:
-    """Have modules loaded when something in them is first asked for, as importlib's documentation shows it."""
+def load_lazily(names: Sequence[str]) -> None:
+    """Load modules at first use of their attributes, as importlib's documentation shows."""
     for name in names:
-        found = None if name in sys.modules else find_spec(name)
-        if found is None or found.loader is None:
+        spec = None if name in sys.modules else find_spec(name)
+        if spec is None or spec.loader is None:
             continue
-        found.loader = LazyLoader(found.loader)
-        module = module_from_spec(found)
+        spec.loader = LazyLoader(spec.loader)
+        module = module_from_spec(spec)
         sys.modules[name] = module
-        found.loader.exec_module(module)
-        package, _, own = name.rpartition(".")
-        setattr(sys.modules[package], own, module)
+        spec.loader.exec_module(module)
+        package, _, attribute = name.rpartition(".")
+        setattr(sys.modules[package], attribute, module)
 
 
-def of_typer(option: Any, default: Any, *, grouped: bool = False) -> Any:
-    """A request's option as typer has it; its help says the default where typer does not."""
+def typer_parameter(option: Any, default: Any, *, grouped: bool = False) -> Any:
+    """A request's option for typer; its help names the default where typer does not."""
     if not isinstance(option, Option):
         return option
     kind: Any = typer.Argument if isinstance(option, Argument) else typer.Option
-    unsaid = kind is typer.Option and (default is None or default is False or default == [])
-    shown = f"  [default: {'off' if default is False else 'none'}]" if unsaid and "[default:" not in option.help else ""
+    hides_default = kind is typer.Option and (default is None or default is False or default == [])
+    help_text = option.help
+    if hides_default and "[default:" not in help_text:
+        help_text += f"  [default: {'off' if default is False else 'none'}]"
     return kind(
         *option.names,
-        help=option.help + shown,
+        help=help_text,
         min=option.min,
         max=option.max,
         metavar=option.metavar,
         rich_help_panel=option.group if grouped else None,
-        show_default=not unsaid,
+        show_default=not hides_default,
     )
 
 
-def command_class(moved: Mapping[str, str]) -> type[TyperCommand]:
-    """A command whose help has a section for each group, and that says how options which moved are typed now.
+def command_class(replacements: Mapping[str, str]) -> type[TyperCommand]:
+    """A typer command class with grouped help that names the replacement of renamed options.
 
     Parameters
     ----------
-    moved : mapping of str to str
-        Old spellings, and what to type instead.
+    replacements : mapping of str to str
+        What to type instead of old spellings.
     """
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
             for word in args[: args.index("--")] if "--" in args else args:
                 old = word.partition("=")[0]
-                if old in moved:
-                    raise ParameterError(f"{old}: is typed differently now. Type {moved[old]}.")
+                if old in replacements:
+                    raise ParameterError(f"{old}: is typed differently now. Type {replacements[old]}.")
             return super().parse_args(ctx, args)
 
         def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -163,8 +169,8 @@ def command_class(moved: Mapping[str, str]) -> type[TyperCommand]:
             for parameter in self.get_params(ctx):
                 record = parameter.get_help_record(ctx)
                 if record is not None:
-                    usual = "Arguments" if parameter.param_type_name == "argument" else "Options"
-                    sections.setdefault(getattr(parameter, "rich_help_panel", None) or usual, []).append(record)
+                    section = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                    sections.setdefault(getattr(parameter, "rich_help_panel", None) or section, []).append(record)
             for title in sorted(sections, key=lambda title: _SECTIONS.index(title)):
                 with formatter.section(title):
                     formatter.write_dl(sections[title])
@@ -172,19 +178,19 @@ def command_class(moved: Mapping[str, str]) -> type[TyperCommand]:
     return Command
 
 
-def _default(default: Any, kind: Any) -> Any:
-    """What typer takes where nothing is given."""
+def _typer_default(default: Any, kind: Any) -> Any:
+    """The default of a parameter for typer."""
     if default is MISSING:
-        if _is_many(kind):
+        if _is_list(kind):
             return []
         return None if type(None) in get_args(kind) else Parameter.empty
     return list(default) if isinstance(default, tuple) else default
 
 
-def _shown(kind: Any) -> Any:
-    """A type as typer knows it: tuples of any length are lists."""
-    return list[get_args(kind)[0]] if _is_many(kind) else kind  # type: ignore[misc]
+def _typer_type(kind: Any) -> Any:
+    """A type for typer: tuples of any length become lists."""
+    return list[get_args(kind)[0]] if _is_list(kind) else kind  # type: ignore[misc]
 
 
-def _is_many(kind: Any) -> bool:
+def _is_list(kind: Any) -> bool:
     return get_origin(kind) is tuple and get_args(kind)[-1] is ...

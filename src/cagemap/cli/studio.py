@@ -1,4 +1,4 @@
-"""`cagemap studio`: options of the command line to a running page."""
+"""`cagemap studio`: checks options and serves the page."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
         raise ParameterError(
             f"the studio needs {error.name}, which is not installed. Run pip install 'cagemap[studio]'."
         ) from None
-    named = (request.target, request.source, request.landmarks, request.texture)
+    paths = (request.target, request.source, request.landmarks, request.texture)
     for path in request.folder:
         if not path.is_dir():
             raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
     schemes = request.target_scheme or request.scheme, request.source_scheme or request.scheme
     parts = request.target_part or request.part, request.source_part or request.part
-    files = chosen_files(*named, request.result, schemes, parts)
+    files = chosen_files(*paths, request.result, schemes, parts)
     if files is None:
         folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:
@@ -45,6 +45,6 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
                 raise ParameterError(f"{model}: expected a mesh file, found none. Check the name.")
         chosen = (files.landmarks, files.target, files.source, files.texture, files.result)
         folders = (*request.folder, *(path.parent for path in chosen if path is not None))
-    served = request.host, request.port, request.vertices, not request.no_browser
-    page = PageRequest(files, all_options(), folders, *served)
+    serving = request.host, request.port, request.vertices, not request.no_browser
+    page = PageRequest(files, all_options(), folders, *serving)
     run_page(page, tell)

@@ -1,4 +1,4 @@
-"""The built-in example: two four-legged creatures, landmarks, and the texture of one; made by `examples/creatures`."""
+"""The built-in example pair: two four-legged creatures with landmarks and a texture; see `examples/creatures`."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ TEXTURE_SIZE = 2048
 
 @dataclass(frozen=True, eq=False)
 class ExamplePair:
-    """Two control meshes of different connectivity, matching points on them, and a texture to transfer.
+    """Two control meshes of different connectivity, landmarks, and a texture to transfer.
 
     Attributes
     ----------
     target, source : ControlMesh
-        Both closed, of genus 0, mirror-symmetric in x, +Y up, facing +Z, with UV islands.
+        Closed, of genus 0, mirror-symmetric in x, +Y up, facing +Z, with UV islands.
     landmarks : Landmarks
-        The same anatomical points on both.
+        Equal anatomical points.
     texture : (size, size, 3) uint8 sRGB
         The source's; row 0 is v = 1.
     """
@@ -41,17 +41,18 @@ class ExamplePair:
 
 
 def example_pair(texture_size: int = TEXTURE_SIZE) -> ExamplePair:
-    """Read the built-in pair: the painted pony gives its texture to the deer.
+    """Read the built-in pair: a deer as target, a textured pony as source.
 
     Parameters
     ----------
     texture_size : int
-        Side of the square texture, in texels: 2048, or that divided by a whole number.
+        Side of the square texture, in texels: 2048 divided by an integer.
 
     Raises
     ------
     ParameterError
-        If 2048 is no multiple of the size.
+        If 2048 is not a multiple of the size.
+
     """
     if not 1 <= texture_size <= TEXTURE_SIZE or TEXTURE_SIZE % texture_size:
         raise ParameterError(f"texture_size: expected {TEXTURE_SIZE} divided by a whole number, got {texture_size}")

@@ -1,8 +1,7 @@
-"""Landmarks of one model of a collection, carried to the others along its maps, to be corrected there.
+"""Transfer of one model's landmarks to all other models of a collection, for correction by the user.
 
-Every other model gets a file. While nobody has edited it, it is rewritten whenever a map changes, and no match reads
-it. Once edited, it holds the landmarks of that model: it is never written again, and matches of two models with
-landmarks use it.
+Every other model gets a landmark file. Until the user edits it, it is rewritten whenever a map changes, and no match
+reads it. Once edited, it is never written again, and matches use it.
 """
 
 from __future__ import annotations
@@ -32,41 +31,41 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalized
 
-# Points where both directions of a map differ by more than this, of sqrt(area), are reported.
-DOUBTFUL = 0.01
+# Of sqrt(area): points that both directions of a map place farther apart are reported.
+MAX_DIRECTION_DIFFERENCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """One map on the way from model to model.
+class DirectedMap:
+    """A map with a direction.
 
     Attributes
     ----------
     result : MatchResult
     forward : bool
-        Whether it leads from the map's target to its source, the way that the map is stored.
+        Whether points go from the map's target to its source, as the map is stored.
     """
 
     result: MatchResult
     forward: bool
 
-    def carried(self, positions: FloatArray, normals: FloatArray) -> SurfacePoints:
-        """Points of the next model that correspond to places (q, 3) on this one, at unit area, with their normals."""
-        found = self.result.point_map
+    def map_points(self, positions: FloatArray, normals: FloatArray) -> SurfacePoints:
+        """Corresponding points of the next model, for positions (q, 3) at unit area and their normals."""
+        point_map = self.result.point_map
         if self.forward:
-            here = SurfacePoints.nearest(found.target, positions, normals, normal_weight=NORMAL_WEIGHT)
-            there = here.interpolate(found.images.positions)
-            facing = normalized(here.interpolate(found.images.normals))
-            return SurfacePoints.nearest(found.source, there, facing, normal_weight=NORMAL_WEIGHT)
-        laid = TriangleSurface(found.images.positions, found.target.triangles, 1.0)
-        near = SurfacePoints.nearest(laid, positions, normals, normal_weight=NORMAL_WEIGHT)
-        return SurfacePoints(found.target, near.triangle, near.barycentric)
+            start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=NORMAL_WEIGHT)
+            images = start.interpolate(point_map.images.positions)
+            normals = normalized(start.interpolate(point_map.images.normals))
+            return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=NORMAL_WEIGHT)
+        image_surface = TriangleSurface(point_map.images.positions, point_map.target.triangles, 1.0)
+        points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=NORMAL_WEIGHT)
+        return SurfacePoints(point_map.target, points_on_image.triangle, points_on_image.barycentric)
 
 
-def with_carried(plan: Plan, job: Job, version: str) -> Plan:
-    """The plan with a task for every model that landmarks are carried to, after its matches.
+def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
+    """The plan with a task, after its matches, for every model that gets landmarks.
 
-    Models that have landmarks of their own, or that no way of maps leads to, get none.
+    Models with landmarks of their own, or that no path of maps reaches, get no task.
 
     Parameters
     ----------
@@ -78,103 +77,109 @@ def with_carried(plan: Plan, job: Job, version: str) -> Plan:
     if job.carry is None:
         return plan
     matches = {task.pair: task for task in plan.tasks if task.kind == "match" and task.pair is not None}
-    given = job.assets[job.carry.source].landmarks
-    assert given is not None
-    content, made = file_hash(given), []
-    for name, way in _paths(job.carry.source, matches).items():
+    landmarks = job.assets[job.carry.source].landmarks
+    assert landmarks is not None
+    landmark_hash, carry_tasks = file_hash(landmarks), []
+    for name, path in _shortest_paths(job.carry.source, matches).items():
         if job.assets[name].landmarks is not None:
             continue
-        steps = [_between(here, there, matches) for here, there in itertools.pairwise(way)]
-        back = _other_direction(way, matches)
-        file = job.carry.folder / f"{name}.json"
+        steps = [_match_between(start, end, matches) for start, end in itertools.pairwise(path)]
+        opposite = _opposite_match(path, matches)
+        landmark_file = job.carry.folder / f"{name}.json"
         request = {
             "asset": name,
             "steps": [[step.request["output"], forward] for step, forward in steps],
-            "back": None if back is None else back.request["output"],
-            "landmarks": str(given),
-            "output": str(file),
+            "back": None if opposite is None else opposite.request["output"],
+            "landmarks": str(landmarks),
+            "output": str(landmark_file),
         }
-        needs = tuple(task.name for task in [*(step for step, _ in steps), back] if task is not None)
-        keys = [(step.key, forward) for step, forward in steps], None if back is None else back.key
-        key = task_key(version, "carry", content, *keys, str(file))
-        written = Path(os.path.relpath(file, plan.root)).as_posix()
-        title, reads = f"carry landmarks to {name}", {str(given): content}
-        made.append(Task("carry", title, key, needs, request, (written,), reads=reads))
-    return replace(plan, tasks=(*plan.tasks, *made))
+        needs = tuple(task.name for task in [*(step for step, _ in steps), opposite] if task is not None)
+        keys = [(step.key, forward) for step, forward in steps], None if opposite is None else opposite.key
+        key = task_key(version, "carry", landmark_hash, *keys, str(landmark_file))
+        output = Path(os.path.relpath(landmark_file, plan.root)).as_posix()
+        title, reads = f"carry landmarks to {name}", {str(landmarks): landmark_hash}
+        carry_tasks.append(Task("carry", title, key, needs, request, (output,), reads=reads))
+    return replace(plan, tasks=(*plan.tasks, *carry_tasks))
 
 
 def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Carry the landmarks and curves of one model to another, and write its file; what a task of `with_carried` does.
+    """Carry the landmarks and curves of one model to another, and write its file.
+
+    Parameters
+    ----------
+    request : dict
+        Of a task of `add_carry_tasks`.
 
     Returns
     -------
     dict
-        "points": how many; "look_at": names of points where both directions of a map disagree, worst first.
+        "points": number of landmarks; "curves": number of curves; "file"; "look_at": names of points where both
+        directions of a map disagree, worst first.
     """
-    steps = [Step(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
+    steps = [DirectedMap(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
     first = steps[0].result.target if steps[0].forward else steps[0].result.source
-    given = read_points(request["landmarks"], first.control)
-    own = on_cage(given, first.control)
-    lines = [on_cage_curve(curve, first.control) for curve in given.curves]
-    every = [own, *(line.points for line in lines)]
-    sizes = [len(points.corners) for points in every]
-    joined = CagePoints(np.vstack([p.corners for p in every]), np.vstack([p.weights for p in every]))
+    named = read_points(request["landmarks"], first.control)
+    curve_points = [on_cage_curve(curve, first.control).points for curve in named.curves]
+    point_sets = [on_cage(named, first.control), *curve_points]
+    sizes = [len(points.corners) for points in point_sets]
+    joined = CagePoints(np.vstack([p.corners for p in point_sets]), np.vstack([p.weights for p in point_sets]))
     start = located(first, joined)
-    found = start
+    end = start
     for step in steps:
-        found = step.carried(found.positions, found.normals)
+        end = step.map_points(end.positions, end.normals)
     last = steps[-1].result.source if steps[-1].forward else steps[-1].result.target
-    on_control = cage_points_of(last, found)  # control vertices, or places on the control mesh in file units
-    vertices, positions = on_control.vertices, on_control.of(last.control.positions)
-    ends = np.cumsum(sizes)
+    cage_points = cage_points_of(last, end)
+    vertices, positions = cage_points.vertices, cage_points.of(last.control.positions)
+    last_rows = np.cumsum(sizes)
     curves = tuple(
-        NamedCurve(curve.name, np.full(size, -1, dtype=np.int64), positions[end - size : end], curve.closed)
-        for curve, size, end in zip(given.curves, sizes[1:], ends[1:], strict=True)
+        NamedCurve(curve.name, np.full(size, -1, dtype=np.int64), positions[stop - size : stop], curve.closed)
+        for curve, size, stop in zip(named.curves, sizes[1:], last_rows[1:], strict=True)
     )
-    points = NamedPoints(given.names, vertices[: sizes[0]], positions[: sizes[0]], last.control.name, curves)
+    points = NamedPoints(named.names, vertices[: sizes[0]], positions[: sizes[0]], last.control.name, curves)
     Path(request["output"]).parent.mkdir(parents=True, exist_ok=True)
     write_points(request["output"], points, last.control)
     look_at: list[str] = []
     if request["back"] is not None:
-        again = Step(read_result(request["back"]), not steps[-1].forward).carried(start.positions, start.normals)
-        apart = np.linalg.norm(again.positions - found.positions, axis=1)[: sizes[0]]
-        look_at = [given.names[i] for i in np.argsort(-apart) if apart[i] > DOUBTFUL]
+        opposite = DirectedMap(read_result(request["back"]), not steps[-1].forward)
+        opposite_end = opposite.map_points(start.positions, start.normals)
+        differences = np.linalg.norm(opposite_end.positions - end.positions, axis=1)[: sizes[0]]
+        look_at = [named.names[i] for i in np.argsort(-differences) if differences[i] > MAX_DIRECTION_DIFFERENCE]
     return {"points": sizes[0], "curves": len(curves), "file": str(request["output"]), "look_at": look_at}
 
 
-def carried_notes(figures: list[dict[str, Any]]) -> list[str]:
-    """Sentences about the files that landmarks were carried to."""
+def carry_notes(figures: list[dict[str, Any]]) -> list[str]:
+    """Notes for the user about the written landmark files."""
     notes = []
-    for one in figures:
-        first = ", ".join(one["look_at"][:5])
-        hint = f"; look first at {first}" if first else ""
+    for entry in figures:
+        names = ", ".join(entry["look_at"][:5])
+        hint = f"; look first at {names}" if names else ""
         notes.append(
-            f"{one['points']} landmarks carried to {one['file']}{hint}. Correct them there and run again: an edited "
-            "file counts as landmarks of its model"
+            f"{entry['points']} landmarks carried to {entry['file']}{hint}. Correct them there and run again: an "
+            "edited file counts as landmarks of its model"
         )
     return notes
 
 
-def _paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:
-    """Models along the shortest path of maps from one model to every other."""
+def _shortest_paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:
+    """Models along the shortest path of maps from one model to each other model."""
     paths, waiting = {start: [start]}, deque([start])
     while waiting:
-        here = waiting.popleft()
-        near = [source if target == here else target for source, target in matches if here in (source, target)]
-        for name in sorted(set(near) - set(paths)):
-            paths[name] = [*paths[here], name]
+        model = waiting.popleft()
+        neighbors = [source if target == model else target for source, target in matches if model in (source, target)]
+        for name in sorted(set(neighbors) - set(paths)):
+            paths[name] = [*paths[model], name]
             waiting.append(name)
     del paths[start]
     return paths
 
 
-def _between(here: str, there: str, matches: Mapping[Pair, Task]) -> tuple[Task, bool]:
-    """The match that leads from one model to the next, and whether it does so in its own direction."""
-    direct = matches.get((there, here))  # source, target: maps go from target to source
-    return (direct, True) if direct is not None else (matches[here, there], False)
+def _match_between(start: str, end: str, matches: Mapping[Pair, Task]) -> tuple[Task, bool]:
+    """The match between two models, and whether its map goes from the first to the second."""
+    direct = matches.get((end, start))  # keys are (source, target); maps go from target to source
+    return (direct, True) if direct is not None else (matches[start, end], False)
 
 
-def _other_direction(way: list[str], matches: Mapping[Pair, Task]) -> Task | None:
-    """The match of the opposite direction of a way of one map, if there are both."""
-    both = len(way) == 2 and (way[1], way[0]) in matches
-    return matches.get((way[0], way[1])) if both else None
+def _opposite_match(path: list[str], matches: Mapping[Pair, Task]) -> Task | None:
+    """The match in the opposite direction of a path of one map, if there are both."""
+    both = len(path) == 2 and (path[1], path[0]) in matches
+    return matches.get((path[0], path[1])) if both else None

@@ -1,4 +1,4 @@
-"""Cycle consistency of a collection: the map A -> C should agree with every detour A -> B -> C.
+"""Cycle consistency of a collection: comparison of maps A -> C with detours A -> B -> C.
 
 The disagreement of a triple is at most the sum of the errors of its three maps. Non-negative least squares over all
 triples estimates these errors.
@@ -21,39 +21,39 @@ from cagemap.files.ownership import mark
 from cagemap.files.schema import own_note
 from cagemap.maps.point_map import PointMap
 
-Pair = tuple[str, str]  # target, source: the direction of T12
+MapKey = tuple[str, str]  # target, source: the direction of T12
 
-# A pair is doubtful from this error on, of sqrt(area), if it also has this many times the collection's median error.
-LEAST_ERROR = 0.02
-TIMES_MEDIAN = 3.0
-# Most triples for each pair.
-TRIPLES = 24
-SAMPLES = 1500
+# A map is doubtful if its error exceeds both this, of sqrt(area), and this multiple of the collection's median error.
+MIN_DOUBTFUL_ERROR = 0.02
+MIN_MEDIAN_RATIO = 3.0
+# Compared triples for each map, and vertices for each comparison.
+MAX_TRIPLES_A_MAP = 24
+MAX_SAMPLES = 1500
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """How well the maps of a collection agree.
+    """Estimated errors of a collection's maps, and detours around doubtful maps.
 
     Attributes
     ----------
     errors : dict of (target, source) to float
-        Estimated mean error of every map that is part of a triple, of sqrt(area).
+        Estimated mean error of every map in a triple, of sqrt(area).
     triples : int
-        How many were compared.
+        Number of compared triples.
     doubtful : tuple of (target, source)
         Worst first.
     detours : dict of (target, source) to tuple of str
-        For doubtful pairs with a better detour: the assets along it, from target to source.
+        For doubtful maps with a better detour: the assets along it, from target to source.
     """
 
-    errors: dict[Pair, float]
+    errors: dict[MapKey, float]
     triples: int
-    doubtful: tuple[Pair, ...]
-    detours: dict[Pair, tuple[str, ...]]
+    doubtful: tuple[MapKey, ...]
+    detours: dict[MapKey, tuple[str, ...]]
 
 
-def measure_consistency(maps: Mapping[Pair, PointMap]) -> Consistency:
+def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
     """Compare every map with its detours and estimate the error of each.
 
     Parameters
@@ -62,26 +62,25 @@ def measure_consistency(maps: Mapping[Pair, PointMap]) -> Consistency:
         All of one asset at the same level.
     """
     pairs = sorted(maps)
-    place = {pair: number for number, pair in enumerate(pairs)}
-    rows, columns, found = [], [], []
-    for number, (direct, first, second) in enumerate(_triples(pairs)):
-        rows += [number] * 3
-        columns += [place[direct], place[first], place[second]]
-        found.append(disagreement(maps[direct], maps[first], maps[second]))
-    if not found:
+    column_of = {pair: index for index, pair in enumerate(pairs)}
+    rows, columns, disagreements = [], [], []
+    for index, (direct, first, second) in enumerate(_triples(pairs)):
+        rows += [index] * 3
+        columns += [column_of[direct], column_of[first], column_of[second]]
+        disagreements.append(disagreement(maps[direct], maps[first], maps[second]))
+    if not disagreements:
         return Consistency({}, 0, (), {})
-    system = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(found), len(pairs)))
-    used = np.flatnonzero(system.sum(axis=0) > 0)
-    errors = {
-        pairs[i]: e for i, e in zip(used, nnls(system[:, used].toarray(), np.array(found))[0].tolist(), strict=True)
-    }
-    limit = max(LEAST_ERROR, TIMES_MEDIAN * float(np.median(list(errors.values()))))
+    system = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(disagreements), len(pairs)))
+    in_triples = np.flatnonzero(system.sum(axis=0) > 0)
+    estimates = nnls(system[:, in_triples].toarray(), np.array(disagreements))[0]
+    errors = {pairs[i]: error for i, error in zip(in_triples, estimates.tolist(), strict=True)}
+    limit = max(MIN_DOUBTFUL_ERROR, MIN_MEDIAN_RATIO * float(np.median(list(errors.values()))))
     doubtful = tuple(sorted((pair for pair in errors if errors[pair] > limit), key=lambda pair: -errors[pair]))
-    return Consistency(errors, len(found), doubtful, _detours(errors, doubtful))
+    return Consistency(errors, len(disagreements), doubtful, _detours(errors, doubtful))
 
 
 def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
-    """Mean distance between A -> C and A -> B -> C, of sqrt(area of C), over some vertices of A.
+    """Mean distance of A -> C and A -> B -> C at sampled vertices, of sqrt(area of C).
 
     Parameters
     ----------
@@ -89,60 +88,60 @@ def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
         Maps with target A and source C, target A and source B, target B and source C.
     """
     n = direct.target.n
-    chosen = np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).astype(np.int64))
-    around = first.images.at(chosen).interpolate(second.images.positions)
-    return float(np.linalg.norm(around - direct.images.at(chosen).positions, axis=1).mean())
+    vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLES)).astype(np.int64))
+    composed_images = first.images.at(vertices).interpolate(second.images.positions)
+    return float(np.linalg.norm(composed_images - direct.images.at(vertices).positions, axis=1).mean())
 
 
-def _triples(pairs: Sequence[Pair]) -> Iterator[tuple[Pair, Pair, Pair]]:
-    """Direct pair, and the two pairs of a detour; some of them where there are many."""
+def _triples(pairs: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKey]]:
+    """Keys of a direct map and of the two maps of a detour; a random choice of detours."""
     known = set(pairs)
     names = sorted({name for pair in pairs for name in pair})
     random = np.random.default_rng(47)
     for a, c in pairs:
-        between = [b for b in names if (a, b) in known and (b, c) in known]
-        for b in random.permutation(between)[:TRIPLES].tolist():
+        middles = [b for b in names if (a, b) in known and (b, c) in known]
+        for b in random.permutation(middles)[:MAX_TRIPLES_A_MAP].tolist():
             yield (a, c), (a, b), (b, c)
 
 
-def _detours(errors: Mapping[Pair, float], doubtful: Sequence[Pair]) -> dict[Pair, tuple[str, ...]]:
-    """Shortest detours around doubtful pairs through the others, where they are at least twice as good."""
+def _detours(errors: Mapping[MapKey, float], doubtful: Sequence[MapKey]) -> dict[MapKey, tuple[str, ...]]:
+    """Shortest detours around doubtful maps, where their error is at most half."""
     names = sorted({name for pair in errors for name in pair})
-    number = {name: i for i, name in enumerate(names)}
-    good = [pair for pair in errors if pair not in doubtful]
+    index = {name: i for i, name in enumerate(names)}
+    kept = [pair for pair in errors if pair not in doubtful]
     lengths = csr_array(
-        ([errors[pair] + 1e-6 for pair in good], ([number[a] for a, _ in good], [number[b] for _, b in good])),
+        ([errors[pair] + 1e-6 for pair in kept], ([index[a] for a, _ in kept], [index[b] for _, b in kept])),
         shape=(len(names), len(names)),
     )
-    total, before = dijkstra(lengths, return_predecessors=True)
+    total, predecessors = dijkstra(lengths, return_predecessors=True)
     detours = {}
     for pair in doubtful:
-        start, end = number[pair[0]], number[pair[1]]
+        start, end = index[pair[0]], index[pair[1]]
         if total[start, end] > 0.5 * errors[pair]:
             continue
-        way = [end]
-        while way[-1] != start:
-            way.append(int(before[start, way[-1]]))
-        detours[pair] = tuple(names[i] for i in reversed(way))
+        path = [end]
+        while path[-1] != start:
+            path.append(int(predecessors[start, path[-1]]))
+        detours[pair] = tuple(names[i] for i in reversed(path))
     return detours
 
 
 def write_consistency(path: Path, keys: dict[str, str], verdict: Consistency) -> None:
-    """Store a verdict with the keys of its matches."""
+    """Write a verdict and the keys of its matches."""
     note = {
         "written_by": mark(),
         "keys": keys,
         "errors": [[*pair, error] for pair, error in verdict.errors.items()],
         "triples": verdict.triples,
         "doubtful": verdict.doubtful,
-        "detours": [[*pair, way] for pair, way in verdict.detours.items()],
+        "detours": [[*pair, route] for pair, route in verdict.detours.items()],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(note, indent=1))
 
 
 def read_consistency(path: Path, keys: dict[str, str]) -> Consistency | None:
-    """The verdict kept about just these matches, or None."""
+    """The stored verdict on exactly these matches, or None."""
     note = own_note(path)
     if note is None or note["keys"] != keys:
         return None
@@ -150,5 +149,5 @@ def read_consistency(path: Path, keys: dict[str, str]) -> Consistency | None:
         {(target, source): error for target, source, error in note["errors"]},
         note["triples"],
         tuple((target, source) for target, source in note["doubtful"]),
-        {(target, source): tuple(way) for target, source, way in note["detours"]},
+        {(target, source): tuple(route) for target, source, route in note["detours"]},
     )

@@ -1,7 +1,7 @@
-"""Cost of tasks: processor seconds, memory and disk space, from measured growth.
+"""Estimated cost of tasks: processor seconds, memory and disk space.
 
 Fitted by hand to `benchmarks.library.growth` (results in benchmarks/results/growth.json, table in docs/lab/jobs.md); a
-test keeps them within `FACTOR` of every figure there. Other machines differ by their speed as a whole.
+test keeps them within `ERROR_FACTOR` of every figure there. Other machines differ by a constant factor.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Estimates are within this factor of what was measured, either way.
-FACTOR = 2.0
-# Processor seconds that a new worker takes to import, and to read its compiled code.
-STARTUP = 5.0
-# What a match without landmarks takes in addition: constant, per 1000 control vertices.
-SEARCH = (6.0, 0.4)
-# Vertices of the level that a surface is prepared on, and bytes that each of them has in the store (100 functions).
-PREPARED, STORED = 20_000, 400
-# Bytes of a RESULT for every finest vertex of both surfaces, and of a picture on the page.
-RESULT, PICTURE = 105, 14_000
+# Estimates are at most this factor above or below measurements.
+ERROR_FACTOR = 2.0
+# Processor seconds of a new worker for imports and compiled code.
+STARTUP_SECONDS = 5.0
+# Additional seconds of a match without landmarks: constant, per 1000 control vertices.
+SEARCH_SECONDS = (6.0, 0.4)
+# Vertices of the level that a surface is prepared on, and stored bytes for each (100 functions).
+PREPARED_VERTICES, VERTEX_BYTES = 20_000, 400
+# Bytes of a RESULT for every finest vertex of both surfaces, and of a picture.
+RESULT_VERTEX_BYTES, PICTURE_BYTES = 105, 14_000
 # Bytes of memory of a worker: constant, per finest vertex and per control vertex of both surfaces.
-MEMORY = (500_000_000, 3_000, 20_000)
+MEMORY_BYTES = (500_000_000, 3_000, 20_000)
 
 Size = tuple[int, int]
 
@@ -33,9 +33,9 @@ class Cost:
     ----------
     constant : float
     control, finest : float
-        Per 1000 control and per 1000 finest vertices of all surfaces that it reads.
+        Per 1000 control and per 1000 finest vertices of all surfaces read.
     texels : float
-        Per million texels that it writes.
+        Per million texels written.
     """
 
     constant: float
@@ -64,29 +64,29 @@ def task_seconds(kind: str, sizes: Sequence[Size], *, landmarks: bool = True, te
     kind : str
         Of the task.
     sizes : sequence of (int, int)
-        Control and finest vertices of the surfaces that it reads.
+        Control and finest vertices of the surfaces read.
     landmarks : bool
-        Whether a match has them.
+        Whether a match has landmarks.
     texels : int
-        That it writes.
+        Number of texels written.
     """
     cost = COSTS[kind]
     control, finest = (sum(size[i] for size in sizes) / 1000 for i in (0, 1))
-    search = 0.0 if landmarks or kind != "match" else SEARCH[0] + SEARCH[1] * control
-    return cost.constant + cost.control * control + cost.finest * finest + cost.texels * texels / 1e6 + search
+    search_seconds = 0.0 if landmarks or kind != "match" else SEARCH_SECONDS[0] + SEARCH_SECONDS[1] * control
+    return cost.constant + cost.control * control + cost.finest * finest + cost.texels * texels / 1e6 + search_seconds
 
 
 def worker_memory(sizes: Sequence[Size]) -> float:
-    """Bytes of memory of a worker that has two surfaces of these sizes before it."""
-    constant, finest, control = MEMORY
+    """Bytes of memory of a worker that processes two surfaces of these sizes."""
+    constant, finest, control = MEMORY_BYTES
     return constant + sum(control * size[0] + finest * size[1] for size in sizes)
 
 
-def stored_surface(size: Size, prepared: int) -> float:
-    """Bytes of a prepared surface in the store; ``prepared`` vertices at the level that its basis ends on."""
-    return STORED * min(prepared, size[1])
+def surface_bytes(size: Size, prepared: int) -> float:
+    """Stored bytes of a surface whose basis is on a level of ``prepared`` vertices."""
+    return VERTEX_BYTES * min(prepared, size[1])
 
 
-def stored_result(sizes: Sequence[Size]) -> float:
+def result_bytes(sizes: Sequence[Size]) -> float:
     """Bytes of a RESULT and its picture."""
-    return PICTURE + RESULT * sum(size[1] for size in sizes)
+    return PICTURE_BYTES + RESULT_VERTEX_BYTES * sum(size[1] for size in sizes)

@@ -1,4 +1,4 @@
-"""The tasks of a plan by number, and scripts with which render farms and clusters run them without Dask."""
+"""Numbered tasks of a plan, and scripts that run them on render farms and clusters without Dask."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from typing import Any
 from cagemap.errors import ParameterError
 from cagemap.jobs.plan import Plan, Task
 
-PAGE = "page"
-# Kinds of tasks, in the order of the steps; outputs of a pair are all kinds that are not named here.
-_STEPS = {"prepare": "prepare", "match": "match", "carry": "carry"}
-_ORDER = ("prepare", "match", "outputs", "carry")
-# Indices of one Slurm array: `MaxArraySize` is 1001 where nobody changed it.
-_SLURM_ARRAY = 1000
-# Characters of a name in Open Job Description 2023-09.
-_NAME_LENGTH = 64
+PAGE_STEP = "page"
+# Step of a kind of task; all other kinds belong to "outputs".
+STEP_OF_KIND = {"prepare": "prepare", "match": "match", "carry": "carry"}
+STEP_NAMES = ("prepare", "match", "outputs", "carry")
+# Slurm's default `MaxArraySize` is 1001.
+MAX_SLURM_ARRAY_SIZE = 1000
+# Characters of a job's name in Open Job Description 2023-09.
+MAX_NAME_LENGTH = 64
 
 
 @dataclass(frozen=True)
 class Step:
-    """Numbered tasks that may run side by side, after all steps before them.
+    """Numbered tasks that may run in parallel, after all earlier steps.
 
     Attributes
     ----------
     name : str
         "prepare", "match", "outputs" (of one pair each), "carry" or "page".
     first : int
-        Number of its first task; they count from 1 through all steps.
+        Number of its first task; tasks of all steps are numbered from 1.
     tasks : tuple of tuple of Task
-        What each number does, in this order; nothing for the page.
+        Tasks of each number, in this order; none for the page.
     """
 
     name: str
@@ -48,25 +48,25 @@ class Step:
 
 
 def farm_steps(plan: Plan) -> tuple[Step, ...]:
-    """Number the tasks of a plan: the same job file gives the same numbers, whatever is done already.
+    """Group the tasks of a plan in numbered steps; numbers depend on the job file alone.
 
     Parameters
     ----------
     plan : Plan
-        Without detours around doubtful maps, which are known only when all maps are.
+        Without detours: these are known only when all maps are computed.
     """
     steps: list[Step] = []
     first = 1
-    for name in _ORDER:
-        tasks = [task for task in plan.tasks if _STEPS.get(task.kind, "outputs") == name]
+    for name in STEP_NAMES:
+        tasks = [task for task in plan.tasks if STEP_OF_KIND.get(task.kind, "outputs") == name]
         groups = [tuple(group) for _, group in groupby(tasks, lambda task: task.pair or task.name)]
         if groups:
             steps.append(Step(name, first, tuple(groups)))
             first += len(groups)
-    return (*steps, Step(PAGE, first, ((),)))
+    return (*steps, Step(PAGE_STEP, first, ((),)))
 
 
-def numbered(steps: tuple[Step, ...]) -> Iterator[tuple[int, Task]]:
+def numbered_tasks(steps: tuple[Step, ...]) -> Iterator[tuple[int, Task]]:
     """Every task with its number."""
     for step in steps:
         for number, group in enumerate(step.tasks, step.first):
@@ -74,16 +74,16 @@ def numbered(steps: tuple[Step, ...]) -> Iterator[tuple[int, Task]]:
                 yield number, task
 
 
-def chosen_numbers(words: str, last: int) -> range:
-    """Numbers that ``N`` or ``A-B`` stands for.
+def parse_task_range(words: str, last: int) -> range:
+    """Numbers of the tasks ``N`` or ``A-B``.
 
     Raises
     ------
     ParameterError
         If it is neither, or not between 1 and ``last``.
     """
-    found = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", words.strip())
-    first, end = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
+    match = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", words.strip())
+    first, end = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
     if not 1 <= first <= end <= last:
         raise ParameterError(
             f"--task: expected a number or a range such as 2-5, of tasks 1 to {last}, got '{words}'. "
@@ -93,15 +93,15 @@ def chosen_numbers(words: str, last: int) -> range:
 
 
 def openjd_template(job: Path, steps: tuple[Step, ...]) -> dict[str, Any]:
-    """Return a job template of Open Job Description, version 2023-09, whose tasks are ``cagemap run JOB --task N``.
+    """Job template of Open Job Description 2023-09 whose tasks are ``cagemap run JOB --task N``.
 
     Parameters
     ----------
     job : Path
-        Job file; by default the farm takes that of this name beside the template (defaults are never absolute).
+        Job file; the template's default is this name beside the template, since defaults are never absolute.
     steps : tuple of Step
     """
-    name = re.sub(r"[^A-Za-z0-9 ._-]", "-", job.stem)[:_NAME_LENGTH]
+    name = re.sub(r"[^A-Za-z0-9 ._-]", "-", job.stem)[:MAX_NAME_LENGTH]
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": name,
@@ -139,7 +139,7 @@ def openjd_template(job: Path, steps: tuple[Step, ...]) -> dict[str, Any]:
 
 
 def slurm_script(job: Path, steps: tuple[Step, ...]) -> str:
-    """Return a bash script that submits one Slurm array for each step, to start when the step before has ended.
+    """Bash script that submits one Slurm array a step, which starts after the step before.
 
     Parameters
     ----------
@@ -168,13 +168,14 @@ def slurm_script(job: Path, steps: tuple[Step, ...]) -> str:
     for step in steps:
         lines.append("now=")
         lines += [
-            f'now=${{now:+$now:}}$(submit {step.name} {first} {count} "$before" "$@")' for first, count in _arrays(step)
+            f'now=${{now:+$now:}}$(submit {step.name} {first} {count} "$before" "$@")'
+            for first, count in _slurm_arrays(step)
         ]
         lines.append("before=$now")
     return "\n".join([*lines, 'echo "submitted; the last job is $before"', ""])
 
 
-def _arrays(step: Step) -> Iterator[tuple[int, int]]:
+def _slurm_arrays(step: Step) -> Iterator[tuple[int, int]]:
     """First number and count of every array of a step."""
-    for first in range(step.first, step.last + 1, _SLURM_ARRAY):
-        yield first, min(_SLURM_ARRAY, step.last + 1 - first)
+    for first in range(step.first, step.last + 1, MAX_SLURM_ARRAY_SIZE):
+        yield first, min(MAX_SLURM_ARRAY_SIZE, step.last + 1 - first)

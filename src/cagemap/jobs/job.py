@@ -1,4 +1,4 @@
-"""Job files: what to match, with which options, and what to write; validated whole before anything starts.
+"""Job files: pairs to match, options and outputs; validated before anything starts.
 
 A job file is TOML. Options have the names of the command line's options, with underscores::
 
@@ -22,7 +22,7 @@ A job file is TOML. Options have the names of the command line's options, with u
     texture = "{source.color}"
     output = "{target}.png"
 
-    [carry]                              # landmarks of one model travel to all others, see `cagemap.jobs.carry`
+    [carry]                              # carry landmarks of one model to all others, see `cagemap.jobs.carry`
     source = "zebra"
     folder = "landmarks"                 # NAME.json for every other model, beside the job file
 """
@@ -38,14 +38,14 @@ from typing import Any, get_type_hints
 from cagemap.errors import FormatError
 from cagemap.files.ownership import is_own
 from cagemap.files.text import require_file
-from cagemap.jobs.job_checks import absolute, line_of, parsed_file, problems_of
+from cagemap.jobs.job_checks import find_line, find_problems, parse_job, resolve_files
 from cagemap.jobs.job_schema import Asset, CarryRule, JobFile, OutputRule, PairRule, options_schema
 from cagemap.mesh.mesh_report import counted
 
-# Problems that are told at most.
-_SHOWN = 50
-# What requests of commands hold that a job file says by other means, or that its folder of results settles.
-_PLACES = {
+# Of one message.
+MAX_LISTED_PROBLEMS = 50
+# Fields of commands' requests that are not options: other tables of the job file or its results decide them.
+EXCLUDED_FIELDS = {
     "match": ("target", "source", "output", "cache"),
     "transfer": ("result", "output"),
     "wrap": (
@@ -67,7 +67,7 @@ _PLACES = {
 
 @dataclass(frozen=True)
 class Job:
-    """A job file, validated; every path is absolute.
+    """A validated job file; all paths are absolute.
 
     Attributes
     ----------
@@ -82,8 +82,8 @@ class Job:
     kinds : dict of str to dict
         Type of every option of every command.
     carry : CarryRule, optional
-    written : mapping of str to tuple of str
-        Options of each command that name files to write beside its output.
+    output_options : mapping of str to tuple of str
+        Options of each command that name additional output files.
     """
 
     path: Path
@@ -93,26 +93,26 @@ class Job:
     outputs: tuple[OutputRule, ...]
     kinds: dict[str, dict[str, Any]]
     carry: CarryRule | None = None
-    written: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    output_options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def read_job(
-    path: str | Path, commands: Mapping[str, type], written: Mapping[str, tuple[str, ...]] | None = None
+    path: str | Path, commands: Mapping[str, type], output_options: Mapping[str, tuple[str, ...]] | None = None
 ) -> Job:
-    """Read and validate a job file; every problem is named at once, with its line and what to do.
+    """Read and validate a job file; one error lists all problems with lines and remedies.
 
     Parameters
     ----------
     path : path
     commands : mapping of str to dataclass
-        What each command of cagemap can be asked: "match" and those that outputs name. Field names are option names.
-    written : mapping of str to tuple of str, optional
-        Options of each command that name files to write beside its output; they go to the pair's folder like it.
+        Request of each command: "match" and those that outputs name. Field names are option names.
+    output_options : mapping of str to tuple of str, optional
+        Options of each command that name additional output files; they are written to the pair's folder.
 
     Raises
     ------
     FormatError
-        If the file cannot be read or anything in it is wrong.
+        If the file cannot be read or has problems.
     """
     file = Path(path)
     try:
@@ -126,37 +126,37 @@ def read_job(
         raise FormatError(f"{file}: expected a TOML file, got brackets within brackets without end.") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FormatError(f"{file}: expected a TOML file, got a mistake in it: {error}.") from None
-    parsed, problems = parsed_file(data)
+    parsed, problems = parse_job(data)
     kinds = {name: get_type_hints(request) for name, request in commands.items()}
     if parsed is not None:
-        schemas = {name: options_schema(request, _PLACES[name]) for name, request in commands.items()}
-        problems += problems_of(parsed, file.parent, schemas, kinds, written or {})
+        schemas = {name: options_schema(request, EXCLUDED_FIELDS[name]) for name, request in commands.items()}
+        problems += find_problems(parsed, file.parent, schemas, kinds, output_options or {})
     if problems or parsed is None:
-        lines = sorted((line_of(text, place), message) for place, message in problems)
-        listed = "\n".join(f"  line {line}: {message}" for line, message in lines[:_SHOWN])
-        more = f"\n  and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
+        lines = sorted((find_line(text, key_path), message) for key_path, message in problems)
+        listed = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
+        more = f"\n  and {len(lines) - MAX_LISTED_PROBLEMS} more" if len(lines) > MAX_LISTED_PROBLEMS else ""
         raise FormatError(f"{file}: {counted(len(lines), 'problem')}; nothing was started.\n{listed}{more}")
-    return replace(_resolved(file, parsed, kinds), written=written or {})
+    return replace(_resolve_paths(file, parsed, kinds), output_options=output_options or {})
 
 
-def _resolved(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -> Job:
-    """Paths made absolute against the job file's folder; the whole job's options put under those of each pair."""
+def _resolve_paths(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -> Job:
+    """Make paths absolute against the job file's folder; merge the job's options into each pair's."""
     folder = path.resolve().parent
 
-    def placed(item: Path | None) -> Path | None:
-        return None if item is None else folder / item
+    def resolve(file: Path | None) -> Path | None:
+        return None if file is None else folder / file
 
     def options(pair: PairRule) -> dict[str, Any]:
         merged = {**job.options, **pair.options}
-        return {name: absolute(value, kinds["match"][name], folder) for name, value in merged.items()}
+        return {name: resolve_files(value, kinds["match"][name], folder) for name, value in merged.items()}
 
     carry = None if job.carry is None else job.carry.model_copy(update={"folder": folder / job.carry.folder})
 
     def landmarks(asset: Asset) -> Path | None:
-        """Those given, or those that were carried to the model and corrected by somebody."""
+        """The asset's own landmarks, else carried ones that the user has corrected."""
         carried = None if carry is None or asset.name == carry.source else carry.folder / f"{asset.name}.json"
         corrected = carried is not None and carried.is_file() and not is_own(carried)
-        return carried if corrected and asset.landmarks is None else placed(asset.landmarks)
+        return carried if corrected and asset.landmarks is None else resolve(asset.landmarks)
 
     assets = {
         asset.name: asset.model_copy(
@@ -169,7 +169,9 @@ def _resolved(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -> Job
         for asset in job.assets
     }
     pairs = tuple(
-        pair.model_copy(update={"landmarks": placed(pair.landmarks), "map": placed(pair.map), "options": options(pair)})
+        pair.model_copy(
+            update={"landmarks": resolve(pair.landmarks), "map": resolve(pair.map), "options": options(pair)}
+        )
         for pair in job.pairs
     )
     return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), kinds, carry)

@@ -12,16 +12,16 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from cagemap.files.images.image import texture_files
-from cagemap.jobs.job_schema import ALL, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, listed
+from cagemap.jobs.job_schema import ALL_ASSETS, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, asset_names
 
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 
-def line_of(text: str, place: Place) -> int:
-    """Line (from 1) of the TOML text where a value stands, or the nearest thing around it that has a line."""
-    lines: dict[Place, int] = {}
+def find_line(text: str, key_path: KeyPath) -> int:
+    """Line (from 1) of an entry in TOML text, or of the nearest table around it."""
+    lines: dict[KeyPath, int] = {}
     counts: dict[str, int] = {}
-    table: Place = ()
+    table: KeyPath = ()
     for number, line in enumerate(text.splitlines(), start=1):
         if header := re.match(r"\s*\[\[\s*([\w.-]+)\s*\]\]", line):
             counts[header[1]] = counts.get(header[1], -1) + 1
@@ -35,63 +35,63 @@ def line_of(text: str, place: Place) -> int:
         else:
             continue
         lines.setdefault(table, number)
-    for length in range(len(place), 0, -1):
-        if place[:length] in lines:
-            return lines[place[:length]]
+    for length in range(len(key_path), 0, -1):
+        if key_path[:length] in lines:
+            return lines[key_path[:length]]
     return 1
 
 
-Problem = tuple[Place, str]
+Problem = tuple[KeyPath, str]
 
 
-def parsed_file(data: Any) -> tuple[JobFile | None, list[Problem]]:
-    """The file, and what does not have its form; without those entries if the rest is a job, so that it is checked."""
+def parse_job(data: Any) -> tuple[JobFile | None, list[Problem]]:
+    """The job file without entries that fail validation, if the rest is valid; and the failures."""
     try:
         return JobFile.model_validate(data), []
     except ValidationError as error:
         problems = list(_validation_problems(error, ()))
-        places = [item["loc"] for item in error.errors()]
-    # An output without its command is no output: then all else is checked without them.
-    for left_out in (places, [place[:1] if place[:1] == ("outputs",) else place for place in places]):
+        key_paths = [item["loc"] for item in error.errors()]
+    # An output without its command is invalid: then everything else is checked without outputs.
+    for removed in (key_paths, [key_path[:1] if key_path[:1] == ("outputs",) else key_path for key_path in key_paths]):
         with suppress(ValidationError):
-            return JobFile.model_validate(_without(data, left_out)), problems
+            return JobFile.model_validate(_remove_entries(data, removed)), problems
     return None, problems
 
 
-def _without(data: Any, places: Iterable[Place]) -> Any:
-    """A copy without the entries at some places, as far as these are entries of tables."""
+def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
+    """A copy without some entries of tables."""
     copy: Any = deepcopy(data)
-    for place in places:
-        above: Any
+    for key_path in key_paths:
+        parent: Any
         key: Any
-        above, key, here = None, None, copy
-        for step in place:
-            inside = step in here if isinstance(here, dict) else isinstance(here, list) and step in range(len(here))
-            if not inside:
+        parent, key, entry = None, None, copy
+        for step in key_path:
+            exists = step in entry if isinstance(entry, dict) else isinstance(entry, list) and step in range(len(entry))
+            if not exists:
                 break
-            above, key, here = here, step, here[step]
-        if isinstance(above, dict):
-            above.pop(key, None)
+            parent, key, entry = entry, step, entry[step]
+        if isinstance(parent, dict):
+            parent.pop(key, None)
     return copy
 
 
-def _validation_problems(error: ValidationError, place: Place) -> Iterator[Problem]:
+def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[Problem]:
     for item in error.errors(include_url=False, include_context=False):
-        where = (*place, *item["loc"])
-        name = ".".join(map(str, where)) or "the file"
-        given = repr(item["input"])
-        shown = given if len(given) <= 60 else given[:57] + "..."
-        said = item["msg"][:1].lower() + item["msg"][1:]
+        entry = (*key_path, *item["loc"])
+        name = ".".join(map(str, entry)) or "the file"
+        value = repr(item["input"])
+        excerpt = value if len(value) <= 60 else value[:57] + "..."
+        message = item["msg"][:1].lower() + item["msg"][1:]
         if item["type"] == "extra_forbidden":
-            yield where, f"{name}: there is no such entry. Check its spelling, or remove it."
+            yield entry, f"{name}: there is no such entry. Check its spelling, or remove it."
         elif item["type"] == "missing":
-            yield where, f"{name}: is missing. Add it."
+            yield entry, f"{name}: is missing. Add it."
         else:
-            yield where, f"{name}: {said}, got {shown}. {_remedy(item['type'])}"
+            yield entry, f"{name}: {message}, got {excerpt}. {_remedy(item['type'])}"
 
 
 def _remedy(kind: str) -> str:
-    """What to do about a value that is not as pydantic wants it."""
+    """Remedy for a kind of pydantic error."""
     if kind in ("enum", "literal_error"):
         return "Choose one of these."
     if kind.startswith(("greater_than", "less_than", "too_", "string_too")):
@@ -101,14 +101,14 @@ def _remedy(kind: str) -> str:
     return "Give a value of this kind."
 
 
-def problems_of(
+def find_problems(
     job: JobFile,
     folder: Path,
     schemas: Mapping[str, type[BaseModel]],
     kinds: Mapping[str, dict[str, Any]],
-    written: Mapping[str, tuple[str, ...]],
+    output_options: Mapping[str, tuple[str, ...]],
 ) -> Iterator[Problem]:
-    """What is wrong in a file of the right form."""
+    """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
     if (folder / job.output).is_file():
         yield ("output",), f"output: expected a folder for all results, got the file {job.output}. Give another name."
@@ -120,7 +120,7 @@ def problems_of(
         if asset.landmarks is not None and not (folder / asset.landmarks).is_file():
             yield ("assets", i, "landmarks"), f"assets.{i}.landmarks: {asset.landmarks} does not exist. Check the path."
         for key, path in asset.files.items():
-            if not _is_there(folder / path):
+            if not _exists(folder / path):
                 yield ("assets", i, "files"), f"assets.{i}.files.{key}: {path} does not exist. Check the path."
     yield from _option_problems(job.options, schemas["match"], ("options",))
     yield from _file_problems(job.options, kinds["match"], folder, ("options",))
@@ -140,14 +140,14 @@ def problems_of(
                     message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
                     yield ("outputs", i, key), message + "Add it to the files of an asset."
         yield from _option_problems(output.model_extra or {}, schemas[output.command], ("outputs", i))
-        beside = written.get(output.command, ())
-        for name in ("output", *beside):
+        file_options = output_options.get(output.command, ())
+        for name in ("output", *file_options):
             value = options.get(name)
             if isinstance(value, str) and (Path(value).is_absolute() or ".." in Path(value).parts):
                 message = f"outputs.{i}.{name}: expected a name inside the pair's folder, got {value!r}."
                 yield ("outputs", i, name), f"{message} Give a name without '..'."
-        read = {name: value for name, value in (output.model_extra or {}).items() if name not in beside}
-        yield from _file_problems(read, kinds[output.command], folder, ("outputs", i))
+        input_options = {name: value for name, value in (output.model_extra or {}).items() if name not in file_options}
+        yield from _file_problems(input_options, kinds[output.command], folder, ("outputs", i))
 
 
 def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[Problem]:
@@ -156,7 +156,7 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
     elif pair.tree is None and (pair.source is None or pair.target is None):
         yield ("pairs", i), f"pairs.{i}: expected both source and target. Add the other one, or 'all'."
     for side in ("source", "target", "tree"):
-        for name in listed(getattr(pair, side), names):
+        for name in asset_names(getattr(pair, side), names):
             if name not in names:
                 yield ("pairs", i, side), f"pairs.{i}.{side}: no asset is called {name!r}. Check the name, or add it."
     if pair.landmarks is not None and not (folder / pair.landmarks).is_file():
@@ -164,45 +164,47 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
 
 
 def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[Problem]:
-    """A map that is given is of one pair of whole meshes as their files say, at a level."""
+    """Problems of a given map: it needs one pair of whole, unchanged meshes and takes a level only."""
     if pair.map is None:
         return
-    where = ("pairs", i, "map")
+    entry = ("pairs", i, "map")
     if not (folder / pair.map).is_file():
-        yield where, f"pairs.{i}.map: {pair.map} does not exist. Check the path."
-    if any(not isinstance(side, str) or side == ALL for side in (pair.source, pair.target)):
-        yield where, f"pairs.{i}.map: expected one source and one target. Name them, one map for each pair."
+        yield entry, f"pairs.{i}.map: {pair.map} does not exist. Check the path."
+    if any(not isinstance(side, str) or side == ALL_ASSETS for side in (pair.source, pair.target)):
+        yield entry, f"pairs.{i}.map: expected one source and one target. Name them, one map for each pair."
     if pair.landmarks is not None or set(pair.options) - {"level"}:
-        yield where, f"pairs.{i}.map: a map that is given takes a level only. Remove the landmarks and other options."
+        yield entry, f"pairs.{i}.map: a map that is given takes a level only. Remove the landmarks and other options."
     for asset in assets:
         if asset.name in (pair.source, pair.target) and (asset.part or asset.scheme or asset.weld):
             yield (
-                where,
+                entry,
                 f"pairs.{i}.map: {asset.name!r} has a part, a scheme or a weld. Name a file that is the whole mesh.",
             )
 
 
 def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:
-    named = [asset for asset in assets if asset.name == carry.source]
-    if not named:
+    sources = [asset for asset in assets if asset.name == carry.source]
+    if not sources:
         yield ("carry", "source"), f"carry.source: no asset is called {carry.source!r}. Check the name, or add it."
-    elif named[0].landmarks is None:
+    elif sources[0].landmarks is None:
         message = f"carry.source: {carry.source!r} has no landmarks. Give it a file: landmarks = ..."
         yield ("carry", "source"), message
 
 
-def _file_problems(options: dict[str, Any], kinds: dict[str, Any], folder: Path, place: Place) -> Iterator[Problem]:
-    """Files that options name and that are not there; those with names to be filled in are seen when they are."""
+def _file_problems(
+    options: dict[str, Any], kinds: dict[str, Any], folder: Path, key_path: KeyPath
+) -> Iterator[Problem]:
+    """Missing files that options name; names with placeholders are not checked."""
     for name, value in options.items():
-        for one, found in zip(_texts(value), _texts(absolute(value, kinds.get(name), folder)), strict=True):
-            is_file = found != one or (kinds.get(name) is Path and Path(one).is_absolute())
-            if is_file and "{" not in one and not _is_there(Path(found)):
-                where = (*place, name)
-                yield where, f"{'.'.join(map(str, where))}: {one} does not exist. Check the path."
+        for text, resolved in zip(_texts(value), _texts(resolve_files(value, kinds.get(name), folder)), strict=True):
+            is_file = resolved != text or (kinds.get(name) is Path and Path(text).is_absolute())
+            if is_file and "{" not in text and not _exists(Path(resolved)):
+                entry = (*key_path, name)
+                yield entry, f"{'.'.join(map(str, entry))}: {text} does not exist. Check the path."
 
 
-def _is_there(path: Path) -> bool:
-    """Whether a file or folder exists; of a set of tiles, one of them."""
+def _exists(path: Path) -> bool:
+    """Whether a file, a folder or a tile of a set exists."""
     return path.exists() or any(file.is_file() for file in texture_files(path))
 
 
@@ -213,20 +215,20 @@ def _texts(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else []
 
 
-def _option_problems(options: dict[str, Any], schema: type[BaseModel], place: Place) -> Iterator[Problem]:
+def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path: KeyPath) -> Iterator[Problem]:
     try:
         schema.model_validate(options)
     except ValidationError as error:
-        yield from _validation_problems(error, place)
+        yield from _validation_problems(error, key_path)
 
 
-def absolute(value: Any, kind: Any, folder: Path) -> Any:
-    """An option's value with relative files taken from a folder; files are found by the option's type."""
+def resolve_files(value: Any, kind: Any, folder: Path) -> Any:
+    """An option's value with relative files made absolute; the option's type tells which are files."""
     if isinstance(value, str):
         return (
             str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value
         )
     if isinstance(value, list):
         kinds = [part for part in get_args(kind) if part is not Ellipsis] or [None]
-        return [absolute(item, kinds[min(i, len(kinds) - 1)], folder) for i, item in enumerate(value)]
+        return [resolve_files(item, kinds[min(i, len(kinds) - 1)], folder) for i, item in enumerate(value)]
     return value

@@ -9,17 +9,17 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-ALL = "all"
+ALL_ASSETS = "all"
 PLACEHOLDER = re.compile(r"\{(source|target)(?:\.([A-Za-z0-9_-]+))?\}")
 Scheme = Literal["catmull-clark", "loop", "bilinear", "none"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]
 
 
-class _Strict(BaseModel):
+class _StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Asset(_Strict):
+class Asset(_StrictModel):
     """One model of the library.
 
     Attributes
@@ -33,11 +33,11 @@ class Asset(_Strict):
     part : str, optional
         As `--part` of `cagemap match`, for this side.
     scheme : str, optional
-        As `--scheme`, for this side; `target_scheme` and `source_scheme` among the options of a pair go first.
+        As `--scheme`, for this side; a pair's options `target_scheme` and `source_scheme` take precedence.
     weld : str, optional
-        As `--weld`, for this side; `target_weld` and `source_weld` among the options of a pair go first.
+        As `--weld`, for this side; a pair's options `target_weld` and `source_weld` take precedence.
     files : dict of str to Path
-        Textures, weights and other files of the model, by names that outputs ask for.
+        Textures, weights and other files of the model, by the names that outputs use.
     """
 
     name: Name
@@ -49,10 +49,10 @@ class Asset(_Strict):
     files: dict[Name, Path] = {}
 
 
-class PairRule(_Strict):
-    """Which pairs to match: sources times targets, or the spanning tree of some assets in both directions.
+class PairRule(_StrictModel):
+    """Pairs to match: all sources with all targets, or a spanning tree in both directions.
 
-    A ``map`` is anyone's point map of one pair, taken as `cagemap map` does in place of a match.
+    A ``map`` is a given point map of one pair, imported as by `cagemap map` instead of a match.
     """
 
     source: str | list[str] | None = None
@@ -63,22 +63,22 @@ class PairRule(_Strict):
     options: dict[str, Any] = {}
 
 
-class CarryRule(_Strict):
-    """Whose landmarks travel to the other models, and the folder of the files that are made for those."""
+class CarryRule(_StrictModel):
+    """The model whose landmarks are carried to the others, and the folder of their files."""
 
     source: str
     folder: Path
 
 
 class OutputRule(BaseModel):
-    """What to write for every pair: a command of cagemap with its options."""
+    """An output of every pair: a command of cagemap with its options."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     command: Literal["transfer", "wrap", "report"]
     output: str | None = None
 
 
-class JobFile(_Strict):
+class JobFile(_StrictModel):
     """The whole file."""
 
     output: Path
@@ -89,35 +89,37 @@ class JobFile(_Strict):
     carry: CarryRule | None = None
 
 
-def options_schema(request: type, places: Iterable[str] = ()) -> type[BaseModel]:
-    """Schema of a command's options from its request dataclass: all optional, nothing else allowed.
+def options_schema(request: type, excluded: Iterable[str] = ()) -> type[BaseModel]:
+    """Schema of a command's options from its request dataclass: all optional, no others allowed.
 
     Parameters
     ----------
     request : dataclass
-        Bounds of the command line's options are bounds here too, and so are ``choices`` that they are annotated with.
-    places : iterable of str
-        Fields that the job file says by other means.
+        Bounds and ``choices`` in its annotations apply.
+    excluded : iterable of str
+        Fields that are not options.
     """
-    wanted: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for name, kind in get_type_hints(request, include_extras=True).items():
-        if name in places:
+        if name in excluded:
             continue
-        plain, *said = get_args(kind) if get_origin(kind) is Annotated else (kind,)
-        choices = _bound(said, "choices")
+        plain, *annotations = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        choices = _bound(annotations, "choices")
         plain = plain if choices is None else Literal[choices]
-        wanted[name] = (plain | None, Field(None, ge=_bound(said, "min"), le=_bound(said, "max")))
-    return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **wanted)
+        fields[name] = (plain | None, Field(None, ge=_bound(annotations, "min"), le=_bound(annotations, "max")))
+    return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **fields)
 
 
-def _bound(said: list[Any], name: str) -> Any:
-    return next((getattr(one, name) for one in said if getattr(one, name, None) is not None), None)
+def _bound(annotations: list[Any], name: str) -> Any:
+    return next(
+        (getattr(annotation, name) for annotation in annotations if getattr(annotation, name, None) is not None), None
+    )
 
 
-def fill(value: Any, source: Asset, target: Asset) -> Any:
-    """A value with ``{source}``, ``{target}`` and ``{source.NAME}`` filled in; None if an asset lacks the file."""
+def fill_placeholders(value: Any, source: Asset, target: Asset) -> Any:
+    """A value with its placeholders filled in; None if an asset lacks the file."""
     if isinstance(value, list):
-        items = [fill(item, source, target) for item in value]
+        items = [fill_placeholders(item, source, target) for item in value]
         return None if None in items else items
     if not isinstance(value, str):
         return value
@@ -133,8 +135,8 @@ def fill(value: Any, source: Asset, target: Asset) -> Any:
     return PLACEHOLDER.sub(text, value)
 
 
-def listed(names: str | list[str] | None, everything: list[str]) -> list[str]:
-    """Names that an entry stands for: one, several, or all."""
+def asset_names(names: str | list[str] | None, all_names: list[str]) -> list[str]:
+    """Names of an entry: one, several, or all assets."""
     if names is None:
         return []
-    return everything if names == ALL else [names] if isinstance(names, str) else names
+    return all_names if names == ALL_ASSETS else [names] if isinstance(names, str) else names

@@ -20,12 +20,12 @@ from cagemap.files.ownership import mark
 from cagemap.files.result.folder import file_hash
 from cagemap.jobs.plan import PICTURE, RESULT, STATE, Plan, Task
 from cagemap.jobs.run import Outcome
-from cagemap.report.page import flattened
-from cagemap.report.verdicts import explain, overall
+from cagemap.report.page import flatten_entries
+from cagemap.report.verdicts import overall_verdict, rate_figures
 
-_RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}
-_SAYS = {"failed": "failed", "poor": "do not use", "fair": "look at it", "good": "sound"}
-# Heading, entry of the quality figures, factor, format: columns of the page.
+VERDICT_RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}
+VERDICT_WORDS = {"failed": "failed", "poor": "do not use", "fair": "look at it", "good": "sound"}
+# Columns of the page: heading, quality figure, factor, format.
 _COLUMNS = (
     ("folded %", "flipped_area", 100.0, "{:.2f}"),
     ("covered %", "coverage", 100.0, "{:.1f}"),
@@ -37,7 +37,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class PairRow:
-    """What the page says of one pair.
+    """One pair on the page.
 
     Attributes
     ----------
@@ -51,9 +51,9 @@ class PairRow:
     quality : dict
         Figures of the manifest.
     cycle_error : float or None
-        Error that the other maps of the collection give this one, of sqrt(area).
+        Error of the map by cycle consistency, of sqrt(area).
     files : tuple of str
-        What was written, relative to the page.
+        Written files, relative to the page.
     picture : bytes
         JPEG, empty if there is none.
     """
@@ -78,16 +78,21 @@ def pair_rows(
     for task in plan.tasks:
         of_pair.setdefault(task.pair, []).append((task, outcomes.get(task.name)))
     for pair in plan.pairs:
-        own = of_pair.get(pair, [])
-        # A detour replaces the direct map.
-        maps = [outcome for kind in ("compose", "match") for task, outcome in own if task.kind == kind]
+        tasks_of_pair = of_pair.get(pair, [])
+        # "compose" first: a detour replaces the direct map.
+        maps = [outcome for kind in ("compose", "match") for task, outcome in tasks_of_pair if task.kind == kind]
         match = next((outcome for outcome in maps if outcome is not None), None)
         figures = match.figures if match is not None else {}
-        failures = [f"{o.name}: {o.message}" for _, o in own if o is not None and not o.usable]
+        failures = [f"{o.name}: {o.message}" for _, o in tasks_of_pair if o is not None and not o.usable]
         warnings = [str(text) for text in figures.get("warnings", [])]
         quality = dict(figures.get("quality") or {})
-        verdict = "failed" if failures or match is None else overall(explain(quality), warnings)
-        files = [name for _, outcome in own if outcome is not None and outcome.usable for name in _shown(outcome.files)]
+        verdict = "failed" if failures or match is None else overall_verdict(rate_figures(quality), warnings)
+        files = [
+            name
+            for _, outcome in tasks_of_pair
+            if outcome is not None and outcome.usable
+            for name in _linked_files(outcome.files)
+        ]
         picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE
         rows.append(
             PairRow(
@@ -95,37 +100,37 @@ def pair_rows(
                 pair[1],
                 verdict,
                 (*failures, *warnings),
-                sum(o.seconds for _, o in own if o is not None),
+                sum(o.seconds for _, o in tasks_of_pair if o is not None),
                 quality,
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
                 tuple(name for name in files if not name.endswith(PICTURE)),
                 picture.read_bytes() if picture.is_file() else b"",
             )
         )
-    return sorted(rows, key=_badness)
+    return sorted(rows, key=_sort_key)
 
 
 def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str] = ()) -> str:
     """HTML text of the page; its only script sorts the table."""
     style = resources.files("cagemap.report").joinpath("style.css").read_text(encoding="utf-8")
-    own = resources.files("cagemap.jobs").joinpath("page.css").read_text(encoding="utf-8")
+    own_style = resources.files("cagemap.jobs").joinpath("page.css").read_text(encoding="utf-8")
     script = resources.files("cagemap.jobs").joinpath("sort.js").read_text(encoding="utf-8")
-    counts = {verdict: sum(row.verdict == verdict for row in rows) for verdict in _RANK}
-    chips = [f'<li class="{v}">{count} {_SAYS[v]}</li>' for v, count in counts.items() if count]
+    counts = {verdict: sum(row.verdict == verdict for row in rows) for verdict in VERDICT_RANK}
+    chips = [f'<li class="{v}">{count} {VERDICT_WORDS[v]}</li>' for v, count in counts.items() if count]
     with_cycles = any(row.cycle_error is not None for row in rows)
     heads = ["map", "source → target", "verdict", *(name for name, *_ in _COLUMNS)]
     heads += ["disagrees by %"] if with_cycles else []
     heads += ["seconds"]
-    listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    note_items = "".join(f"<li>{escape(note)}</li>" for note in notes)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta name="generator" content="{mark()}">\n'
-        f"<title>{escape(title)} · cagemap</title>\n<style>\n{style}{own}</style>\n</head>\n<body>\n<main>\n"
+        f"<title>{escape(title)} · cagemap</title>\n<style>\n{style}{own_style}</style>\n</head>\n<body>\n<main>\n"
         f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n<ul class="chips">{"".join(chips)}</ul>\n'
-        f'</header>\n{f"<ul class=notes>{listed}</ul>" if listed else ""}\n<section>\n<p class="lead">Equal colours '
-        "correspond: the source on the left, the target on the right. Worst pairs first; click a heading to sort."
-        f'</p>\n<table class="library" style="--figures: {len(heads) - 3}"><thead><tr>'
+        f'</header>\n{f"<ul class=notes>{note_items}</ul>" if note_items else ""}\n<section>\n<p class="lead">Equal '
+        "colours correspond: the source on the left, the target on the right. Worst pairs first; click a heading to "
+        f'sort.</p>\n<table class="library" style="--figures: {len(heads) - 3}"><thead><tr>'
         + "".join(f"<th>{escape(head)}</th>" for head in heads)
         + "</tr></thead>\n<tbody>\n"
         + "\n".join(_row(row, with_cycles) for row in rows)
@@ -134,7 +139,7 @@ def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str]
 
 
 def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
-    """All figures of all pairs as flat rows, one column each."""
+    """All figures of all pairs: one row a pair, one column a figure."""
     return [
         {
             "source": row.source,
@@ -142,7 +147,7 @@ def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
             "verdict": row.verdict,
             "seconds": row.seconds,
             "cycle_error": row.cycle_error,
-            **flattened("", {name: value for name, value in row.quality.items() if name != "warnings"}),
+            **flatten_entries("", {name: value for name, value in row.quality.items() if name != "warnings"}),
             "messages": " | ".join(row.messages),
         }
         for row in rows
@@ -165,7 +170,7 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
     writer.writeheader()
     writer.writerows(flat)
     html = build_library_page(title, rows, notes)
-    _write_marked(page, html.encode())
+    _write_if_changed(page, html.encode())
     _write_table(table, text.getvalue(), folder / STATE / f"{table.name}.sha256")
     if importlib.util.find_spec("pyarrow") is None:
         return page, table
@@ -175,17 +180,17 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
     arrays = {name: [row.get(name) for row in flat] for name in columns}
     stream = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.table(arrays, metadata={"generator": mark()}), stream)
-    _write_marked(data, stream.getvalue())
+    _write_if_changed(data, stream.getvalue())
     return page, table, data
 
 
-def _shown(files: Sequence[str]) -> list[str]:
-    """Files of a task as links: those of a folder inside the pair's own, such as shapes, are one."""
+def _linked_files(files: Sequence[str]) -> list[str]:
+    """Files and folders of a task to link; files of one folder inside the pair's folder count as one."""
     return list(dict.fromkeys("/".join(name.split("/")[:2]) if RESULT not in name else name for name in files))
 
 
-def _write_marked(path: Path, content: bytes) -> None:
-    """Write a file that holds a `mark`, unless just this is there already."""
+def _write_if_changed(path: Path, content: bytes) -> None:
+    """Write a file with a `mark`, unless it exists with the same content."""
     blank = rb"checksum " + 64 * b"0"
     if path.is_file() and re.sub(rb"checksum [0-9a-f]{64}", blank, path.read_bytes(), count=1) == content:
         return
@@ -193,29 +198,29 @@ def _write_marked(path: Path, content: bytes) -> None:
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:
-    """Write a table, whose format has no place for a mark: a note beside it says that it is ours.
+    """Write a table; a note with its hash, instead of a mark inside, shows that cagemap wrote it.
 
-    The note comes first, and names the table of before as well: between the two a disk may fill up, or a run end.
+    The note is written first with the hashes of the old and the new table, since a run may end between both writes.
     """
     content = text.encode()
-    known = note.read_bytes().split() if note.is_file() else []
+    known_hashes = note.read_bytes().split() if note.is_file() else []
 
     def owned(existing: Path) -> bool:
-        return file_hash(existing).encode() in known
+        return file_hash(existing).encode() in known_hashes
 
     if path.is_file() and path.read_bytes() == content:
         return
     require_replaceable(path, owned=owned)
-    before = [file_hash(path).encode()] if path.is_file() else []
+    old_hash = [file_hash(path).encode()] if path.is_file() else []
     note.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(note, b"\n".join([*before, hashlib.sha256(content).hexdigest().encode(), b""]), force=True)
+    write_whole(note, b"\n".join([*old_hash, hashlib.sha256(content).hexdigest().encode(), b""]), force=True)
     write_whole(path, content, owned=owned)
 
 
-def _badness(row: PairRow) -> tuple[float, ...]:
+def _sort_key(row: PairRow) -> tuple[float, ...]:
     quality = row.quality
     return (
-        _RANK[row.verdict],
+        VERDICT_RANK[row.verdict],
         -(row.cycle_error or 0.0),
         -float(quality.get("flipped_area") or 0.0),
         float(quality.get("trusted_area") or 0.0),
@@ -231,18 +236,19 @@ def _row(row: PairRow, with_cycles: bool) -> str:
         else ""
     )
     links = " ".join(f'<a href="{escape(file)}">{escape(Path(file).name)}</a>' for file in row.files)
-    said = "".join(f"<li>{escape(text)}</li>" for text in row.messages)
+    messages = "".join(f"<li>{escape(text)}</li>" for text in row.messages)
     cells = [
         f"<td>{image}</td>",
-        f'<td data-value="{escape(name)}"><b>{escape(name)}</b><br>{links}<ul>{said}</ul></td>',
-        f'<td data-value="{_RANK[row.verdict]}"><span class="verdict {row.verdict}">{_SAYS[row.verdict]}</span></td>',
+        f'<td data-value="{escape(name)}"><b>{escape(name)}</b><br>{links}<ul>{messages}</ul></td>',
+        f'<td data-value="{VERDICT_RANK[row.verdict]}"><span class="verdict {row.verdict}">'
+        f"{VERDICT_WORDS[row.verdict]}</span></td>",
     ]
-    shown = [(row.quality.get(entry), factor, form) for _, entry, factor, form in _COLUMNS]
-    shown += [(row.cycle_error, 100.0, "{:.2f}")] if with_cycles else []
-    shown += [(row.seconds, 1.0, "{:.1f}")]
-    for value, factor, form in shown:
+    figures = [(row.quality.get(entry), factor, template) for _, entry, factor, template in _COLUMNS]
+    figures += [(row.cycle_error, 100.0, "{:.2f}")] if with_cycles else []
+    figures += [(row.seconds, 1.0, "{:.1f}")]
+    for value, factor, template in figures:
         if isinstance(value, int | float):
-            cells.append(f'<td data-value="{factor * value:.6g}">{form.format(factor * value)}</td>')
+            cells.append(f'<td data-value="{factor * value:.6g}">{template.format(factor * value)}</td>')
         else:
             cells.append('<td data-value=""></td>')
     return f"<tr>{''.join(cells)}</tr>"

@@ -1,4 +1,4 @@
-"""The tasks of a job: what each needs, where it writes, and a key of all that its result depends on."""
+"""Tasks of a job with their dependencies, outputs, and a key of everything the result depends on."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from cagemap.errors import FormatError
 from cagemap.files.images.image import texture_files
 from cagemap.files.result.folder import ARRAYS, file_hash
 from cagemap.jobs.job import Job
-from cagemap.jobs.job_checks import absolute
-from cagemap.jobs.job_schema import Asset, OutputRule, fill, listed
+from cagemap.jobs.job_checks import resolve_files
+from cagemap.jobs.job_schema import Asset, OutputRule, asset_names, fill_placeholders
 
-# Folder inside the output folder for what a rerun needs: prepared surfaces, notes of finished tasks, locks.
+# Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
 STATE = ".cagemap"
 RESULT = "RESULT"
-# Result of the detour for a pair with a doubtful map.
+# Composed result of a pair with a doubtful map.
 DETOUR = "RESULT-composed"
 PICTURE = "picture.jpg"
-# Options of a match that a prepared surface depends on, for both sides or with the side's name before them.
-_SURFACE = frozenset(
+# Options of a match that change a prepared surface, also with a side's name before them.
+SURFACE_OPTIONS = frozenset(
     [
         "level",
         "vertices",
@@ -38,14 +38,14 @@ _SURFACE = frozenset(
         "uv_set",
     ]
 )
-_DEFAULT_OUTPUT = {"report": "report.html", "wrap": "{target}.obj"}
+DEFAULT_OUTPUTS = {"report": "report.html", "wrap": "{target}.obj"}
 Pair = tuple[str, str]
 Tree = Callable[[list[Asset]], list[Pair]]
 
 
 @dataclass(frozen=True)
 class Task:
-    """One piece of work that is done as a whole or not at all.
+    """One task: it succeeds as a whole or counts as not done.
 
     Attributes
     ----------
@@ -56,18 +56,17 @@ class Task:
     key : str
         Hash of the content of all inputs, the options and the version of the code.
     needs : tuple of str
-        Names of the tasks that must be done before.
+        Names of tasks that must have succeeded before.
     request : dict
         Arguments of the command, paths as text.
     outputs : tuple of str
-        Files, patterns or folders that it writes, relative to the job's output folder; which files these are is noted
-        when it is done.
+        Files, patterns or folders that it writes, relative to the job's output folder.
     pair : (str, str) or None
         Source and target.
     after : tuple of str
-        Names of the tasks that must have ended before, well or not.
+        Names of tasks that must have ended before, in success or failure.
     reads : dict of str to str
-        `content_hash` of the files that it is given, as the key has them.
+        `content_hash` of the input files at planning.
     """
 
     kind: str
@@ -82,14 +81,14 @@ class Task:
 
     @property
     def slug(self) -> str:
-        """A name for the task's own files."""
+        """A file name for the task."""
         plain = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
         return f"{plain[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All tasks of a job, each after those that it needs.
+    """All tasks of a job in an order that respects their needs.
 
     Attributes
     ----------
@@ -98,24 +97,24 @@ class Plan:
     tasks : tuple of Task
     pairs : tuple of (str, str)
         Source and target of every pair.
-    left_out : tuple of str
+    omitted_outputs : tuple of str
         Outputs that some pairs do not get, and why.
     """
 
     root: Path
     tasks: tuple[Task, ...]
     pairs: tuple[Pair, ...]
-    left_out: tuple[str, ...] = ()
+    omitted_outputs: tuple[str, ...] = ()
 
 
 def plan_job(job: Job, version: str, tree: Tree) -> Plan:
-    """Write down the tasks of a job.
+    """Plan the tasks of a job.
 
     Parameters
     ----------
     job : Job
     version : str
-        Of the code: results of another one are not reused.
+        Of the code: results of another version are not reused.
     tree : callable
         Source and target of the pairs along the spanning tree of some assets.
 
@@ -126,10 +125,10 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
     """
     planner = _Planner(job, version)
     tasks: dict[str, Task] = {}
-    left_out: list[str] = []
+    omitted_outputs: list[str] = []
     pairs: dict[Pair, dict[str, Any]] = {}
     for rule in job.pairs:
-        for pair in _pairs(rule.source, rule.target, rule.tree, job, tree):
+        for pair in _rule_pairs(rule.source, rule.target, rule.tree, job, tree):
             files = {"landmarks": rule.landmarks, "map": rule.map}
             options = {**rule.options, **{name: str(file) for name, file in files.items() if file is not None}}
             if pairs.setdefault(pair, options) != options:
@@ -142,95 +141,95 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
         if "map" in options:
             sides, options = [], {name: options[name] for name in ("map", "level") if name in options}
         if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
-            sides = []  # which parts there are is known when both meshes have been read
-        prepared = [planner.prepare(asset, side, options) for side, asset in sides]
-        tasks |= {task.name: task for task in prepared}
-        match = planner.match(source, target, options, prepared)
+            sides = []  # parts are known only when both meshes have been read
+        surfaces = [planner.prepare(asset, side, options) for side, asset in sides]
+        tasks |= {task.name: task for task in surfaces}
+        match = planner.match(source, target, options, surfaces)
         tasks[match.name] = match
         picture = planner.picture(match)
         tasks[picture.name] = picture
-        before: list[Task] = []
-        for wanted in sorted(job.outputs, key=lambda rule: rule.command == "report"):
-            made = planner.output(wanted, source, target, match, before)
-            if isinstance(made, str):
-                left_out.append(made)
+        earlier: list[Task] = []
+        for output_rule in sorted(job.outputs, key=lambda rule: rule.command == "report"):
+            task = planner.output(output_rule, source, target, match, earlier)
+            if isinstance(task, str):
+                omitted_outputs.append(task)
                 continue
-            taken = {path for task in before for path in task.outputs} & set(made.outputs)
-            if taken or made.name in tasks:
+            overlap = {path for task in earlier for path in task.outputs} & set(task.outputs)
+            if overlap or task.name in tasks:
                 raise FormatError(
-                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(taken or {made.outputs[0]}).pop()}. "
+                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(overlap or {task.outputs[0]}).pop()}. "
                     "Rename one."
                 )
-            if set(picture.outputs) & set(made.outputs):
+            if set(picture.outputs) & set(task.outputs):
                 raise FormatError(
                     f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE}, as the job's own picture of "
                     "each pair is. Rename it."
                 )
-            before.append(made)
-            tasks[made.name] = made
-    return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(left_out))
+            earlier.append(task)
+            tasks[task.name] = task
+    return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(omitted_outputs))
 
 
-def _pairs(
+def _rule_pairs(
     source: str | list[str] | None, target: str | list[str] | None, among: str | list[str] | None, job: Job, tree: Tree
 ) -> Iterator[Pair]:
-    """Source and target of every pair of a rule; nothing is matched with itself."""
+    """Source and target of every pair of a rule, without pairs of one asset."""
     names = list(job.assets)
     if among is not None:
-        yield from tree([job.assets[name] for name in listed(among, names)])
+        yield from tree([job.assets[name] for name in asset_names(among, names)])
         return
-    for one in listed(source, names):
-        for other in listed(target, names):
-            if one != other:
-                yield one, other
+    for source_name in asset_names(source, names):
+        for target_name in asset_names(target, names):
+            if source_name != target_name:
+                yield source_name, target_name
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file, or of all tiles of a set; a file that is not there counts as its path."""
+    """Hash of a file, or of all tiles of a set; the path itself if there is no file."""
     return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
 
 
-class _Hashes:
-    """Hashes of files, each read once."""
+class _FileHashes:
+    """Hashes of files; each file is read once."""
 
     def __init__(self) -> None:
-        self._known: dict[str, str] = {}
+        self._hashes: dict[str, str] = {}
 
     def of(self, path: str | Path) -> str:
         text = str(path)
-        if text not in self._known:
-            self._known[text] = content_hash(text)
-        return self._known[text]
+        if text not in self._hashes:
+            self._hashes[text] = content_hash(text)
+        return self._hashes[text]
 
     def of_value(self, value: Any) -> Any:
-        """A value, such as a request, with every file in it replaced by the hash of its content."""
+        """A value, such as a request, with files replaced by their hashes."""
         if isinstance(value, dict):
             return {name: self.of_value(item) for name, item in value.items()}
         if isinstance(value, list):
             return [self.of_value(item) for item in value]
         return self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
 
-    def read_by(self, value: Any) -> dict[str, str]:
-        """The files in a value, such as a request, and their hashes."""
+    def files_in(self, value: Any) -> dict[str, str]:
+        """Files in a value, such as a request, and their hashes."""
         if isinstance(value, dict | list):
             items = value.values() if isinstance(value, dict) else value
-            return {path: found for item in items for path, found in self.read_by(item).items()}
-        found = self.of_value(value)
-        return {} if found == value else {value: found}
+            return {path: content for item in items for path, content in self.files_in(item).items()}
+        keyed = self.of_value(value)
+        return {} if keyed == value else {value: keyed}
 
 
 def task_key(version: str, kind: str, *parts: Any) -> str:
-    """Hash of the version of the code and of all that a task depends on."""
+    """Hash of the code's version and of everything that a task depends on."""
     return hashlib.sha256(json.dumps([version, kind, *parts], sort_keys=True, default=str).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class _Planner:
-    """Writes down the tasks of one job."""
+    """Makes the tasks of one job."""
 
     job: Job
     version: str
-    hashes: _Hashes = field(default_factory=_Hashes)
+    hashes: _FileHashes = field(default_factory=_FileHashes)
 
     @property
     def cache(self) -> str:
@@ -238,15 +237,15 @@ class _Planner:
         return str(self.job.output / STATE / "surfaces")
 
     def prepare(self, asset: Asset, side: str, options: dict[str, Any]) -> Task:
-        """The task of one surface; a surface that is prepared alike for both sides is one task."""
-        choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in _SURFACE}
+        """The task of one surface; equal preparation for both sides gives the same task."""
+        choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in SURFACE_OPTIONS}
         for name, value in (("scheme", asset.scheme), ("weld", asset.weld)):
             if value is not None and f"{side}_{name}" not in options:
                 choices[name] = value
         side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
         request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
         key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
-        reads, request = self.hashes.read_by(request), {**request, "cache": self.cache}
+        reads, request = self.hashes.files_in(request), {**request, "cache": self.cache}
         return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, reads=reads)
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
@@ -263,46 +262,46 @@ class _Planner:
         key = task_key(self.version, "match", self.hashes.of_value(inputs), [task.key for task in needs])
         request = {**inputs, "output": str(self.job.output / folder)}
         request |= {} if "map" in options else {"cache": self.cache}
-        pair, before = (source.name, target.name), tuple(task.name for task in needs)
-        title, reads = f"match {pair[0]} -> {pair[1]}", self.hashes.read_by(inputs)
-        return Task("match", title, key, before, request, (f"{folder}/{ARRAYS}",), pair, reads=reads)
+        pair, needed_names = (source.name, target.name), tuple(task.name for task in needs)
+        title, reads = f"match {pair[0]} -> {pair[1]}", self.hashes.files_in(inputs)
+        return Task("match", title, key, needed_names, request, (f"{folder}/{ARRAYS}",), pair, reads=reads)
 
     def picture(self, match: Task) -> Task:
-        """The small picture of a pair on the page of all."""
+        """The task of a pair's small picture on the job's page."""
         assert match.pair is not None
         source, target = match.pair
         request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
         key = task_key(self.version, "picture", match.key)
-        written = f"{source}__{target}/{PICTURE}"
-        return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (written,), match.pair)
+        file = f"{source}__{target}/{PICTURE}"
+        return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (file,), match.pair)
 
-    def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, before: list[Task]) -> Task | str:
-        """The task of an output; or why the pair does not get it.
+    def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, earlier: list[Task]) -> Task | str:
+        """The task of an output, or the reason why the pair does not get it.
 
-        Outputs of a pair are made one after the other, since each is noted in the pair's RESULT. A report shows those
-        before it, and is drawn anew when one of them changes.
+        Outputs of a pair run one after the other, since each is noted in the pair's RESULT. A report depends on the
+        outputs before it.
         """
         pair = f"{source.name} -> {target.name}"
         options: dict[str, Any] = {}
         kinds = self.job.kinds[rule.command]
-        name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
+        name = rule.output or DEFAULT_OUTPUTS.get(rule.command) or f"{{target}}_{rule.command}.png"
         for option, value in {**(rule.model_extra or {}), "output": name}.items():
-            filled = fill(value, source, target)
+            filled = fill_placeholders(value, source, target)
             if filled is None:
                 return f"{pair}: no {rule.command}, {value} is not among the asset's files"
-            in_pair = option == "output" or option in self.job.written.get(rule.command, ())
-            options[option] = filled if in_pair else absolute(filled, kinds[option], self.job.path.parent)
+            in_pair = option == "output" or option in self.job.output_options.get(rule.command, ())
+            options[option] = filled if in_pair else resolve_files(filled, kinds[option], self.job.path.parent)
         files = {
             option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
-            for option in ("output", *self.job.written.get(rule.command, ()))
+            for option in ("output", *self.job.output_options.get(rule.command, ()))
             if option in options
         }
-        shown = [task.key for task in before] if rule.command == "report" else []
+        earlier_keys = [task.key for task in earlier] if rule.command == "report" else []
         key = task_key(
-            self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *shown
+            self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *earlier_keys
         )
-        reads, request = self.hashes.read_by(options), {**options, "result": match.request["output"]}
-        request |= {option: str(self.job.output / written) for option, written in files.items()}
+        reads, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
+        request |= {option: str(self.job.output / file) for option, file in files.items()}
         title = f"{rule.command} {pair}: {Path(files['output']).name}"
-        after = tuple(task.name for task in before[-1:])
+        after = tuple(task.name for task in earlier[-1:])
         return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after, reads)

@@ -1,4 +1,4 @@
-"""Run the tasks of a plan on Dask: finished tasks are kept, and a failure only skips the tasks that need it."""
+"""Execution of a plan on Dask: finished tasks are kept; a failure skips only tasks that need it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ OpenClient = Callable[[], "Client"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a task ended.
+    """The end of a task.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Outcome:
     figures : dict
         Figures of the result.
     files : tuple of str
-        What it wrote, relative to the job's output folder.
+        Written files, relative to the job's output folder.
     """
 
     name: str
@@ -61,14 +61,14 @@ class Outcome:
 
     @property
     def usable(self) -> bool:
-        """Whether its outputs are there."""
+        """Whether its outputs exist."""
         return self.state in ("done", "kept")
 
 
 def run_plan(
     plan: Plan, runner: Runner, connect: OpenClient, report: Report = lambda outcome, finished, total: None
 ) -> dict[str, Outcome]:
-    """Do what is missing of a plan.
+    """Run the missing tasks of a plan.
 
     Parameters
     ----------
@@ -76,58 +76,62 @@ def run_plan(
     runner : callable
         Does one task and returns its figures; importable by name, since workers import it.
     connect : callable
-        Gives the Dask client, see `open_client`; called only if tasks are missing.
+        Returns the Dask client, see `open_client`; called only if tasks are missing.
     report : callable
-        Called with every outcome, and how many tasks of how many are finished.
+        Called with every outcome, the number of finished tasks and the number of tasks.
 
     Returns
     -------
     dict of str to Outcome
-        Of all tasks of the plan, by name, but those that only serve what is done.
+        By name, of all tasks of the plan except preparations that no missing task needs.
     """
     outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
-    missing = _to_do(plan, set(outcomes))
+    missing = _select_missing(plan, set(outcomes))
     if missing:
-        outcomes |= _run(connect(), plan, missing, runner, outcomes, report)
+        outcomes |= _run_tasks(connect(), plan, missing, runner, outcomes, report)
     return outcomes
 
 
 def missing_tasks(plan: Plan) -> list[Task]:
-    """Tasks that a run would do: not done yet, and more than a preparation of what is done."""
-    return _to_do(plan, {task.name for task in plan.tasks if kept_outcome(plan.root, task) is not None})
+    """Tasks that a run would do: not done, without preparations that no missing task needs."""
+    return _select_missing(plan, {task.name for task in plan.tasks if kept_outcome(plan.root, task) is not None})
 
 
-def _to_do(plan: Plan, kept: set[str]) -> list[Task]:
+def _select_missing(plan: Plan, kept: set[str]) -> list[Task]:
     missing = [task for task in plan.tasks if task.name not in kept]
-    wanted = needed(plan, {task.name for task in missing if task.kind != "prepare"})
+    wanted = needed_tasks(plan, {task.name for task in missing if task.kind != "prepare"})
     return [task for task in missing if task.name in wanted]
 
 
-def needed(plan: Plan, names: set[str]) -> set[str]:
-    """Names of some tasks and of all that they need."""
-    found = set(names)
+def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
+    """Names of tasks and of all tasks that they need."""
+    needed = set(names)
     for task in reversed(plan.tasks):
-        if task.name in found:
-            found |= set(task.needs)
-    return found
+        if task.name in needed:
+            needed |= set(task.needs)
+    return needed
 
 
 def kept_outcome(root: Path, task: Task) -> Outcome | None:
-    """The outcome of an earlier run, if it is of the same task and all that it wrote is still there."""
-    note = own_note(_note(root, task))
+    """The outcome of an earlier run, if the task is unchanged and all its files exist."""
+    note = own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
     files = ((root / path, size) for path, size in note["outputs"].items())
-    whole = all(file.is_file() and file.stat().st_size == size for file, size in files)
-    return Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"])) if whole else None
+    is_complete = all(file.is_file() and file.stat().st_size == size for file, size in files)
+    return (
+        Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
+        if is_complete
+        else None
+    )
 
 
-def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome:
-    """Do one task, unless another run has done it in the meantime; problems become an outcome, not an exception."""
-    failed = [outcome for outcome in before if outcome.name in task.needs and not outcome.usable]
+def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> Outcome:
+    """Run one task unless another run has done it; errors become a failed outcome."""
+    failed = [outcome for outcome in predecessors if outcome.name in task.needs and not outcome.usable]
     if failed:
         return Outcome(task.name, "skipped", _skip_message(failed[0]))
-    from filelock import FileLock  # here: plans and dry runs do without
+    from filelock import FileLock  # here: plans and dry runs do not need it
 
     start = time.perf_counter()
     try:
@@ -140,17 +144,17 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
             if kept is not None:
                 return kept
             _remove_leftovers(root, task)
-            if own_note(_note(root, task)) is not None:
-                _note(root, task).unlink()  # of files that are about to be replaced
+            if own_note(_note_path(root, task)) is not None:
+                _note_path(root, task).unlink()  # its files are replaced below
             with files_written() as written:
                 figures = runner(task)
-            for path, planned in task.reads.items():
-                if content_hash(path) != planned:
+            for path, expected_hash in task.reads.items():
+                if content_hash(path) != expected_hash:
                     raise FormatError(
                         f"{path}: has changed since this run began, so what came of it is not kept. {_REMEDY}"
                     )
             seconds = time.perf_counter() - start
-            outputs = _sizes(root, task, written)
+            outputs = _output_sizes(root, task, written)
             note = {
                 "written_by": mark(),
                 "name": task.name,
@@ -159,7 +163,7 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
                 "outputs": outputs,
                 "figures": figures,
             }
-            write_whole(_note(root, task), json.dumps(note, indent=1))
+            write_whole(_note_path(root, task), json.dumps(note, indent=1))
             return Outcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except CagemapError as error:
         message = str(error)
@@ -172,48 +176,48 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
     return Outcome(task.name, "failed", message, time.perf_counter() - start)
 
 
-def _run(
+def _run_tasks(
     client: Client, plan: Plan, missing: list[Task], runner: Runner, known: dict[str, Outcome], report: Report
 ) -> dict[str, Outcome]:
     from distributed import as_completed, wait
 
     run = uuid.uuid4().hex[:8]
 
-    def submit(task: Task, before: Iterable[Any], trial: int) -> Any:
+    def submit(task: Task, predecessors: Iterable[Any], trial: int) -> Any:
         key = f"{task.kind}-{task.slug}-{run}-{trial}"
-        return client.submit(execute, task, plan.root, runner, *before, key=key, pure=False)
+        return client.submit(execute, task, plan.root, runner, *predecessors, key=key, pure=False)
 
     futures: dict[str, Any] = {}
     for task in missing:
-        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _predecessors(task)], 1)
+        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _earlier_tasks(task)], 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
-    blamed = set()
+    lost = set()
     for future in as_completed(futures.values()):
         name = names[future.key]
-        # Worker lost, perhaps after finishing: a second try finds the stored result.
+        # A lost worker may have finished the task: the second try finds the stored result.
         if future.status != "finished":
-            blamed.add(name)
+            lost.add(name)
             continue
-        outcomes[name] = _as_done(future.result())
+        outcomes[name] = _count_as_done(future.result())
         report(outcomes[name], len(outcomes), len(missing))
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
-        if task.name in blamed:
-            future = submit(task, [outcomes.get(name, known.get(name)) for name in _predecessors(task)], 2)
+        if task.name in lost:
+            future = submit(task, [outcomes.get(name, known.get(name)) for name in _earlier_tasks(task)], 2)
             wait(future)
             finished = future.status == "finished"
-            outcomes[task.name] = _as_done(future.result()) if finished else _lost(task, outcomes)
+            outcomes[task.name] = _count_as_done(future.result()) if finished else _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
 
 
-def _predecessors(task: Task) -> tuple[str, ...]:
+def _earlier_tasks(task: Task) -> tuple[str, ...]:
     return (*task.needs, *task.after)
 
 
-def _as_done(outcome: Outcome) -> Outcome:
-    """A task that a lost worker or another run has finished since this run began counts as done."""
+def _count_as_done(outcome: Outcome) -> Outcome:
+    """Outcome "done" for a task that a lost worker or another run finished during this run."""
     return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
@@ -221,8 +225,8 @@ def _skip_message(outcome: Outcome) -> str:
     return f"needs '{outcome.name}', which {'was ' * (outcome.state == 'skipped')}{outcome.state}"
 
 
-def _lost(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
-    """The outcome of a task whose workers were lost, or that needs such a task."""
+def _lost_outcome(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
+    """Outcome of a task whose workers were lost, or that needs such a task."""
     for name in task.needs:
         if name in outcomes and not outcomes[name].usable:
             return Outcome(task.name, "skipped", _skip_message(outcomes[name]))
@@ -239,10 +243,10 @@ def open_client(
     Parameters
     ----------
     scheduler : str, optional
-        Address of a running Dask scheduler whose workers reach the same files; default: worker processes here.
+        Address of a running Dask scheduler whose workers reach the same files; default: local worker processes.
     workers : int, optional
-        Number of local processes, of one thread each; default: one for each core. Each may use its share of the
-        machine's memory.
+        Number of local processes, of one thread each; default: one for each core. They share the machine's memory
+        equally.
     tell : callable
         Called with the address of Dask's dashboard, where bokeh is installed.
 
@@ -287,7 +291,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     settings = {"distributed.scheduler.allowed-failures": RETRIES, "distributed.nanny.pre-spawn-environ": environment}
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
-    # Any free port: another cluster on this machine is nothing to warn of. Without bokeh there is no dashboard on it.
+    # Any free port, so that a second cluster on this machine causes no warning.
     cluster = LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
@@ -303,27 +307,27 @@ def _require_dask() -> None:
         raise ParameterError('expected Dask to run jobs on, found none. Install it: pip install "cagemap[dask]".')
 
 
-def _note(root: Path, task: Task) -> Path:
+def _note_path(root: Path, task: Task) -> Path:
     return root / STATE / "done" / f"{task.slug}.json"
 
 
-def _sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
-    """Files that a task made, and their sizes; what it noted in a RESULT or in the job's own state is none of them."""
-    stated = [path for path in task.outputs if (root / path).is_file()]
-    found = [Path(os.path.relpath(path, root)) for path in written]
-    beside = [path.as_posix() for path in found if not {RESULT, DETOUR, STATE} & set(path.parts)]
-    sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*stated, *beside])}
+def _output_sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
+    """Written files of a task and their sizes, without RESULT folders and the job's state."""
+    expected = [path for path in task.outputs if (root / path).is_file()]
+    relative = [Path(os.path.relpath(path, root)) for path in written]
+    additional = [path.as_posix() for path in relative if not {RESULT, DETOUR, STATE} & set(path.parts)]
+    sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*expected, *additional])}
     if task.outputs and not sizes:
         raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")
     return sizes
 
 
 def _remove_leftovers(root: Path, task: Task) -> None:
-    """Remove temporary files that a killed run of this very task left behind; the task's lock is held."""
+    """Remove temporary files of a killed run of this task; the task's lock is held."""
     for output in task.outputs:
-        for place in (root / output, (root / output).parent):
-            for left in leftovers(place):
-                if left.is_dir():
-                    shutil.rmtree(left)
+        for folder in (root / output, (root / output).parent):
+            for leftover in leftovers(folder):
+                if leftover.is_dir():
+                    shutil.rmtree(leftover)
                 else:
-                    left.unlink(missing_ok=True)
+                    leftover.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Spanning tree of a collection along similar shapes: the fewest matches that connect all models."""
+"""Minimum spanning tree of a collection by shape difference: the fewest matches that connect all models."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, face_areas
 from cagemap.numerics.arrays import FloatArray
 
-SAMPLES = 4000
-QUANTILES = 200
+SAMPLE_COUNT = 4000
+QUANTILE_COUNT = 200
 
 
 def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
-    """Source and target of every match along the spanning tree of some assets, both directions of every edge.
+    """Source and target of every match along the spanning tree, both directions of every edge.
 
     Raises
     ------
     FormatError
-        If a mesh cannot be read: without it the tree is not known.
+        If a mesh cannot be read.
     """
     signatures = []
     for asset in assets:
@@ -33,19 +33,22 @@ def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
             signatures.append(shape_distribution(read_whole(asset.file)))
         except CagemapError as error:
             raise FormatError(f"{asset.name}: a spanning tree needs every mesh, and this one: {error}") from error
-    lengths = squareform(pdist(np.array(signatures), "cityblock")) / QUANTILES + 1.0  # a length of 0 would be no edge
+    lengths = (
+        squareform(pdist(np.array(signatures), "cityblock")) / QUANTILE_COUNT + 1.0
+    )  # a length of 0 would be no edge
     np.fill_diagonal(lengths, 0.0)
     edges = minimum_spanning_tree(lengths).tocoo()
-    found = []
+    pairs = []
     for i, j in sorted(zip(edges.row.tolist(), edges.col.tolist(), strict=True)):
-        found += [(assets[i].name, assets[j].name), (assets[j].name, assets[i].name)]
-    return found
+        pairs += [(assets[i].name, assets[j].name), (assets[j].name, assets[i].name)]
+    return pairs
 
 
 def shape_distribution(mesh: ControlMesh) -> FloatArray:
-    """(q,) quantiles of the distance of two random surface points over sqrt(area): D2 of Osada et al. 2002.
+    """(q,) quantiles of distances of random surface points over sqrt(area): D2 of Osada et al. 2002.
 
-    Does not change with place, turn or size, and little with the connectivity.
+    Invariant to position, rotation and scale, and nearly to connectivity.
+
 
     Raises
     ------
@@ -58,9 +61,9 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
         raise InvalidMeshError(f"{mesh.name}: expected faces with an area, got none. Export the mesh again.")
     share = (areas / np.maximum(mesh.face_sizes - 2, 1))[faces]
     random = np.random.default_rng(20020107)
-    chosen = random.choice(len(triangles), size=(2, SAMPLES), p=share / share.sum())
-    u, v = np.sqrt(random.random((2, 2, SAMPLES, 1)))[0], random.random((2, SAMPLES, 1))
-    a, b, c = (mesh.positions[triangles[chosen, k]] for k in range(3))
+    sampled = random.choice(len(triangles), size=(2, SAMPLE_COUNT), p=share / share.sum())
+    u, v = np.sqrt(random.random((2, 2, SAMPLE_COUNT, 1)))[0], random.random((2, SAMPLE_COUNT, 1))
+    a, b, c = (mesh.positions[triangles[sampled, k]] for k in range(3))
     points = (1 - u) * a + u * (1 - v) * b + u * v * c
     distances = np.linalg.norm(points[0] - points[1], axis=1) / np.sqrt(areas.sum())
-    return np.quantile(distances, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+    return np.quantile(distances, (np.arange(QUANTILE_COUNT) + 0.5) / QUANTILE_COUNT)

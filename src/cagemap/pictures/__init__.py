@@ -1,27 +1,27 @@
 """Pictures of surfaces as image arrays, ray-cast without a screen."""
 
-from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, frame, turn_between
+from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, frame, turn_angle
 from cagemap.pictures.colors import (
-    AMOUNT,
-    BALANCE,
-    ENOUGH,
+    AMOUNT_SCALE,
+    BALANCE_SCALE,
+    TRUST_SCALE,
     distinct_colors,
     position_colors,
     scalar_colors,
     to_display,
     to_linear,
 )
-from cagemap.pictures.orientation import UP_AXES, Y_UP, Z_UP, Orientation, matching_turn, orientation
+from cagemap.pictures.orientation import UP_AXES, Y_UP, Z_UP, Orientation, find_orientation, matching_turn
 from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
-from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible
+from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible_points
 
 __all__ = [
-    "AMOUNT",
+    "AMOUNT_SCALE",
     "BACK",
-    "BALANCE",
-    "ENOUGH",
+    "BALANCE_SCALE",
     "FRONT",
     "SIDE",
+    "TRUST_SCALE",
     "UP_AXES",
     "VIEWS",
     "Y_UP",
@@ -36,15 +36,15 @@ __all__ = [
     "draw_dots",
     "draw_line",
     "draw_segments",
+    "find_orientation",
     "frame",
     "matching_turn",
-    "orientation",
     "position_colors",
     "render",
     "sample_texture",
     "scalar_colors",
     "to_display",
     "to_linear",
-    "turn_between",
-    "visible",
+    "turn_angle",
+    "visible_points",
 ]

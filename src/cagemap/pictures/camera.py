@@ -1,4 +1,4 @@
-"""Cameras that frame a surface: directions from a figure that faces +Z with +Y up."""
+"""Cameras that frame a surface, and named views of a figure that faces +Z with +Y up."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 
-# Vertical opening angle in degrees, and free border as a part of the image.
-_OPENING, _MARGIN = 28.0, 0.06
+# Vertical opening angle in degrees, and free border as a share of the image.
+OPENING_ANGLE, MARGIN = 28.0, 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +20,9 @@ class Camera:
     Attributes
     ----------
     eye : (3,) float64
-        Where it stands, in the mesh's own length unit.
+        Its position, in the mesh's unit.
     axes : (3, 3) float64
-        Rows: right, up, and backward (from what is looked at towards the eye). Orthonormal.
+        Rows: right, up, and backward (towards the eye). Orthonormal.
     half_height : float
         Tangent of half the vertical opening angle.
     """
@@ -32,17 +32,17 @@ class Camera:
     half_height: float
 
     def rays(self, width: int, height: int, offset: tuple[float, float] = (0.5, 0.5)) -> FloatArray:
-        """(height * width, 3) directions through one point of every pixel, row 0 at the top; not of unit length.
+        """(height * width, 3) directions, not of unit length, through one point of every pixel.
 
-        ``offset`` is the point in the pixel, (column, row) from 0 to 1.
+        Row 0 is the top. ``offset`` is the point in the pixel, (column, row) from 0 to 1.
         """
         right = (2.0 * (np.arange(width) + offset[0]) / width - 1.0) * self.half_height * width / height
         up = (1.0 - 2.0 * (np.arange(height) + offset[1]) / height) * self.half_height
-        across = right[:, None] * self.axes[0] - self.axes[2]  # (width,3)
-        return (up[:, None, None] * self.axes[1] + across).reshape(-1, 3)
+        columns = right[:, None] * self.axes[0] - self.axes[2]  # (width,3)
+        return (up[:, None, None] * self.axes[1] + columns).reshape(-1, 3)
 
     def project(self, points: FloatArray, width: int, height: int) -> FloatArray:
-        """(p, 2) image position (column, row) in pixels of points (p, 3) before the camera."""
+        """(p, 2) image position (column, row) in pixels of points (p, 3) in front of the camera."""
         right, up, back = ((points - self.eye) @ self.axes.T).T
         depth = np.maximum(-back, np.finfo(np.float64).tiny)
         return np.stack(
@@ -56,7 +56,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class View:
-    """A named direction to look from.
+    """A named viewing direction.
 
     Attributes
     ----------
@@ -70,15 +70,15 @@ class View:
     elevation: float
 
 
-def turn_between(from_points: FloatArray, to_points: FloatArray) -> float:
-    """Degrees to turn points (p, 3) about the vertical so that they face as the corresponding others do.
+def turn_angle(from_points: FloatArray, to_points: FloatArray) -> float:
+    """Angle, in degrees, of the least-squares rotation about Y between centred points (p, 3).
 
-    The least-squares rotation about Y of the centred points; 0 where they do not tell.
+    0 where the points do not determine it.
     """
     a, b = from_points - from_points.mean(0), to_points - to_points.mean(0)
-    across = float(np.sum(a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]))
-    along = float(np.sum(a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]))
-    return float(np.degrees(np.arctan2(across, along)))
+    sine = float(np.sum(a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]))
+    cosine = float(np.sum(a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]))
+    return float(np.degrees(np.arctan2(sine, cosine)))
 
 
 FRONT = View("three-quarter view", 35.0, 12.0)
@@ -88,7 +88,7 @@ VIEWS = (FRONT, SIDE, BACK)
 
 
 def frame(positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3) -> Camera:
-    """Camera that looks at the surface from ``view`` and keeps all of it in the image.
+    """Camera whose image holds the whole surface, seen from ``view``.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def frame(positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3) -
     Raises
     ------
     ParameterError
-        If there is no finite point to look at.
+        If there are no points, or some are not finite.
     """
     if len(positions) == 0 or not np.isfinite(positions).all():
         raise ParameterError("frame: expected finite positions (n, 3) with n > 0; nothing to look at otherwise.")
@@ -111,8 +111,8 @@ def frame(positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3) -
     local = positions @ axes.T  # (n,3) in camera axes
     centre = (local.min(0) + local.max(0)) / 2
     local = local - centre
-    tangent = float(np.tan(np.radians(_OPENING) / 2))
-    usable = tangent * (1.0 - _MARGIN)
+    tangent = float(np.tan(np.radians(OPENING_ANGLE) / 2))
+    usable = tangent * (1.0 - MARGIN)
     # |x| <= (distance - z) * usable * aspect for every point, and the same upwards.
     distance = float(np.max(local[:, 2] + np.maximum(np.abs(local[:, 0]) / aspect, np.abs(local[:, 1])) / usable))
     distance = max(distance, 1e-12 * (1.0 + float(np.abs(centre).max())))

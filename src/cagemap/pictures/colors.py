@@ -1,4 +1,4 @@
-"""Colours as numbers: encodings, scales, colours that show a map. Displayed colours are sRGB in [0, 1]."""
+"""Colour encodings, colour scales, and colours that show a map. Colours are sRGB in [0, 1]."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.transfer.attributes import encode_srgb as to_display
 
 __all__ = [
-    "AMOUNT",
-    "BALANCE",
-    "ENOUGH",
+    "AMOUNT_SCALE",
+    "BALANCE_SCALE",
+    "TRUST_SCALE",
     "distinct_colors",
     "position_colors",
     "scalar_colors",
@@ -18,48 +18,48 @@ __all__ = [
     "to_linear",
 ]
 
-# Anchors of perceptual scales (viridis-like for amounts, blue-white-red for "less / more"), evenly spaced.
-AMOUNT = np.array(
+# Evenly spaced anchors of colour scales: like viridis for amounts, blue-white-red for signed values.
+AMOUNT_SCALE = np.array(
     [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99],
      [170, 220, 50], [253, 231, 37]]
 ) / 255.0  # fmt: skip
-BALANCE = np.array(
+BALANCE_SCALE = np.array(
     [[33, 78, 146], [67, 133, 190], [146, 197, 222], [222, 232, 238], [247, 246, 244], [249, 221, 205], [240, 160, 128],
      [205, 82, 75], [150, 22, 45]]
 ) / 255.0  # fmt: skip
 
-# Red where there is least, calm clay where there is enough: for what should alarm only where it is missing.
-ENOUGH = (
+# From red to the grey of clay: only low trust is noticeable.
+TRUST_SCALE = (
     np.array([[140, 20, 40], [196, 60, 60], [232, 132, 100], [240, 190, 160], [228, 218, 208], [216, 216, 212]]) / 255.0
 )
 
 
 def to_linear(display: FloatArray) -> FloatArray:
-    """Light from sRGB display values (IEC 61966-2-1)."""
+    """Linear light of sRGB values (IEC 61966-2-1)."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
 
 
-def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray = AMOUNT) -> FloatArray:
+def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray = AMOUNT_SCALE) -> FloatArray:
     """(n, 3) colours of values (n,) on a scale from ``low`` to ``high``; NaN becomes grey."""
     span = high - low if high > low else 1.0
-    at = (np.nan_to_num(values, nan=low) - low) / span * (len(scale) - 1)  # np.interp clamps
+    steps = (np.nan_to_num(values, nan=low) - low) / span * (len(scale) - 1)  # np.interp clamps
     anchors = np.arange(len(scale))
-    colors = np.stack([np.interp(at, anchors, scale[:, channel]) for channel in range(3)], axis=1)
+    colors = np.stack([np.interp(steps, anchors, scale[:, channel]) for channel in range(3)], axis=1)
     colors[np.isnan(values)] = 0.6
     return colors
 
 
 def position_colors(points: FloatArray, reference: FloatArray, cells: int = 24) -> FloatArray:
-    """Colours that tell where on the source a point lies: hue from x, y, z, with a faint checker to show stretch.
+    """Colours of positions on the source: x, y, z as red, green, blue, with a faint checker.
 
-    Painting the source with its own positions and the target with the positions its vertices map to shows the map.
+    They show a map when the source gets its own positions and the target the positions its vertices map to.
 
     Parameters
     ----------
     points : (n, 3) float64
         Positions on the source surface.
     reference : (m, 3) float64
-        All positions of the source; fixes the range.
+        All positions of the source; they define the range.
     cells : int
         Checker cells along the longest side of the bounding box; 0 for none.
 
@@ -78,7 +78,7 @@ def position_colors(points: FloatArray, reference: FloatArray, cells: int = 24) 
 
 
 def distinct_colors(count: int) -> FloatArray:
-    """(count, 3) colours that neighbouring indices can be told apart by (hue by the golden ratio)."""
+    """(count, 3) colours that differ for neighbouring indices; hues by the golden ratio."""
     hue = (np.arange(count) * 0.61803398875 + 0.02) % 1.0
     lightness = np.where(np.arange(count) % 2 == 0, 0.92, 0.72)
     channel = (hue[:, None] * 6 + np.array([0.0, 4.0, 2.0])) % 6

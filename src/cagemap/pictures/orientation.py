@@ -1,8 +1,7 @@
 """Orientation of a model in pictures: up axis and front, from its file or its shape.
 
-Files mostly have +Y up and face +Z, or +Z up and face -Y. A shape says otherwise where it has a mirror plane across
-another axis, or stands on its feet along one axis alone; where it is not clear, the usual axes are taken. Bounds were
-chosen on the animals and neutral humans of the test data.
+Files mostly have +Y up and face +Z, or +Z up and face -Y. A mirror plane, or feet that are stable along one axis only,
+can show other axes; otherwise +Y is up. Bounds were chosen on the animals and neutral humans of the test data.
 """
 
 from __future__ import annotations
@@ -14,108 +13,110 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures.camera import turn_between
+from cagemap.pictures.camera import turn_angle
 from cagemap.surface.triangles import triangle_areas
 
-# From a file's axes to Y up, for rows.
+# Rotations, for rows, from a file's axes to Y up.
 Y_UP = np.eye(3)
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 UP_AXES = {"y": Y_UP, "z": Z_UP}
-BY_SHAPE, USUAL = "as its shape shows", "as usual, its shape does not tell"
-# From a model that faces +X to one that faces +Z, Y up.
-_FROM_X = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-_ABOUT = np.diag([-1.0, 1.0, -1.0])  # half a turn about Y
-_SAMPLES = 4000
-# Mean distance to the mirror image, of the diagonal, of what has a mirror plane; and by how much other axes miss more.
-_SYMMETRIC, _LESS = 0.015, 0.5
-# The lowest part of the height is what a model stands on. How far its centre lies inside that, of the diagonal, where
-# it stands, and how much less it stands along the other axis.
-_SOLE, _STANDS, _WORSE = 0.04, 0.03, 0.01
-_TALL = 1.5  # times as high as long: shows its front by its toes
-_FLAT = 0.8  # less high than this, of its width, is rather a relief that faces the eye
-# Feet stand left and right: share of what a model stands on that may lie within so much of its half width in between.
-_BETWEEN_FEET, _FEW = 0.12, 0.1
-# How far toes lie before the ankles and the head before the middle, of the diagonal, where they show the front.
-_TOES, _HEAD = 0.025, 0.1
-# By how much better (cosine) a source fits the target in other axes than the target's.
-_FITS_BETTER = 0.1
+SHAPE_REASON, DEFAULT_REASON = "as its shape shows", "as usual, its shape does not tell"
+# Rotation from facing +X to facing +Z, Y up.
+X_FRONT_TO_Z = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+HALF_TURN = np.diag([-1.0, 1.0, -1.0])  # about Y
+SAMPLE_COUNT = 4000
+# Mean distance to the mirror image of a symmetric model, of the diagonal; and its ratio to that of the next best axis.
+MAX_MIRROR_DISTANCE, MAX_MIRROR_RATIO = 0.015, 0.5
+# Share of the height that is the sole; least stability of a standing model, of the diagonal, and its lead over the
+# other axis: see `_stability`.
+SOLE_HEIGHT, MIN_STABILITY, MIN_STABILITY_GAIN = 0.04, 0.03, 0.01
+MIN_TALL_RATIO = 1.5  # height over length from which toes, not the head, show the front
+MIN_HEIGHT_RATIO = 0.8  # height over width of a standing model; flatter ones are reliefs
+# Feet are left and right of a gap: its width, of the sole's half width, and the largest share of the sole inside it.
+GAP_WIDTH, MAX_GAP_SHARE = 0.12, 0.1
+# Least distances of toes from ankles, and of the head from the middle, that show the front; of the diagonal.
+MIN_TOE_OFFSET, MIN_HEAD_OFFSET = 0.025, 0.1
+# Least gain, as a cosine, for which a source gets other axes than the target.
+MIN_FIT_GAIN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """How a model is turned for pictures.
+    """Rotation of a model for pictures.
 
     Attributes
     ----------
     turn : (3, 3) float64
         Rotation for rows: ``positions @ turn`` has +Y up and faces +Z.
     reason : str
-        Where that is known from.
+        How it was found, for users.
     """
 
     turn: FloatArray
     reason: str
 
     def __str__(self) -> str:
-        """What is up and in front in the file's axes, and why."""
+        """Up axis and front in the file's axes, and the reason."""
         up, front = (_axis_name(self.turn[:, k]) for k in (1, 2))
         return f"{up} is up and {front} in front, {self.reason}"
 
 
-def orientation(
+def find_orientation(
     positions: FloatArray, triangles: IndexArray, upright: FloatArray | None = None, reason: str = ""
 ) -> Orientation:
-    """Up axis and front of a model.
+    """Find the up axis and the front of a model.
 
     Parameters
     ----------
     positions : (n, 3) float64
     triangles : (t, 3) int64
     upright : (3, 3) float64, optional
-        Rotation for rows after which +Y is up, where that is known, and ``reason`` says from where.
+        Rotation for rows after which +Y is up, if known.
+    reason : str
+        Where ``upright`` comes from.
     """
-    points = _spread(positions, triangles)
+    points = _sample_points(positions, triangles)
     points = (points - points.mean(0)) / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
     if upright is None:
-        shown = _shown_up(points)
-        upright, reason = (Y_UP, USUAL) if shown is None else (shown, BY_SHAPE)
-    seen = points @ upright
-    sideways = _mirrored_across(seen) == 2
-    turn = upright @ _FROM_X if sideways else upright
-    if reason != USUAL and _faces_away(points @ turn):  # what may lie down has its head anywhere
-        turn = turn @ _ABOUT
+        shape_turn = _upright_turn(points)
+        upright, reason = (Y_UP, DEFAULT_REASON) if shape_turn is None else (shape_turn, SHAPE_REASON)
+    points_upright = points @ upright
+    faces_x = _mirror_axis(points_upright) == 2
+    turn = upright @ X_FRONT_TO_Z if faces_x else upright
+    if reason != DEFAULT_REASON and _faces_away(points @ turn):  # without a known up axis the head may be anywhere
+        turn = turn @ HALF_TURN
     if not np.array_equal(turn, upright):
-        reason = reason if reason in (BY_SHAPE, USUAL) else f"{reason}, the front {BY_SHAPE}"
-        reason = BY_SHAPE if reason == USUAL else reason
+        reason = reason if reason in (SHAPE_REASON, DEFAULT_REASON) else f"{reason}, the front {SHAPE_REASON}"
+        reason = SHAPE_REASON if reason == DEFAULT_REASON else reason
     return Orientation(turn, reason)
 
 
 def matching_turn(images: FloatArray, positions: FloatArray, turn: FloatArray) -> FloatArray:
-    """(3, 3) rotation for rows after which the source is seen as the target is, from where the map takes points.
+    """(3, 3) rotation for rows that aligns the source with the turned target, from mapped points.
 
-    Of the turns between axes the one that fits best, and what then is left about the vertical. Where none fits clearly
-    better, both models have the same axes.
+    The best of the 24 rotations between axes, then the best rotation about the vertical. Without a clear gain both
+    models have the same axes.
 
     Parameters
     ----------
     images, positions : (p, 3) float64
-        Points of the target on the source and where they are on the target.
+        Corresponding points on the source and on the target.
     turn : (3, 3) float64
         Of the target.
     """
     a, b = images - images.mean(0), (positions - positions.mean(0)) @ turn
-    both = a.T @ b
-    rotations = np.array([turn, *_rotations()])
-    fits = np.einsum("rij,ij->r", rotations, both)
+    covariance = a.T @ b
+    rotations = np.array([turn, *_axis_rotations()])
+    fits = np.einsum("rij,ij->r", rotations, covariance)
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    best = rotations[np.argmax(fits)] if fits.max() > fits[0] + _FITS_BETTER * size else turn
-    angle = np.radians(turn_between(b, a @ best))
+    best = rotations[np.argmax(fits)] if fits.max() > fits[0] + MIN_FIT_GAIN * size else turn
+    angle = np.radians(turn_angle(b, a @ best))
     cos, sin = np.cos(angle), np.sin(angle)
     return np.asarray(best @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]))
 
 
-def _rotations() -> list[FloatArray]:
-    """The 24 rotations that take axes to axes."""
+def _axis_rotations() -> list[FloatArray]:
+    """The 24 rotations that map axes to axes."""
     signed = (
         np.eye(3)[list(order)] * np.array(signs)
         for order in permutations(range(3))
@@ -129,39 +130,40 @@ def _axis_name(direction: FloatArray) -> str:
     return f"{'-' if direction[axis] < 0 else '+'}{'xyz'[axis]}"
 
 
-def _spread(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(p, 3) points spread evenly over a surface."""
+def _sample_points(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(p, 3) points distributed evenly over a surface."""
     cumulative = np.cumsum(triangle_areas(positions, triangles))
-    steps = np.arange(_SAMPLES) + 0.5
-    chosen = triangles[np.searchsorted(cumulative, steps * (cumulative[-1] / _SAMPLES)).clip(max=len(triangles) - 1)]
+    steps = np.arange(SAMPLE_COUNT) + 0.5
+    corners = triangles[
+        np.searchsorted(cumulative, steps * (cumulative[-1] / SAMPLE_COUNT)).clip(max=len(triangles) - 1)
+    ]
     # Roberts' sequence, folded into the triangle.
     s, t = np.modf(np.outer([0.7548776662466927, 0.5698402909980532], steps))[0]
     outside = s + t > 1
     s, t = np.where(outside, 1 - s, s)[:, None], np.where(outside, 1 - t, t)[:, None]
-    a, b, c = (positions[chosen[:, k]] for k in range(3))
+    a, b, c = (positions[corners[:, k]] for k in range(3))
     return np.asarray(a + s * (b - a) + t * (c - a))
 
 
-def _shown_up(points: FloatArray) -> FloatArray | None:
-    """The turn of the axis, y or z, that a shape shows to be up; None where it is not clear."""
-    across = _mirrored_across(points)
-    if across == 1:
+def _upright_turn(points: FloatArray) -> FloatArray | None:
+    """Rotation for the up axis, y or z, that the shape shows; None if unclear."""
+    mirror_axis = _mirror_axis(points)
+    if mirror_axis == 1:
         return Z_UP  # left and right are mirrored, not top and bottom
-    if across == 2:
+    if mirror_axis == 2:
         return Y_UP
     for turn, other in ((Y_UP, Z_UP), (Z_UP, Y_UP)):
-        width, height, _ = _extents(points @ turn)
-        if _firmness(points @ turn) > max(_STANDS, _firmness(points @ other) + _WORSE) and height > _FLAT * width:
+        width, height, _ = np.ptp(points @ turn, axis=0)
+        if (
+            _stability(points @ turn) > max(MIN_STABILITY, _stability(points @ other) + MIN_STABILITY_GAIN)
+            and height > MIN_HEIGHT_RATIO * width
+        ):
             return turn
     return None
 
 
-def _extents(points: FloatArray) -> FloatArray:
-    return np.asarray(np.ptp(points, axis=0))
-
-
-def _mirrored_across(points: FloatArray) -> int | None:
-    """The axis across which a shape is clearly more symmetric than across the others."""
+def _mirror_axis(points: FloatArray) -> int | None:
+    """The axis of the mirror plane's normal; None without a clear mirror plane."""
     middle = (points.min(0) + points.max(0)) / 2
     tree = cKDTree(points)
     misses = np.empty(3)
@@ -170,27 +172,27 @@ def _mirrored_across(points: FloatArray) -> int | None:
         image[:, axis] = 2 * middle[axis] - image[:, axis]
         misses[axis] = np.mean(tree.query(image)[0])
     best = int(np.argmin(misses))
-    clear = misses[best] < min(_SYMMETRIC, _LESS * np.delete(misses, best).min())
+    clear = misses[best] < min(MAX_MIRROR_DISTANCE, MAX_MIRROR_RATIO * np.delete(misses, best).min())
     return best if clear else None
 
 
-def _firmness(points: FloatArray) -> float:
-    """How far inside what its feet span, Y up, a shape's centre lies; negative where it would fall over."""
+def _stability(points: FloatArray) -> float:
+    """Distance of the centre inside the convex hull of the feet, Y up; negative if unstable."""
     height = points[:, 1]
-    sole = points[height < height.min() + _SOLE * np.ptp(height)][:, [0, 2]]
-    across = np.abs(sole[:, 0] - (points[:, 0].min() + points[:, 0].max()) / 2)
-    if np.mean(across < _BETWEEN_FEET * across.max()) > _FEW:
+    sole = points[height < height.min() + SOLE_HEIGHT * np.ptp(height)][:, [0, 2]]
+    offsets = np.abs(sole[:, 0] - (points[:, 0].min() + points[:, 0].max()) / 2)
+    if np.mean(offsets < GAP_WIDTH * offsets.max()) > MAX_GAP_SHARE:
         return -1.0
     try:
-        sides = ConvexHull(sole).equations
+        hull_edges = ConvexHull(sole).equations
     except (QhullError, ValueError):  # a point or an edge
         return -1.0
-    return float(-(sides @ [*points[:, [0, 2]].mean(0), 1.0]).max())
+    return float(-(hull_edges @ [*points[:, [0, 2]].mean(0), 1.0]).max())
 
 
 def _faces_away(points: FloatArray) -> bool:
-    """Whether toes, or a head that is far from the middle, show that a shape with Y up faces -Z."""
-    _, height, length = _extents(points)
+    """Whether toes or head show that a shape with Y up faces -Z."""
+    _, height, length = np.ptp(points, axis=0)
     part = (points[:, 1] - points[:, 1].min()) / (height or 1.0)
     forward: FloatArray = points[:, 2] - (points[:, 2].min() + points[:, 2].max()) / 2
 
@@ -198,6 +200,6 @@ def _faces_away(points: FloatArray) -> bool:
         inside = (part >= low) & (part <= high)
         return float(forward[inside].mean()) if inside.any() else 0.0
 
-    if height > _TALL * length:
-        return mean(0.0, 0.04) - mean(0.06, 0.15) < -_TOES
-    return mean(0.85, 1.0) - mean(0.0, 1.0) < -_HEAD
+    if height > MIN_TALL_RATIO * length:
+        return mean(0.0, 0.04) - mean(0.06, 0.15) < -MIN_TOE_OFFSET
+    return mean(0.85, 1.0) - mean(0.0, 1.0) < -MIN_HEAD_OFFSET

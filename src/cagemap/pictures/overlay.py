@@ -1,4 +1,4 @@
-"""Marks on top of a rendered picture."""
+"""Dots and lines on top of a rendered picture."""
 
 from __future__ import annotations
 
@@ -7,92 +7,98 @@ from scipy.spatial import cKDTree
 
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures.camera import Camera
-from cagemap.pictures.render import Image, Model, visible
+from cagemap.pictures.render import Image, Model, visible_points
 from cagemap.surface.polylines import Polyline
 
-# Points that stand for a straight piece of a line.
-DOTS_A_PIECE = 12
+# Points that a segment of a line is drawn with.
+POINTS_A_SEGMENT = 12
 
 
 def draw_dots(
     image: Image, model: Model, camera: Camera, points: FloatArray, colors: FloatArray, *, radius: float = 6.0
 ) -> Image:
-    """Return the picture with a ringed dot at every point of the surface that the camera sees.
+    """Draw a dot at every visible point of the surface.
 
     Parameters
     ----------
     points : (p, 3) float64
-        On the surface, in its own unit.
+        On the surface, in its unit.
     colors : (p, 3) sRGB in [0, 1]
     radius : float
         Pixels.
     """
     height, width = image.shape[:2]
-    shown = image.astype(np.float64)
-    spots = camera.project(points, width, height)
-    for spot, color in zip(spots[seen := visible(model, camera, points)], colors[seen], strict=True):
+    pixels = image.astype(np.float64)
+    positions = camera.project(points, width, height)
+    for position, color in zip(
+        positions[is_visible := visible_points(model, camera, points)], colors[is_visible], strict=True
+    ):
         reach = radius + 3.0
-        x0, y0 = np.maximum(np.floor(spot - reach).astype(int), 0)
-        x1, y1 = np.minimum(np.ceil(spot + reach).astype(int) + 1, [width, height])
+        x0, y0 = np.maximum(np.floor(position - reach).astype(int), 0)
+        x1, y1 = np.minimum(np.ceil(position + reach).astype(int) + 1, [width, height])
         if x0 >= x1 or y0 >= y1:
             continue
         y, x = np.mgrid[y0:y1, x0:x1] + 0.5
-        distance = np.hypot(x - spot[0], y - spot[1])
-        tile = shown[y0:y1, x0:x1]
-        for disc, paint in ((radius + 2.0, np.full(3, 255.0)), (radius + 0.6, np.full(3, 40.0)), (radius, color * 255)):
+        distance = np.hypot(x - position[0], y - position[1])
+        tile = pixels[y0:y1, x0:x1]
+        for disc, pixel_color in (
+            (radius + 2.0, np.full(3, 255.0)),
+            (radius + 0.6, np.full(3, 40.0)),
+            (radius, color * 255),
+        ):
             cover = np.clip(disc - distance + 0.5, 0.0, 1.0)[..., None]
-            tile[:] = tile * (1 - cover) + paint * cover
-    return np.round(shown).astype(np.uint8)
+            tile[:] = tile * (1 - cover) + pixel_color * cover
+    return np.round(pixels).astype(np.uint8)
 
 
 def draw_line(image: Image, model: Model, camera: Camera, line: Polyline, color: FloatArray) -> Image:
-    """Return the picture with a rimmed line along what the camera sees of a polyline on the surface.
+    """Draw the visible parts of a polyline on the surface.
 
     Parameters
     ----------
     line : Polyline
-        In the surface's own unit.
+        In the surface's unit.
     color : (3,) sRGB in [0, 1]
     """
-    return _stroke(image, model, camera, line.finer(DOTS_A_PIECE), color, width=3.0, rim=1.0)
+    return _draw_stroke(image, model, camera, line.finer(POINTS_A_SEGMENT), color, width=3.0, rim=1.0)
 
 
 def draw_segments(image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray) -> Image:
-    """Return the picture with a thin line along what the camera sees of straight pieces on the surface: a wireframe.
+    """Draw the visible parts of segments on the surface as thin lines.
 
     Parameters
     ----------
     segments : (s, 2, 3) float64
-        In the surface's own unit.
+        In the surface's unit.
     color : (3,) sRGB in [0, 1]
     """
-    height, across = image.shape[:2]
-    ends = camera.project(segments.reshape(-1, 3), across, height).reshape(-1, 2, 2)
+    height, columns = image.shape[:2]
+    ends = camera.project(segments.reshape(-1, 3), columns, height).reshape(-1, 2, 2)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    # Dots less than a pixel apart; all pieces take as many as the one of the next power of two.
+    # Points less than a pixel apart; their number is rounded up to a power of two, so that segments form few groups.
     counts = 2 ** np.ceil(np.log2(np.maximum(2.0 * np.nan_to_num(lengths, posinf=1.0), 2.0))).astype(np.int64)
-    dense = []
+    points = []
     for count in np.unique(np.minimum(counts, 1024)).tolist():
-        at = ((np.arange(count) + 0.5) / count)[:, None]
-        piece = segments[np.minimum(counts, 1024) == count]
-        dense.append((piece[:, None, 0] * (1 - at) + piece[:, None, 1] * at).reshape(-1, 3))
-    return _stroke(image, model, camera, np.concatenate(dense), color, width=1.0, rim=0.0) if dense else image
+        shares = ((np.arange(count) + 0.5) / count)[:, None]
+        group = segments[np.minimum(counts, 1024) == count]
+        points.append((group[:, None, 0] * (1 - shares) + group[:, None, 1] * shares).reshape(-1, 3))
+    return _draw_stroke(image, model, camera, np.concatenate(points), color, width=1.0, rim=0.0) if points else image
 
 
-def _stroke(
-    image: Image, model: Model, camera: Camera, dense: FloatArray, color: FloatArray, width: float, rim: float
+def _draw_stroke(
+    image: Image, model: Model, camera: Camera, points: FloatArray, color: FloatArray, width: float, rim: float
 ) -> Image:
-    """A line of a width through points that lie close together, where the camera sees them; with a white rim."""
-    height, across = image.shape[:2]
-    spots = camera.project(dense, across, height)[visible(model, camera, dense)]
-    if not len(spots):
+    """Draw a line through the visible ones of dense points, with a white rim."""
+    height, columns = image.shape[:2]
+    positions = camera.project(points, columns, height)[visible_points(model, camera, points)]
+    if not len(positions):
         return image
-    shown = image.astype(np.float64)
-    y, x = np.mgrid[:height, :across] + 0.5
+    pixels = image.astype(np.float64)
+    y, x = np.mgrid[:height, :columns] + 0.5
     reach = 0.5 * width + rim + 1.5
-    distance = cKDTree(spots).query(np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=reach)[0]
+    distance = cKDTree(positions).query(np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=reach)[0]
     rims = ((0.5 * width + rim + 0.5, np.full(3, 255.0)),) if rim else ()
-    for radius, paint in (*rims, (0.5 * width, np.asarray(color) * 255)):
-        cover = np.clip(radius - distance + 0.5, 0.0, 1.0).reshape(height, across, 1)
-        shown = shown * (1 - cover) + paint * cover
-    return np.round(shown).astype(np.uint8)
+    for radius, pixel_color in (*rims, (0.5 * width, np.asarray(color) * 255)):
+        cover = np.clip(radius - distance + 0.5, 0.0, 1.0).reshape(height, columns, 1)
+        pixels = pixels * (1 - cover) + pixel_color * cover
+    return np.round(pixels).astype(np.uint8)

@@ -1,7 +1,7 @@
-"""Pictures without a screen: ray casting with Embree, shading with NumPy.
+"""Off-screen rendering: ray casting with Embree, shading with NumPy.
 
-The light is a soft sky (fixed directions, so pictures are noise-free and repeatable) plus a key light from the upper
-left and a little light from the eye; a sky-lit floor gives the contact shadow.
+Lights: a sky of fixed directions (pictures are noise-free and repeatable), a key light from the upper left, and a weak
+light at the eye. A floor shows the contact shadow.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from cagemap.pictures.colors import to_display, to_linear
 from cagemap.surface.triangles import vertex_normals
 
 Image = NDArray[np.uint8]
-_CLAY = np.array([0.80, 0.78, 0.75])
-_WHITE = np.ones(3)
-FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # of the model's size; grid points a side
-SKY, FLOOR_SKY = 36, 80  # directions that light comes from
-BUSY = 0.06  # pixels of more contrast than this are sampled more finely
+CLAY = np.array([0.80, 0.78, 0.75])
+WHITE = np.ones(3)
+FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid points a side
+SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
+MIN_REFINED_CONTRAST = 0.06  # pixels with more contrast get several rays
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """What colours a surface: the first of texture, vertex colours, face colours that is given, otherwise clay.
+    """Colours of a surface: texture, else vertex colours, else face colours, else clay.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Skin:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A triangulated surface ready to be cast rays at; keep it for several views.
+    """A triangulated surface for ray casting; reuse it for several views.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Model:
     triangles: IndexArray
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be drawn."""
+        """Raise if there are no triangles."""
         if self.triangles.ndim != 2 or self.triangles.shape[1:] != (3,) or len(self.triangles) == 0:
             raise ParameterError(
                 f"Model: expected triangles (t, 3) with t > 0, got {self.triangles.shape}. "
@@ -83,7 +83,7 @@ class Model:
 
     @kept
     def scene(self) -> Any:
-        """Embree's tree, over positions moved and scaled to a unit box (Embree computes in single precision)."""
+        """Embree's tree of the positions in a unit box; Embree computes in single precision."""
         scene = library("embreex.rtcore_scene", "pictures").EmbreeScene()
         unit = ((self.positions - self.centre) / self.scale).astype(np.float32)
         library("embreex.mesh_construction", "pictures").TriangleMesh(scene, unit, self.triangles.astype(np.int32))
@@ -96,13 +96,13 @@ class Model:
 
     @kept
     def floor_shadow(self) -> FloatArray:
-        """(cells, cells) part of the sky hidden from points of the floor, over x and z around the centre; 0 outside."""
+        """(cells, cells) share of the sky hidden from floor points, by x and z; 0 at the border."""
         reach = np.linspace(-FLOOR_REACH, FLOOR_REACH, FLOOR_CELLS)
         x, z = np.meshgrid(reach, reach, indexing="ij")
         points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1) * self.scale
         points += [self.centre[0], float(self.positions[:, 1].min()), self.centre[2]]
         up = np.tile([0.0, 1.0, 0.0], (len(points), 1))
-        sky = _sky(FLOOR_SKY)
+        sky = _sky(FLOOR_SKY_DIRECTIONS)
         height = np.maximum(sky[:, 1], 0.0)
         unhidden = float(np.sum(height * (0.62 + 0.38 * height)) / np.sum(height))
         shadow = np.clip(1.0 - _openness(self, points, up, sky) / unhidden, 0.0, 1.0).reshape(x.shape)
@@ -117,7 +117,7 @@ def render(
     width: int = 800,
     height: int = 600,
     samples: int = 2,
-    background: FloatArray = _WHITE,
+    background: FloatArray = WHITE,
     floor: bool = True,
 ) -> Image:
     """Draw a surface.
@@ -127,10 +127,10 @@ def render(
     camera : Camera
         From ``frame``.
     samples : int
-        Rays per pixel along each axis where there is contrast; 2 or 3 for smooth edges.
+        Rays per pixel along each axis, for pixels with contrast; 2 or 3 for smooth edges.
     background : (3,) sRGB
     floor : bool
-        Whether the surface stands on a floor that shows its soft shadow.
+        Whether to draw the shadow on a floor.
 
     Returns
     -------
@@ -140,27 +140,27 @@ def render(
     _check_skin(model, skin)
     scene = _Scene(model, skin, camera, to_linear(background), floor)
     light, openness = _radiance(scene, camera.rays(width, height))
-    shown = to_display(light)
-    busy = np.flatnonzero(_contrast(shown.reshape(height, width, 3)) > BUSY)
-    if samples > 1 and len(busy):
-        # The sky changes slowly over the surface: finer rays take it from the pixel, or from a neighbour that has it.
-        near = maximum_filter(openness.reshape(height, width), 3).ravel()
-        openness = np.where(openness < 0, near, openness)[busy]
-        light = np.zeros((len(busy), 3))
+    colors = to_display(light)
+    refined = np.flatnonzero(_contrast(colors.reshape(height, width, 3)) > MIN_REFINED_CONTRAST)
+    if samples > 1 and len(refined):
+        # Sky light varies slowly: additional rays reuse that of the pixel or of a neighbour.
+        neighbor_openness = maximum_filter(openness.reshape(height, width), 3).ravel()
+        openness = np.where(openness < 0, neighbor_openness, openness)[refined]
+        light = np.zeros((len(refined), 3))
         for row, column in np.ndindex(samples, samples):
             offset = ((column + 0.5) / samples, (row + 0.5) / samples)
-            light += _radiance(scene, camera.rays(width, height, offset)[busy], openness)[0]
-        shown[busy] = to_display(light / samples**2)
-    return np.round(shown * 255).astype(np.uint8).reshape(height, width, 3)
+            light += _radiance(scene, camera.rays(width, height, offset)[refined], openness)[0]
+        colors[refined] = to_display(light / samples**2)
+    return np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
 
 
 def _contrast(image: FloatArray) -> FloatArray:
-    """(h, w) largest difference in any channel between a pixel's 3 x 3 neighbourhood's extremes."""
+    """(h, w) largest difference of any channel in a pixel's 3 x 3 neighbourhood."""
     size = (3, 3, 1)
     return np.asarray((maximum_filter(image, size) - minimum_filter(image, size)).max(axis=2))
 
 
-def visible(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool_]:
+def visible_points(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool_]:
     """(p,) whether the camera sees points (p, 3) of the surface."""
     towards = points - camera.eye
     distance = np.linalg.norm(towards, axis=1)
@@ -170,7 +170,7 @@ def visible(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What the light of a ray depends on."""
+    """Everything that the light along a ray depends on."""
 
     model: Model
     skin: Skin
@@ -186,20 +186,20 @@ def _check_skin(model: Model, skin: Skin) -> None:
         "corner_uvs": (len(model.triangles), 3, 2),
     }
     for name, shape in expected.items():
-        given = getattr(skin, name)
-        if given is not None and given.shape != shape:
-            raise ParameterError(f"Skin.{name}: expected shape {shape} for this model, got {given.shape}.")
+        array = getattr(skin, name)
+        if array is not None and array.shape != shape:
+            raise ParameterError(f"Skin.{name}: expected shape {shape} for this model, got {array.shape}.")
     if (skin.texture is None) != (skin.corner_uvs is None):
         raise ParameterError("Skin: texture and corner_uvs go together; give both or neither.")
 
 
 def _to_unit(model: Model, points: FloatArray) -> FloatArray:
-    """Points in the unit box that the scene is built in."""
+    """Points in the coordinates of the scene's unit box."""
     return (points - model.centre) / model.scale
 
 
 def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[str, NDArray[Any]]:
-    """First hits of rays from origins in the unit box; ``tfar`` is in lengths of the directions given."""
+    """First hits of rays from origins in the unit box; ``tfar`` is in units of the directions' lengths."""
     starts = np.broadcast_to(origins, directions.shape)
     hits: dict[str, NDArray[Any]] = model.scene.run(
         np.ascontiguousarray(starts, np.float32), np.ascontiguousarray(directions, np.float32), output=1
@@ -210,28 +210,30 @@ def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[s
 def _radiance(
     scene: _Scene, directions: FloatArray, openness: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Linear light (r, 3) along rays from the eye, and the part of the sky (r,) seen from where they hit.
+    """Linear light (r, 3) along rays from the eye, and the share of the sky (r,) seen from their hits.
 
-    The latter is -1 where nothing is hit, and is not computed again where it is given.
+    The share is -1 without a hit, and is not computed if ``openness`` is given.
     """
     model, camera = scene.model, scene.camera
     radiance = np.tile(scene.background, (len(directions), 1))
     hits = _cast(model, _to_unit(model, camera.eye), directions)
-    struck = np.flatnonzero(hits["primID"] >= 0)
-    triangle = hits["primID"][struck].astype(np.int64)
-    corner = np.stack([1.0 - hits["u"][struck] - hits["v"][struck], hits["u"][struck], hits["v"][struck]], axis=1)
-    # Corners, not distances: the hit in double precision lies on the triangle whatever the distance of the eye.
+    hit_rows = np.flatnonzero(hits["primID"] >= 0)
+    triangle = hits["primID"][hit_rows].astype(np.int64)
+    corner = np.stack(
+        [1.0 - hits["u"][hit_rows] - hits["v"][hit_rows], hits["u"][hit_rows], hits["v"][hit_rows]], axis=1
+    )
+    # From corners, not from distances: exact in double precision, however far the eye is.
     vertices = model.triangles[triangle]
     points = np.einsum("rc,rcd->rd", corner, model.positions[vertices])
     normals = np.einsum("rc,rcd->rd", corner, model.normals[vertices])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    # Inside faces of an open surface are lit as if they faced the eye.
-    normals *= np.where(np.einsum("rd,rd->r", normals, directions[struck]) > 0, -1.0, 1.0)[:, None]
+    # Back faces of an open surface are lit as if they faced the eye.
+    normals *= np.where(np.einsum("rd,rd->r", normals, directions[hit_rows]) > 0, -1.0, 1.0)[:, None]
     if openness is None:
         openness = np.full(len(directions), -1.0)
-        openness[struck] = _openness(model, points, normals, _sky(SKY))
-    sky = np.abs(openness[struck])
-    radiance[struck] = _colors(scene.skin, model, triangle, corner) * _light(camera, points, normals, sky)
+        openness[hit_rows] = _openness(model, points, normals, _sky(SKY_DIRECTIONS))
+    sky = np.abs(openness[hit_rows])
+    radiance[hit_rows] = _colors(scene.skin, model, triangle, corner) * _light(camera, points, normals, sky)
     if scene.floor:
         _shade_floor(model, camera, directions, hits["primID"] < 0, radiance)
     return radiance, openness
@@ -246,11 +248,11 @@ def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) 
         return np.einsum("rc,rcd->rd", corner, to_linear(skin.vertex_colors[model.triangles[triangle]]))
     if skin.face_colors is not None:
         return to_linear(skin.face_colors[triangle])
-    return np.tile(to_linear(_CLAY), (len(triangle), 1))
+    return np.tile(to_linear(CLAY), (len(triangle), 1))
 
 
 def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
-    """(r, channels) bilinear texture values at (r, 2) UVs; texel centres at half-integers, clamped at the border."""
+    """(r, channels) bilinear texture values at UVs (r, 2); texel centres at half-integers, clamped."""
     height, width = texture.shape[:2]
     x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
     y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
@@ -264,7 +266,7 @@ def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
 
 
 def _sky(count: int) -> FloatArray:
-    """(count, 3) directions evenly all around, a Fibonacci spiral."""
+    """(count, 3) evenly distributed directions on a Fibonacci spiral."""
     order = np.arange(count) + 0.5
     height = 1.0 - 2.0 * order / count
     angle = 2.39996322973 * order
@@ -273,22 +275,22 @@ def _sky(count: int) -> FloatArray:
 
 
 def _openness(model: Model, points: FloatArray, normals: FloatArray, directions: FloatArray) -> FloatArray:
-    """(p,) part of the sky light that reaches points, weighted by the cosine and more from above."""
-    lifted = _to_unit(model, points + normals * (2e-3 * model.scale)).astype(np.float32)
-    received, possible = np.zeros(len(points)), np.full(len(points), 1e-9)
+    """(p,) share of the sky light that reaches points, weighted by cosine and elevation."""
+    origins = _to_unit(model, points + normals * (2e-3 * model.scale)).astype(np.float32)
+    light, max_light = np.zeros(len(points)), np.full(len(points), 1e-9)
     for direction in directions:
         cosine = normals @ direction
-        facing = np.flatnonzero(cosine > 0)
-        hits = _cast(model, lifted[facing], np.broadcast_to(direction, (len(facing), 3)))
-        # What is far away blocks less: a hand does not darken the belly.
+        rows = np.flatnonzero(cosine > 0)
+        hits = _cast(model, origins[rows], np.broadcast_to(direction, (len(rows), 3)))
+        # Distant parts block less, so that a hand does not darken the belly.
         clear = np.clip(hits["tfar"] / 0.5, 0.0, 1.0)
-        received[facing] += cosine[facing] * clear * (0.62 + 0.38 * direction[1])
-        possible[facing] += cosine[facing]
-    return received / possible
+        light[rows] += cosine[rows] * clear * (0.62 + 0.38 * direction[1])
+        max_light[rows] += cosine[rows]
+    return light / max_light
 
 
 def _light(camera: Camera, points: FloatArray, normals: FloatArray, sky: FloatArray) -> FloatArray:
-    """(p, 3) linear light that arrives at points: sky, key light with wrapped edge, a little from the eye."""
+    """(p, 3) linear light at points: sky, wrapped key light, weak light from the eye."""
     key_direction = np.array([-0.45, 0.62, 0.64]) @ camera.axes
     key = np.clip((normals @ key_direction + 0.25) / 1.25, 0.0, None)
     towards = camera.eye - points
@@ -299,17 +301,17 @@ def _light(camera: Camera, points: FloatArray, normals: FloatArray, sky: FloatAr
 
 
 def _shade_floor(
-    model: Model, camera: Camera, directions: FloatArray, free: NDArray[np.bool_], radiance: FloatArray
+    model: Model, camera: Camera, directions: FloatArray, is_free: NDArray[np.bool_], radiance: FloatArray
 ) -> None:
-    """Darken, in place, the background where the floor under the surface sees less sky."""
+    """Darken the background in place where the floor sees less sky."""
     ground = float(model.positions[:, 1].min())
     if camera.eye[1] <= ground:
         return
-    below = np.flatnonzero(free & (directions[:, 1] < -1e-6))
-    distance = (ground - camera.eye[1]) / directions[below, 1]
-    points = camera.eye[[0, 2]] + directions[below][:, [0, 2]] * distance[:, None]
+    rows = np.flatnonzero(is_free & (directions[:, 1] < -1e-6))
+    distance = (ground - camera.eye[1]) / directions[rows, 1]
+    points = camera.eye[[0, 2]] + directions[rows][:, [0, 2]] * distance[:, None]
     # Grid coordinates of `floor_shadow`, whose border is 0.
-    at = ((points - model.centre[[0, 2]]) / (2 * FLOOR_REACH * model.scale) + 0.5) * (FLOOR_CELLS - 1)
-    near = np.flatnonzero(((at > 0) & (at < FLOOR_CELLS - 1)).all(1))
-    shadow = map_coordinates(model.floor_shadow, at[near].T, order=1)
-    radiance[below[near]] *= (1.0 - 0.55 * shadow)[:, None]
+    grid = ((points - model.centre[[0, 2]]) / (2 * FLOOR_REACH * model.scale) + 0.5) * (FLOOR_CELLS - 1)
+    on_grid = np.flatnonzero(((grid > 0) & (grid < FLOOR_CELLS - 1)).all(1))
+    shadow = map_coordinates(model.floor_shadow, grid[on_grid].T, order=1)
+    radiance[rows[on_grid]] *= (1.0 - 0.55 * shadow)[:, None]

@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a result, for the eye and for print."""
+"""Reports: one self-contained HTML page about a result."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from cagemap.report.figures import (
     Gallery,
     Pixels,
     Progress,
+    display_image,
     draw_gallery,
     draw_thumbnail,
-    for_display,
 )
-from cagemap.report.looks import SOURCE_PICTURE, TARGET_PICTURE, report_models
+from cagemap.report.looks import SOURCE_TEXTURE_ID, TARGET_TEXTURE_ID, report_models
 from cagemap.report.models import Models
-from cagemap.report.page import Texture, build_page, encoded_texture
+from cagemap.report.page import Texture, build_page, encode_texture
 from cagemap.report.rig_panels import (
-    NOTHING,
+    NO_DATA,
     CarriedData,
     CarriedShape,
     Panel,
@@ -32,10 +32,8 @@ from cagemap.report.rig_panels import (
     Pose,
     Weights,
     draw_carried,
-    draw_passengers,
-    draw_poses,
 )
-from cagemap.report.viewpoints import seen
+from cagemap.report.viewpoints import choose_viewpoints
 
 __all__ = [
     "CarriedData",
@@ -51,21 +49,19 @@ __all__ = [
     "check_page_path",
     "draw_carried",
     "draw_gallery",
-    "draw_passengers",
-    "draw_poses",
     "draw_thumbnail",
     "report_models",
     "write_report",
 ]
 
 
-# Bytes of a page, and vertices of its models: the first number whose page is small enough.
-MAX_BYTES = 5_000_000
-MODEL_SIZES = 60_000, 30_000, 15_000, 6000
+# Largest page in bytes, and vertices of its models: the first number whose page is small enough is taken.
+MAX_PAGE_BYTES = 5_000_000
+MODEL_VERTEX_COUNTS = 60_000, 30_000, 15_000, 6000
 
 
 def check_page_path(path: str | Path) -> None:
-    """Refuse a name that a browser would not open as a page.
+    """Raise if a name does not end in .html or .htm.
 
     Raises
     ------
@@ -84,7 +80,7 @@ def write_report(
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
-    carried: CarriedData = NOTHING,
+    carried: CarriedData = NO_DATA,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
     upright: FloatArray | None = None,
@@ -101,14 +97,15 @@ def write_report(
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same baked into the target's layout.
     carried : CarriedData
-        The wrapped cage, weights and shapes to show.
+        Wrapped cage, weights, shapes, passengers and poses to show.
     size : (int, int)
         Width and height of each picture, in pixels.
     progress : callable, optional
         Called with the name of each step.
     upright : (3, 3) float64, optional
-        Rotation for rows after which the target's up is +Y; by default its shape tells. The report gives the
-        ``reason``.
+        Rotation for rows after which the target's up is +Y; default: found from its shape.
+    reason : str
+        Where ``upright`` comes from, for the page.
 
     Raises
     ------
@@ -117,24 +114,26 @@ def write_report(
         there and ``force`` is not given.
     """
     check_page_path(path)
-    views = seen(result, upright, reason)
-    gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress, views=views)
-    panels = draw_carried(result, carried, size, views)
+    viewpoints = choose_viewpoints(result, upright, reason)
+    gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress, viewpoints=viewpoints)
+    panels = draw_carried(result, carried, size, viewpoints)
     textures = _textures(result, texture, baked)
-    for most in MODEL_SIZES:
-        models = report_models(result, views, texture=texture, baked=baked, carried=carried, most=most)
+    for max_vertices in MODEL_VERTEX_COUNTS:
+        models = report_models(
+            result, viewpoints, texture=texture, baked=baked, carried=carried, max_vertices=max_vertices
+        )
         page = build_page(result, gallery, panels, models, textures)
-        if len(page) <= MAX_BYTES:
+        if len(page) <= MAX_PAGE_BYTES:
             break
     write_whole(path, page.encode("utf-8", "xmlcharrefreplace"), force=force)
 
 
 def _textures(result: MatchResult, texture: Pixels | None, baked: Pixels | None) -> tuple[Texture, ...]:
-    """The pictures that the models wear."""
+    """Textures of the models on the page."""
     source, target = (Path(side.control.name).stem for side in (result.source, result.target))
-    shown = []
+    textures = []
     if texture is not None and result.source.control.uvs is not None:
-        shown.append(encoded_texture(SOURCE_PICTURE, f"{source} (source)", for_display(texture)))
+        textures.append(encode_texture(SOURCE_TEXTURE_ID, f"{source} (source)", display_image(texture)))
         if baked is not None and result.target.control.uvs is not None:
-            shown.append(encoded_texture(TARGET_PICTURE, f"{target} (target), baked", for_display(baked)))
-    return tuple(shown)
+            textures.append(encode_texture(TARGET_TEXTURE_ID, f"{target} (target), baked", display_image(baked)))
+    return tuple(textures)

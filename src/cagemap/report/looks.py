@@ -1,4 +1,4 @@
-"""Models of a report: their colourings and shapes."""
+"""Colourings and shapes of a report's models."""
 
 from __future__ import annotations
 
@@ -9,26 +9,25 @@ import numpy as np
 from cagemap.maps.regions import local_size
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures import BALANCE, distinct_colors, position_colors, sample_texture, scalar_colors, to_display
-from cagemap.report.figures import Pixels, for_display, runner_up_image
+from cagemap.pictures import BALANCE_SCALE, position_colors, sample_texture, scalar_colors, to_display
+from cagemap.report.figures import Pixels, display_image, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
-from cagemap.report.rig_panels import NOTHING, CarriedData, refined_wrap
-from cagemap.report.shown import MAX_VERTICES, ShownSurface, reached, shown_surfaces
-from cagemap.report.viewpoints import Seen
+from cagemap.report.rig_panels import CLAY, NO_DATA, CarriedData, joint_colors, refined_wrap
+from cagemap.report.shown import MAX_MODEL_VERTICES, DisplaySurface, display_surfaces, reached_vertices
+from cagemap.report.viewpoints import Viewpoints
 from cagemap.transfer import face_colors
 from cagemap.transfer.textured_surface import TexturedSurface
 
-# Ids of the pictures of a page that models wear.
-SOURCE_PICTURE, TARGET_PICTURE = "source-texture", "target-texture"
-CLAY = np.array([0.86, 0.84, 0.80])
-# Shapes that a page has beside the one at rest.
+# HTML ids of the models' textures.
+SOURCE_TEXTURE_ID, TARGET_TEXTURE_ID = "source-texture", "target-texture"
+# Shapes of a page, without the one at rest.
 MAX_SHAPES = 12
 
 
 @dataclass(frozen=True, eq=False)
-class _FirstLook:
-    """The look that the source came with: with its keys by side, see `Models`."""
+class _SourceLook:
+    """The source's texture or material colours, with corner keys by side as in `Models`."""
 
     look: Look
     keys: dict[str, IndexArray]
@@ -37,30 +36,30 @@ class _FirstLook:
 
 def report_models(
     result: MatchResult,
-    views: Seen,
+    viewpoints: Viewpoints,
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
-    carried: CarriedData = NOTHING,
-    most: int = MAX_VERTICES,
+    carried: CarriedData = NO_DATA,
+    max_vertices: int = MAX_MODEL_VERTICES,
 ) -> Models:
-    """Everything that turns on a page.
+    """The models of a page with all their colourings and shapes.
 
     Parameters
     ----------
     result : MatchResult
-    views : Seen
+    viewpoints : Viewpoints
     texture, baked : (H, W, c) array, optional
-        The source's texture, and the same in the target's layout; the page shows them as pictures.
+        The source's texture, and the same in the target's layout.
     carried : CarriedData
-    most : int
-        Vertices of each model.
+    max_vertices : int
+        Of each model.
     """
-    target, source = shown_surfaces(result, views, most)
-    source_reached = reached(result, source)
-    first = _first_look(result, target, source, texture, baked)
+    target, source = display_surfaces(result, viewpoints, max_vertices)
+    source_reached = reached_vertices(result, source)
+    source_look = _source_look(result, target, source, texture, baked)
     looks = [
-        *([] if first is None else [first.look]),
+        *([] if source_look is None else [source_look.look]),
         Look(
             "Checker",
             "The source's checker on both. Squares stay squares where the map keeps shape.",
@@ -81,41 +80,40 @@ def report_models(
             "Red: larger on the target than on the source; blue: smaller. The darkest are twice or half as long. Both "
             "models are compared at equal area.",
             np.broadcast_to(CLAY, (len(source.vertices), 3)),
-            scalar_colors(np.log2(local_size(result)[target.vertices]), -1.0, 1.0, BALANCE),
+            scalar_colors(np.log2(local_size(result)[target.vertices]), -1.0, 1.0, BALANCE_SCALE),
         ),
     ]
-    other = runner_up_image(result)
-    if other is not None:
-        shown = [
+    runner_up = runner_up_image(result)
+    if runner_up is not None:
+        colors = [
             position_colors(places, result.source.vertices)
-            for places in (result.source.vertices[source.vertices], other[target.vertices])
+            for places in (result.source.vertices[source.vertices], runner_up[target.vertices])
         ]
         looks.append(
-            Look("Other answer", "As Places, of the next best answer: is it the right one?", shown[0], shown[1])
+            Look("Other answer", "As Places, of the next best answer: is it the right one?", colors[0], colors[1])
         )
     if result.masks.any:
-        own, joint = result.masks.of_source(len(result.source.vertices)), result.masks.joint(result.point_map)
-        shown = [scalar_colors(values, 0.0, 1.0) for values in (own[source.vertices], joint[target.vertices])]
-        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", shown[0], shown[1]))
+        source_mask, joint = result.masks.of_source(len(result.source.vertices)), result.masks.joint(result.point_map)
+        colors = [scalar_colors(values, 0.0, 1.0) for values in (source_mask[source.vertices], joint[target.vertices])]
+        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", colors[0], colors[1]))
     if result.shared is not None:
-        shown = [
+        colors = [
             scalar_colors(values, 0.0, 1.0)
             for values in (result.shared.source[source.vertices], result.shared.target[target.vertices])
         ]
-        parts = result.shared
+        shared = result.shared
         legend = (
-            f"Dark parts have no counterpart: {1 - parts.target_share:.0%} of the target, "
-            f"{1 - parts.source_share:.0%} of the source."
+            f"Dark parts have no counterpart: {1 - shared.target_share:.0%} of the target, "
+            f"{1 - shared.source_share:.0%} of the source."
         )
-        looks.append(Look("Shared", legend, shown[0], shown[1]))
+        looks.append(Look("Shared", legend, colors[0], colors[1]))
     if carried.weights is not None:
-        palette = distinct_colors(carried.weights.source.shape[1])
-        shown = [
-            _at_vertices(side, _joint_colors(values, palette))
+        colors = [
+            _prolong(side, joint_colors(values))
             for side, values in ((source, carried.weights.source), (target, carried.weights.target))
         ]
         looks.append(
-            Look("Weights", "One colour for each joint, mixed where several hold a vertex.", shown[0], shown[1])
+            Look("Weights", "One colour for each joint, mixed where several hold a vertex.", colors[0], colors[1])
         )
     return Models(
         target,
@@ -124,91 +122,85 @@ def report_models(
         {TARGET: result.trust[target.vertices], SOURCE: source_reached.astype(np.float64)},
         find_marks(result, target, source, source_reached),
         _shapes(result, target, source, carried),
-        {} if first is None else first.keys,
-        {} if first is None else first.values,
+        {} if source_look is None else source_look.keys,
+        {} if source_look is None else source_look.values,
     )
 
 
-def _first_look(
-    result: MatchResult, target: ShownSurface, source: ShownSurface, texture: Pixels | None, baked: Pixels | None
-) -> _FirstLook | None:
-    """The texture, or the colours of the materials; None where the source has neither."""
-    map_triangles, map_weights = result.triangle[target.vertices], result.barycentric[target.vertices]
-    full = result.source.refinement.finest
-    if texture is not None and full.uv_indices is not None:
+def _source_look(
+    result: MatchResult, target: DisplaySurface, source: DisplaySurface, texture: Pixels | None, baked: Pixels | None
+) -> _SourceLook | None:
+    """The texture or the material colours; None if the source has neither."""
+    map_triangles, barycentric = result.triangle[target.vertices], result.barycentric[target.vertices]
+    finest_level = result.source.refinement.finest
+    if texture is not None and finest_level.uv_indices is not None:
         legend = "Left the source as it came, right what the target received."
         keys, values = dict[str, IndexArray](), dict[str, FloatArray]()
         colors: dict[str, FloatArray | str] = {}
-        shown = for_display(texture)
-        finest = _corner_uvs(result)
+        pixels = display_image(texture)
+        corner_uvs = TexturedSurface.from_level(finest_level).corner_uvs()
         if source.corner_uvs is None:
-            colors[SOURCE] = _texture_of_vertices(source, finest, shown)
+            colors[SOURCE] = _vertex_texture(source, corner_uvs, pixels)
         else:
-            keys[SOURCE], values[SOURCE] = _keyed(source.corner_uvs)
-            colors[SOURCE] = SOURCE_PICTURE
+            keys[SOURCE], values[SOURCE] = _index_uvs(source.corner_uvs)
+            colors[SOURCE] = SOURCE_TEXTURE_ID
         if baked is not None and target.corner_uvs is not None:
-            keys[TARGET], values[TARGET] = _keyed(target.corner_uvs)
-            colors[TARGET] = TARGET_PICTURE
+            keys[TARGET], values[TARGET] = _index_uvs(target.corner_uvs)
+            colors[TARGET] = TARGET_TEXTURE_ID
         else:
-            places = np.einsum("nc,ncd->nd", map_weights, finest[map_triangles])
-            colors[TARGET] = sample_texture(shown, places)[:, :3]
-        return _FirstLook(Look("Texture", legend, colors[SOURCE], colors[TARGET]), keys, values)
+            uvs = np.einsum("nc,ncd->nd", barycentric, corner_uvs[map_triangles])
+            colors[TARGET] = sample_texture(pixels, uvs)[:, :3]
+        return _SourceLook(Look("Texture", legend, colors[SOURCE], colors[TARGET]), keys, values)
     control = result.source.control
     if control.face_materials is None or control.material_colors is None or source.control_faces is None:
         return None
-    own = to_display(face_colors(control))
-    if not np.ptp(own, axis=0).any():  # one colour all over shows nothing
+    source_colors = to_display(face_colors(control))
+    if not np.ptp(source_colors, axis=0).any():  # a single colour shows nothing
         return None
-    palette, material = np.unique(own, axis=0, return_inverse=True)
-    corners = np.repeat(material.ravel()[source.control_faces][:, None], 3, axis=1)
+    palette, index = np.unique(source_colors, axis=0, return_inverse=True)
+    corners = np.repeat(index.ravel()[source.control_faces][:, None], 3, axis=1)
     per_face = len(result.source_triangles) // len(result.source.faces)
-    received = own[full.face_parents[map_triangles // per_face]]
+    received = source_colors[finest_level.face_parents[map_triangles // per_face]]
     look = Look("Materials", "Left the source's materials, right the same on the target.", None, received)
-    return _FirstLook(look, {SOURCE: corners}, {SOURCE: palette})
+    return _SourceLook(look, {SOURCE: corners}, {SOURCE: palette})
 
 
-def _corner_uvs(result: MatchResult) -> FloatArray:
-    """(t, 3, 2) texture coordinates of the source's finest triangles."""
-    return TexturedSurface.from_level(result.source.refinement.finest).corner_uvs()
+def _vertex_texture(display: DisplaySurface, corner_uvs: FloatArray, texture: FloatArray) -> FloatArray:
+    """(n, 3) the texture at displayed vertices, from one triangle around each."""
+    triangles = display.surface.finest_triangles
+    uvs = np.zeros((triangles.n, 2))
+    uvs[triangles.triangles.ravel()] = corner_uvs.reshape(-1, 2)
+    return sample_texture(texture, uvs[display.vertices])[:, :3]
 
 
-def _texture_of_vertices(shown: ShownSurface, corner_uvs: FloatArray, texture: FloatArray) -> FloatArray:
-    """(n, 3) the texture at shown vertices, in one of the triangles around each."""
-    at = np.zeros((shown.surface.finest_triangles.n, 2))
-    at[shown.surface.finest_triangles.triangles.ravel()] = corner_uvs.reshape(-1, 2)
-    return sample_texture(texture, at[shown.vertices])[:, :3]
-
-
-def _keyed(corner_uvs: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Number of the texture coordinates of every corner (t, 3), and these (k, 2)."""
+def _index_uvs(corner_uvs: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """Index of the texture coordinates of every corner (t, 3), and the distinct coordinates (k, 2)."""
     values, inverse = np.unique(corner_uvs.reshape(-1, 2), axis=0, return_inverse=True)
     return inverse.reshape(-1, 3), values
 
 
-def _joint_colors(weights: FloatArray, palette: FloatArray) -> FloatArray:
-    return np.asarray(weights @ palette + (1.0 - weights.sum(axis=1, keepdims=True)).clip(0.0) * CLAY)
+def _prolong(display: DisplaySurface, values: FloatArray) -> FloatArray:
+    """Values of the control vertices, subdivided to the displayed vertices."""
+    refinement = display.surface.refinement
+    return np.asarray(refinement.prolong(values, 0, refinement.n_levels)[display.vertices])
 
 
-def _at_vertices(shown: ShownSurface, values: FloatArray) -> FloatArray:
-    """Values of the control vertices at the shown ones."""
-    refinement = shown.surface.refinement
-    return np.asarray(refinement.prolong(values, 0, refinement.n_levels)[shown.vertices])
-
-
-def _shapes(result: MatchResult, target: ShownSurface, source: ShownSurface, carried: CarriedData) -> tuple[Shape, ...]:
+def _shapes(
+    result: MatchResult, target: DisplaySurface, source: DisplaySurface, carried: CarriedData
+) -> tuple[Shape, ...]:
     shapes = list[Shape]()
     if carried.wrapped is not None:
         wrapped = refined_wrap(result.target.refinement, carried.wrapped).finest.positions[target.vertices]
-        shapes.append(Shape("Wrapped", None, source.placed(wrapped)))
-    for moved in carried.shapes:
-        sides = ((source, moved.source), (target, moved.target))
-        shapes.append(Shape(moved.name, *(_moved(side, offsets) for side, offsets in sides)))
+        shapes.append(Shape("Wrapped", None, source.to_page(wrapped)))
+    for shape in carried.shapes:
+        sides = ((source, shape.source), (target, shape.target))
+        shapes.append(Shape(shape.name, *(_displaced(side, offsets) for side, offsets in sides)))
     for pose in carried.poses:
         sides = ((source, pose.source), (target, pose.target))
-        shapes.append(Shape(pose.name, *(_moved(side, to - side.surface.control.positions) for side, to in sides)))
+        shapes.append(Shape(pose.name, *(_displaced(side, to - side.surface.control.positions) for side, to in sides)))
     return tuple(shapes[:MAX_SHAPES])
 
 
-def _moved(shown: ShownSurface, offsets: FloatArray) -> FloatArray:
-    """Shown positions after offsets (n_0, 3) of the control vertices, in the file's lengths."""
-    return shown.positions + _at_vertices(shown, offsets) @ shown.turn / shown.radius
+def _displaced(display: DisplaySurface, offsets: FloatArray) -> FloatArray:
+    """Displayed positions after offsets (n_0, 3) of the control vertices, in file units."""
+    return display.positions + _prolong(display, offsets) @ display.turn / display.radius

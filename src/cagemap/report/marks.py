@@ -1,4 +1,4 @@
-"""Places of a result that need a look, as numbered marks on the models."""
+"""Numbered marks of doubtful places on the models."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.quality import flipped_triangles
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.report.shown import ShownSurface
+from cagemap.report.shown import DisplaySurface
 from cagemap.surface.triangles import triangle_areas
 
 TARGET, SOURCE = "target", "source"
-# Trust of a place below which it is marked, and share of the surface that a marked place has at least.
-DOUBTFUL, MIN_SHARE = 0.5, 5e-4
-# Marks of one kind, the largest places first.
-MAX_MARKS = 4
-DECIDES = "a landmark here tells which answer is right"
+# Trust below which a place is marked, and the smallest marked share of the surface's area.
+MAX_MARKED_TRUST, MIN_MARKED_AREA = 0.5, 5e-4
+# Largest places first.
+MAX_MARKS_A_KIND = 4
+DECIDING_TEXT = "a landmark here tells which answer is right"
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,18 @@ class Mark:
 
 
 def find_marks(
-    result: MatchResult, target: ShownSurface, source: ShownSurface, source_reached: NDArray[np.bool_]
+    result: MatchResult, target: DisplaySurface, source: DisplaySurface, source_reached: NDArray[np.bool_]
 ) -> tuple[Mark, ...]:
-    """Marks of a result: what decides, landmarks that were left out, folds, stretches, and what is not reached."""
+    """Mark the deciding landmark, outliers, folds, stretches, and unreached parts of a result."""
     marks = list[Mark]()
 
-    def add(text: str, *places: tuple[str, int]) -> None:
+    def add(text: str, *points: tuple[str, int]) -> None:
         number = 1 + max((mark.number for mark in marks), default=0)
-        marks.extend(Mark(number, side, int(vertex), text) for side, vertex in places)
+        marks.extend(Mark(number, side, int(vertex), text) for side, vertex in points)
 
     confidence = result.confidence
     if confidence is not None and confidence.verdict != SURE and confidence.deciding is not None:
-        add(DECIDES, (TARGET, confidence.deciding))
+        add(DECIDING_TEXT, (TARGET, confidence.deciding))
     pairs = result.landmarks
     for suspect in result.suspects:
         add(
@@ -67,52 +67,54 @@ def find_marks(
             (SOURCE, pairs.source_points.nearest_vertices[suspect.pair]),
         )
     counted = result.masks if result.shared is None else result.shared.within(result.masks)
-    low = (result.trust < DOUBTFUL) & (counted.joint(result.point_map) > 0)
-    turned = np.zeros(len(low), dtype=np.bool_)
+    is_doubtful = (result.trust < MAX_MARKED_TRUST) & (counted.joint(result.point_map) > 0)
+    is_folded = np.zeros(len(is_doubtful), dtype=np.bool_)
     triangles = result.point_map.target.triangles
-    turned[triangles[flipped_triangles(result.point_map.images, triangles)]] = True
-    for vertex, share in places(low[target.vertices], target):
-        folded = turned[target.vertices[vertex]]
+    is_folded[triangles[flipped_triangles(result.point_map.images, triangles)]] = True
+    for vertex, share in largest_regions(is_doubtful[target.vertices], target):
+        folded = is_folded[target.vertices[vertex]]
         add(
             f"{'folded over' if folded else 'stretched strongly'}: {_percent(share)} of the target",
             (TARGET, target.vertices[vertex]),
         )
-    missed = ~source_reached & (counted.of_source(len(result.source.vertices))[source.vertices] > 0)
-    for vertex, share in places(missed, source):
+    is_missed = ~source_reached & (counted.of_source(len(result.source.vertices))[source.vertices] > 0)
+    for vertex, share in largest_regions(is_missed, source):
         add(f"nothing from here arrives: {_percent(share)} of the source", (SOURCE, source.vertices[vertex]))
     return tuple(marks)
 
 
-def places(chosen: NDArray[np.bool_], shown: ShownSurface) -> list[tuple[int, float]]:
-    """The largest connected places of chosen vertices (n,): a vertex in the middle of each, its share of the area."""
-    triangles = shown.triangles
-    areas = triangle_areas(shown.positions, triangles)
-    inside = chosen[triangles].sum(axis=1) >= 2
-    if not inside.any():
+def largest_regions(selected: NDArray[np.bool_], display: DisplaySurface) -> list[tuple[int, float]]:
+    """The largest connected regions of selected vertices (n,): central vertex and share of the area."""
+    triangles = display.triangles
+    areas = triangle_areas(display.positions, triangles)
+    is_inside = selected[triangles].sum(axis=1) >= 2
+    if not is_inside.any():
         return []
-    faces = triangles[inside]
-    n = len(shown.positions)
+    faces = triangles[is_inside]
+    n = len(display.positions)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
     label = connected_components(graph, directed=False)[1][faces[:, 0]]
-    share = np.bincount(label, weights=areas[inside]) / areas.sum()
-    largest = [piece for piece in np.argsort(-share)[:MAX_MARKS] if share[piece] >= MIN_SHARE]
-    return [
-        (_middle(shown.positions, faces[label == piece], areas[inside][label == piece]), float(share[piece]))
-        for piece in largest
-    ]
+    share = np.bincount(label, weights=areas[is_inside]) / areas.sum()
+    regions = []
+    for number in np.argsort(-share)[:MAX_MARKS_A_KIND]:
+        if share[number] >= MIN_MARKED_AREA:
+            of_region = label == number
+            vertex = _central_vertex(display.positions, faces[of_region], areas[is_inside][of_region])
+            regions.append((vertex, float(share[number])))
+    return regions
 
 
-def with_marks(text: str, marks: tuple[Mark, ...]) -> str:
-    """A message with marks in the place of coordinates and numbers of vertices."""
-    decides = next((mark for mark in marks if mark.text == DECIDES), None)
+def name_marks(text: str, marks: tuple[Mark, ...]) -> str:
+    """A message that names marks instead of coordinates and vertex numbers."""
+    deciding = next((mark for mark in marks if mark.text == DECIDING_TEXT), None)
     text = re.sub(r", worst at \([^)]*\) of the target's file", "", text)
     text = re.sub(r" away from source vertex \d+, to near vertex \d+", " away from its mark", text)
-    return re.sub(r"at target vertex \d+", f"at mark {decides.number}" if decides else "there", text)
+    return re.sub(r"at target vertex \d+", f"at mark {deciding.number}" if deciding else "there", text)
 
 
-def _middle(positions: FloatArray, triangles: IndexArray, areas: FloatArray) -> int:
-    """The vertex of some triangles that is nearest to their centre."""
+def _central_vertex(positions: FloatArray, triangles: IndexArray, areas: FloatArray) -> int:
+    """The vertex of some triangles nearest to their centre."""
     centre = np.average(positions[triangles].mean(axis=1), axis=0, weights=areas)
     vertices = np.unique(triangles)
     return int(vertices[np.linalg.norm(positions[vertices] - centre, axis=1).argmin()])

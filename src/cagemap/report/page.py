@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from cagemap.errors import FormatError, in_options
+from cagemap.errors import FormatError, use_option_names
 from cagemap.files.ownership import mark
 from cagemap.files.result.folder import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
@@ -23,22 +23,22 @@ from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
-from cagemap.report.marks import Mark, with_marks
-from cagemap.report.models import Models, pack
+from cagemap.report.marks import Mark, name_marks
+from cagemap.report.models import Models, pack_models
 from cagemap.report.rig_panels import Panel
-from cagemap.report.verdicts import explain, overall, sentence
+from cagemap.report.verdicts import overall_verdict, rate_figures, verdict_sentence
 
-# Of one texture, as JPEG: two of them leave room for the models in a page of 5 MB.
+# Of one texture as JPEG: two textures and the models fit into a page of 5 MB.
 MAX_TEXTURE_BYTES = 700_000
 
 _STYLE, _SCRIPTS = "style.css", ("three/three.min.js", "arrays.js", "viewer.js")
-_QUALITY = 90  # of JPEG pictures
-NOTABLE_ASPECT = 1.5  # from this median ratio on, a region is said to be stretched
+JPEG_QUALITY, TEXTURE_JPEG_QUALITY = 90, 85
+MIN_NOTED_ASPECT_RATIO = 1.5  # median of a region from which the page says that it is stretched
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A texture of the page, which its models wear: the id that they know it by, a caption, and a JPEG's bytes."""
+    """A texture of the models: HTML id, caption, JPEG bytes, width and height."""
 
     id: str
     caption: str
@@ -61,46 +61,52 @@ def build_page(
     gallery : Gallery
         Still pictures, for browsers without WebGL and for print.
     panels : tuple of Panel
-        What was made with the map.
+        Pictures of carried data.
     models : Models, optional
-        What turns.
+        Models in three dimensions.
     textures : tuple of Texture
-        What the models wear.
+        Of the models.
     """
     manifest = result.manifest
     quality = manifest.get("quality") or {}
     marks = () if models is None else models.marks
     warnings = landmark_messages(manifest) + [str(text) for text in (quality.get("warnings") or [])]
-    ratings = explain(quality)
-    verdict = overall(ratings, warnings)
+    ratings = rate_figures(quality)
+    verdict = overall_verdict(ratings, warnings)
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
-    made = [_fold(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels]
+    panel_sections = [
+        _folded_section(escape(panel.title), escape(panel.lead), _panel_pictures(panel)) for panel in panels
+    ]
     sections = [
-        _header(title, sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
-        "" if models is None else _viewer(result, models),
-        _stills(result, gallery),
-        _marks(marks),
-        _warnings(
-            [with_marks(in_options(text), marks) for text in warnings],
+        _page_header(title, verdict_sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
+        "" if models is None else _viewer_section(result, models),
+        _still_pictures(result, gallery),
+        _mark_list(marks),
+        _message_list(
+            [name_marks(use_option_names(text), marks) for text in warnings],
             [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])],
         ),
-        _answers(result, gallery),
-        _textures(textures),
-        *made,
-        _fold("Numbers", "how good the map is, measured without knowing the true one", _numbers(result, ratings)),
-        _fold(
+        _answers_section(result, gallery),
+        _texture_section(textures),
+        *panel_sections,
+        _folded_section(
+            "Numbers", "how good the map is, measured without knowing the true one", _figure_section(result, ratings)
+        ),
+        _folded_section(
             "Landmarks",
             "how far each is missed, as a share of the model's size; how long the target is around it where the source "
             "has length 1, both models at equal area",
-            _landmarks(result),
+            _landmark_table(result),
         )
         if len(result.landmarks)
         else "",
-        _fold("Curves", "distance between a curve and its counterpart, both ways", _curves(result))
+        _folded_section("Curves", "distance between a curve and its counterpart, both ways", _curve_table(result))
         if len(result.curves)
         else "",
-        _fold(
-            "How it was made", _time_summary(manifest), _timings(manifest.get("timings") or {}) + _provenance(result)
+        _folded_section(
+            "How it was made",
+            _time_summary(manifest),
+            _timing_table(manifest.get("timings") or {}) + _provenance_table(result),
         ),
     ]
     scripts = "" if models is None else _scripts(models, result)
@@ -114,11 +120,11 @@ def build_page(
     )
 
 
-def encoded_texture(id: str, caption: str, pixels: FloatArray) -> Texture:
-    """A texture for the page: as large as `MAX_TEXTURE_BYTES` allow."""
+def encode_texture(id: str, caption: str, pixels: FloatArray) -> Texture:
+    """Encode a texture as JPEG, halved until it has at most `MAX_TEXTURE_BYTES`."""
     while True:
         image = np.round(255 * pixels).astype(np.uint8)
-        content = _jpeg(image, 85)
+        content = _jpeg(image, TEXTURE_JPEG_QUALITY)
         if len(content) <= MAX_TEXTURE_BYTES or max(pixels.shape[:2]) <= 256:
             return Texture(id, caption, content, (image.shape[1], image.shape[0]))
         height, width = (length // 2 * 2 for length in pixels.shape[:2])
@@ -134,32 +140,34 @@ def _unsure(result: MatchResult) -> bool:
 
 
 def _scripts(models: Models, result: MatchResult) -> str:
-    described, arrays = pack(models, result)
+    description, arrays = pack_models(models, result)
     return (
-        f'<script type="application/json" id="models">{described}</script>\n'
+        f'<script type="application/json" id="models">{description}</script>\n'
         f'<script type="text/plain" id="models-data">{arrays}</script>\n'
         + "".join(f"<script>\n{_resource(name)}</script>\n" for name in _SCRIPTS)
     )
 
 
-def _viewer(result: MatchResult, models: Models) -> str:
-    """The models that turn, and what they are coloured by; shown where the browser can."""
+def _viewer_section(result: MatchResult, models: Models) -> str:
+    """The three-dimensional viewer and its controls."""
     source, target = (escape(_stem(side.control.name)) for side in (result.source, result.target))
     looks = "".join(
         f'<label><input type="radio" name="look" value="{k}"{" checked" if k == 0 else ""}>'
         f"<span>{escape(look.name)}</span></label>"
         for k, look in enumerate(models.looks)
     )
-    names = "".join(f'<option value="{k}">{escape(one.name)}</option>' for k, one in enumerate(models.shapes, start=1))
+    names = "".join(
+        f'<option value="{k}">{escape(shape.name)}</option>' for k, shape in enumerate(models.shapes, start=1)
+    )
     shapes = f'<label>Shape <select><option value="0">at rest</option>{names}</select></label>' if names else ""
-    dots = '<label><input type="checkbox" name="landmarks"> Landmarks</label>' if len(result.landmarks) else ""
+    landmark_box = '<label><input type="checkbox" name="landmarks"> Landmarks</label>' if len(result.landmarks) else ""
     views = "".join(
-        f'<button type="button" data-view="{view}">{said}</button>'
-        for view, said in (("front", "Front"), ("side", "Side"), ("back", "Back"), ("start", "Reset"))
+        f'<button type="button" data-view="{view}">{text}</button>'
+        for view, text in (("front", "Front"), ("side", "Side"), ("back", "Back"), ("start", "Reset"))
     )
     return (
         '<section id="viewer" aria-label="Models">\n<div class="tools">'
-        f'<fieldset class="looks"><legend class="unseen">Colour by</legend>{looks}</fieldset>{shapes}{dots}'
+        f'<fieldset class="looks"><legend class="unseen">Colour by</legend>{looks}</fieldset>{shapes}{landmark_box}'
         f'<div class="views">{views}</div></div>\n<div class="glass">'
         f'<canvas tabindex="0" role="img" aria-describedby="viewer-help" '
         f'aria-label="{source}, the source, and {target}, the target, which turn together"></canvas>'
@@ -171,21 +179,21 @@ def _viewer(result: MatchResult, models: Models) -> str:
     )
 
 
-def _stills(result: MatchResult, gallery: Gallery) -> str:
-    """The same as pictures."""
-    dots = " Dots are landmarks: equal dots should sit on equal places." if len(result.landmarks) else ""
-    lines = " Lines are curves: equal lines should lie on equal places." if len(result.curves) else ""
-    parts = [
+def _still_pictures(result: MatchResult, gallery: Gallery) -> str:
+    """Still pictures, for browsers without WebGL and for print."""
+    landmark_note = " Dots are landmarks: equal dots should sit on equal places." if len(result.landmarks) else ""
+    curve_note = " Lines are curves: equal lines should lie on equal places." if len(result.curves) else ""
+    sections = [
         _section(
             f"The {escape(gallery.appearance)}, transferred",
             "Left the source as it came, right the target with what it received, from the same directions. "
             f"Of the target, {escape(gallery.orientation)}.",
-            "".join(_pair(figure, result) for figure in gallery.looks),
+            "".join(_picture_pair(figure, result) for figure in gallery.looks),
         ),
         _section(
             "The map as colours",
-            f"Points of equal colour correspond; the faint checker shows stretch.{dots}{lines}",
-            "".join(_pair(figure, result) for figure in gallery.maps),
+            f"Points of equal colour correspond; the faint checker shows stretch.{landmark_note}{curve_note}",
+            "".join(_picture_pair(figure, result) for figure in gallery.maps),
         ),
         _section(
             "Where to trust it",
@@ -194,23 +202,23 @@ def _stills(result: MatchResult, gallery: Gallery) -> str:
         ),
     ]
     if gallery.masks:
-        parts.append(
+        sections.append(
             _section(
                 "What was matched",
                 "Dark: masked, neither matched nor transferred. The target shows both masks, the source its own.",
-                "".join(_pair(figure, result) for figure in gallery.masks),
+                "".join(_picture_pair(figure, result) for figure in gallery.masks),
             )
         )
-    return f'<div class="stills">\n{"".join(parts)}\n</div>'
+    return f'<div class="stills">\n{"".join(sections)}\n</div>'
 
 
-def _marks(marks: tuple[Mark, ...]) -> str:
-    """The list of marked places, each once."""
-    first = {mark.number: (place, mark) for place, mark in reversed(list(enumerate(marks)))}
+def _mark_list(marks: tuple[Mark, ...]) -> str:
+    """The list of marks, each number once."""
+    first = {mark.number: (index, mark) for index, mark in reversed(list(enumerate(marks)))}
     items = "".join(
         f'<li><span class="number" aria-hidden="true">{number}</span><span>{escape(_capital(mark.text))}</span>'
-        f'<button type="button" data-mark="{place}" aria-label="Show mark {number}">Show</button></li>'
-        for number, (place, mark) in sorted(first.items())
+        f'<button type="button" data-mark="{index}" aria-label="Show mark {number}">Show</button></li>'
+        for number, (index, mark) in sorted(first.items())
     )
     return _section("Look here", "", f'<ul class="marks">{items}</ul>') if items else ""
 
@@ -219,32 +227,37 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _textures(textures: tuple[Texture, ...]) -> str:
+def _texture_section(textures: tuple[Texture, ...]) -> str:
     figures = "".join(
-        f'<figure><img id="{one.id}" src="{_uri(one.content)}" width="{one.size[0]}" height="{one.size[1]}" '
-        f'alt="{escape(one.caption)}"><figcaption>{escape(one.caption)}</figcaption></figure>'
-        for one in textures
+        f'<figure><img id="{texture.id}" src="{_uri(texture.content)}" width="{texture.size[0]}" '
+        f'height="{texture.size[1]}" alt="{escape(texture.caption)}">'
+        f"<figcaption>{escape(texture.caption)}</figcaption></figure>"
+        for texture in textures
     )
-    return _fold("Textures", "as they lie in the layouts", f'<div class="pair">{figures}</div>') if figures else ""
+    return (
+        _folded_section("Textures", "as they lie in the layouts", f'<div class="pair">{figures}</div>')
+        if figures
+        else ""
+    )
 
 
-def _fold(title: str, lead: str, body: str) -> str:
+def _folded_section(title: str, lead: str, body: str) -> str:
     return f"<details>\n<summary>{title}<small>{lead}</small></summary>\n{body}\n</details>"
 
 
-def _numbers(result: MatchResult, ratings: list[Any]) -> str:
+def _figure_section(result: MatchResult, ratings: list[Any]) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
         counted(len(result.landmarks), "landmark"),
     ]
-    listed = "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips)
-    return f'<ul class="chips">{listed}</ul>{_ratings(ratings)}'
+    items = "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips)
+    return f'<ul class="chips">{items}</ul>{_rating_cards(ratings)}'
 
 
 def data_uri(image: Image) -> str:
     """The picture as a JPEG data URI."""
-    return _uri(_jpeg(image, _QUALITY))
+    return _uri(_jpeg(image, JPEG_QUALITY))
 
 
 def _uri(content: bytes) -> str:
@@ -273,14 +286,14 @@ def _section(title: str, lead: str, body: str) -> str:
     return f"<section>\n<h2>{title}</h2>\n{lead_html}\n{body}\n</section>"
 
 
-def _header(title: str, said: str, verdict: str) -> str:
+def _page_header(title: str, text: str, verdict: str) -> str:
     return (
         f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n'
-        f'<p class="verdict {verdict}">{escape(said)}</p>\n</header>'
+        f'<p class="verdict {verdict}">{escape(text)}</p>\n</header>'
     )
 
 
-def _warnings(warnings: list[str], notes: list[str]) -> str:
+def _message_list(warnings: list[str], notes: list[str]) -> str:
     items = [f'<li class="warning">{escape(text)}</li>' for text in warnings]
     items += [f"<li>{escape(text)}</li>" for text in notes]
     return f'<ul class="notes">{"".join(items)}</ul>' if items else ""
@@ -293,49 +306,53 @@ def _picture(image: Image, caption: str) -> str:
     )
 
 
-def _panel(panel: Panel) -> str:
+def _panel_pictures(panel: Panel) -> str:
     return '<div class="pair">' + "".join(_picture(image, caption) for image, caption in panel.pictures) + "</div>"
 
 
-def _pair(figure: Figure, result: MatchResult) -> str:
+def _picture_pair(figure: Figure, result: MatchResult) -> str:
     source = _stem(result.source.control.name)
     target = _stem(result.target.control.name)
     left = "" if figure.source is None else _picture(figure.source, f"{source} (source), {figure.view}")
     return f'<div class="pair">{left}{_picture(figure.target, f"{target} (target), {figure.view}")}</div>'
 
 
-def _answers(result: MatchResult, gallery: Gallery) -> str:
-    """The map and its runner-up side by side, where it is not sure which is right."""
+def _answers_section(result: MatchResult, gallery: Gallery) -> str:
+    """The map and its runner-up side by side, if the map is not sure."""
     if result.confidence is None or not gallery.answers:
         return ""
     best, other = result.confidence.readings[:2]
     body = "".join(
         '<div class="pair">'
-        + _picture(found.target, f"this map: {best.name}, {found.view}")
-        + _picture(runner.target, f"the other: {other.name}, {found.view}")
-        + ("" if runner.source is None else _picture(runner.source, f"the source's own colours, {found.view}"))
-        + _picture(apart.target, f"red: where the two differ, {found.view}")
+        + _picture(best_figure.target, f"this map: {best.name}, {best_figure.view}")
+        + _picture(runner_up.target, f"the other: {other.name}, {best_figure.view}")
+        + (
+            ""
+            if runner_up.source is None
+            else _picture(runner_up.source, f"the source's own colours, {best_figure.view}")
+        )
+        + _picture(difference.target, f"red: where the two differ, {best_figure.view}")
         + "</div>"
-        for found, (runner, apart) in zip(gallery.maps, gallery.answers, strict=True)
+        for best_figure, (runner_up, difference) in zip(gallery.maps, gallery.answers, strict=True)
     )
     lead = (
         "Colours say where on the source a point goes, as above: the right map has the source's colours in the right "
         "places. A landmark where they differ decides; `answer=1` takes the other."
     )
     title = "Two answers" if result.confidence.verdict == TWO else "The next best answer"
-    return _section(f"{title}: which is right?", in_options(lead), body)
+    return _section(f"{title}: which is right?", use_option_names(lead), body)
 
 
-def _ratings(ratings: list[Any]) -> str:
+def _rating_cards(ratings: list[Any]) -> str:
     cards = [
-        f'<div class="card {m.verdict}"><p class="label">{escape(m.label)}</p><p class="value">{escape(m.value)}</p>'
-        f"<p>{escape(m.meaning)}</p></div>"
-        for m in ratings
+        f'<div class="card {rating.verdict}"><p class="label">{escape(rating.label)}</p>'
+        f'<p class="value">{escape(rating.value)}</p><p>{escape(rating.meaning)}</p></div>'
+        for rating in ratings
     ]
     return f'<div class="cards">{"".join(cards)}</div>' if cards else "<p>No figures were stored with this result.</p>"
 
 
-def _landmarks(result: MatchResult) -> str:
+def _landmark_table(result: MatchResult) -> str:
     names = result.landmark_names
     left_out = {suspect.pair for suspect in result.suspects}
     regions = {region.landmark: region for region in region_figures(result)} if len(result.trusted) else {}
@@ -346,7 +363,7 @@ def _landmarks(result: MatchResult) -> str:
         rows.append(
             f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>{name}</td>'
             f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td>"
-            f"<td>{_size(regions.get(names[number]))}</td>"
+            f"<td>{_size_text(regions.get(names[number]))}</td>"
             f'<td><button type="button" data-landmark="{number}" aria-label="Show {name}">Show</button>'
             "</td></tr>"
         )
@@ -354,19 +371,19 @@ def _landmarks(result: MatchResult) -> str:
     return f'<table class="columns">{head}{"".join(rows)}</table>'
 
 
-def _size(region: RegionFigures | None) -> str:
-    """How the target differs from the source around a landmark."""
+def _size_text(region: RegionFigures | None) -> str:
+    """Size, stretch and folds of the target around a landmark."""
     if region is None:
         return ""
-    said = f"{region.size:.2f}"
-    if region.aspect_ratio > NOTABLE_ASPECT:
-        said += f", stretched {region.aspect_ratio:.1f} : 1"
+    text = f"{region.size:.2f}"
+    if region.aspect_ratio > MIN_NOTED_ASPECT_RATIO:
+        text += f", stretched {region.aspect_ratio:.1f} : 1"
     if region.folded >= 0.001:
-        said += f", {100 * region.folded:.1f} % folded"
-    return said
+        text += f", {100 * region.folded:.1f} % folded"
+    return text
 
 
-def _curves(result: MatchResult) -> str:
+def _curve_table(result: MatchResult) -> str:
     rows = []
     for entry, color in zip(result.manifest.get("curves") or [], distinct_colors(len(result.curves)), strict=True):
         red, green, blue = np.round(color * 255).astype(int)
@@ -388,7 +405,7 @@ def _time_summary(manifest: dict[str, Any]) -> str:
     return f"{_total(manifest.get('timings') or {}):.1f} seconds in all{peak}."
 
 
-def _timings(timings: dict[str, Any]) -> str:
+def _timing_table(timings: dict[str, Any]) -> str:
     stages = {name: float(value) for name, value in timings.items() if isinstance(value, int | float)}
     longest = max(stages.values(), default=0.0) or 1.0
     rows = [
@@ -399,7 +416,7 @@ def _timings(timings: dict[str, Any]) -> str:
     return f'<table class="bars">{"".join(rows)}</table>'
 
 
-def _provenance(result: MatchResult) -> str:
+def _provenance_table(result: MatchResult) -> str:
     manifest = result.manifest
     entries: dict[str, Any] = {}
     for side_name, side in (("source", result.source), ("target", result.target)):
@@ -408,7 +425,7 @@ def _provenance(result: MatchResult) -> str:
             f"{side.refinement.scheme} to level {side.refinement.n_levels}"
         )
     for group in ("parameters", "versions", "inputs"):
-        entries |= flattened(group, manifest.get(group) or {})
+        entries |= flatten_entries(group, manifest.get(group) or {})
     rows = [
         f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>"
         for name, value in entries.items()
@@ -417,11 +434,11 @@ def _provenance(result: MatchResult) -> str:
     return f'<table class="facts">{"".join(rows)}</table>'
 
 
-def flattened(prefix: str, value: Any) -> dict[str, Any]:
-    """Nested dicts as one, names joined by dots."""
+def flatten_entries(prefix: str, value: Any) -> dict[str, Any]:
+    """Nested dicts as one dict; names are joined by dots."""
     if not isinstance(value, dict):
         return {prefix: value}
     entries: dict[str, Any] = {}
     for name, entry in value.items():
-        entries |= flattened(f"{prefix}.{name}" if prefix else name, entry)
+        entries |= flatten_entries(f"{prefix}.{name}" if prefix else name, entry)
     return entries

@@ -1,10 +1,11 @@
-"""Pictures of the wrapped cage and of carried skinning weights, blend shapes, passengers and poses."""
+"""Pictures of the wrapped cage, and of carried skinning weights, blend shapes, passengers and poses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,23 +27,23 @@ from cagemap.pictures import (
     render,
     scalar_colors,
 )
-from cagemap.report.figures import PAPER
-from cagemap.report.viewpoints import Seen, seen
+from cagemap.report.figures import BACKGROUND
+from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.closest_points import closest_points
 
-_CLAY = np.array([0.86, 0.84, 0.80])
-_WIRE = np.array([0.13, 0.28, 0.36])
-# Shapes that a page shows; the largest ones.
-_MOST_SHAPES = 4
-_MOST_POSES = 4
-# The colours of distances, and of offsets, end here: the rest of the surface is further, or moves more.
-_SHOWN, _MOVED = 0.95, 0.995
+CLAY = np.array([0.86, 0.84, 0.80])
+WIRE_COLOR = np.array([0.13, 0.28, 0.36])
+# Blend shapes (the largest) and poses (the first) with pictures.
+MAX_PANEL_SHAPES = 4
+MAX_PANEL_POSES = 4
+# Quantiles of distances and of offset lengths that get the last colour of the scale.
+DISTANCE_QUANTILE, OFFSET_QUANTILE = 0.95, 0.995
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Skinning weights at the control vertices of both, (n2, joints) and (n1, joints), rows summing to 1 or less."""
+    """Skinning weights of the control vertices, (n2, joints) and (n1, joints); rows sum to at most 1."""
 
     source: FloatArray
     target: FloatArray
@@ -50,7 +51,7 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """Displacements of the control vertices of both, (n2, 3) and (n1, 3), in their own units."""
+    """A blend shape: offsets of the control vertices, (n2, 3) and (n1, 3), in file units."""
 
     name: str
     source: FloatArray
@@ -59,7 +60,7 @@ class CarriedShape:
 
 @dataclass(frozen=True, eq=False)
 class Passenger:
-    """Clothes, hair or a prop: as it sits on the source, and as carried to the target, in their files' lengths."""
+    """Clothes, hair or a prop on the source, and carried to the target, in file units."""
 
     name: str
     source: ControlMesh
@@ -68,7 +69,7 @@ class Passenger:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose: positions of the control vertices of both, (n2, 3) and (n1, 3), in their own units."""
+    """A pose: positions of the control vertices, (n2, 3) and (n1, 3), in file units."""
 
     name: str
     source: FloatArray
@@ -77,12 +78,12 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class CarriedData:
-    """What a report shows beside the map.
+    """Data carried by the map that a report shows.
 
     Attributes
     ----------
     wrapped : ControlMesh or None
-        The target's cage, or the net of a finer level, in the source's shape.
+        The target's cage, or the mesh of a finer level, in the source's shape.
     weights : Weights or None
     shapes : tuple of CarriedShape
     passengers : tuple of Passenger
@@ -96,12 +97,16 @@ class CarriedData:
     poses: tuple[Pose, ...] = field(default=())
 
 
-NOTHING = CarriedData()
+NO_DATA = CarriedData()
+
+_Value = TypeVar("_Value")
+# Model, skin, view, segments to draw on it, caption.
+_Job = tuple[Model, Skin, View, FloatArray | None, str]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A part of the page: pictures with captions, two in a row."""
+    """A section of the page: pictures with captions, two in a row."""
 
     title: str
     lead: str
@@ -109,9 +114,9 @@ class Panel:
 
 
 def draw_carried(
-    result: MatchResult, carried: CarriedData, size: tuple[int, int], views: Seen | None = None
+    result: MatchResult, carried: CarriedData, size: tuple[int, int], viewpoints: Viewpoints | None = None
 ) -> tuple[Panel, ...]:
-    """Draw the data that a map carried.
+    """Draw the data that a map carried, one panel for each kind.
 
     Parameters
     ----------
@@ -119,151 +124,153 @@ def draw_carried(
     carried : CarriedData
     size : (int, int)
         Of every picture.
-    views : Seen, optional
-        From where; by default as the target's shape shows.
+    viewpoints : Viewpoints, optional
+        Default: `choose_viewpoints`.
     """
-    panels, views = list[Panel](), views or seen(result)
+    panels, viewpoints = list[Panel](), viewpoints or choose_viewpoints(result)
     if carried.wrapped is not None:
-        panels.append(_wrapped(result, carried.wrapped, views, size))
+        panels.append(_wrap_panel(result, carried.wrapped, viewpoints, size))
     if carried.weights is not None:
-        panels.append(_weights(result, carried.weights, views, size))
+        panels.append(_weights_panel(result, carried.weights, viewpoints, size))
     if carried.shapes:
-        panels.append(_shapes(result, carried.shapes, views, size))
+        panels.append(_shapes_panel(result, carried.shapes, viewpoints, size))
     if carried.passengers:
-        panels.append(draw_passengers(result, carried.passengers, views, size))
+        panels.append(_passengers_panel(result, carried.passengers, viewpoints, size))
     if carried.poses:
-        panels.append(draw_poses(result, carried.poses, views, size))
+        panels.append(_poses_panel(result, carried.poses, viewpoints, size))
     return tuple(panels)
 
 
-def _wrapped(result: MatchResult, cage: ControlMesh, views: Seen, size: tuple[int, int]) -> Panel:
-    """Source and wrapped surface with its net, how far apart they are, and the cages."""
+def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
+    """Source, wrapped surface with the cage's edges, distance between both, and the cages."""
     target, source = result.target.refinement, result.source.refinement
-    fine = refined_wrap(target, cage)
+    wrapped = refined_wrap(target, cage)
     surface = result.point_map.source
-    places = fine.finest.positions
-    _, _, distance = closest_points(surface.tree, surface.scale * places)
-    most = float(np.quantile(distance, _SHOWN))
-    here, there = views.target.turn, views.source_turn
-    own, other, before = _model(fine, there), _model(source, there), _model(target, here)
-    colors = Skin(vertex_colors=scalar_colors(distance, 0.0, most))
-    net, rest = control_edges(fine) @ there, control_edges(target) @ here
-    flat = [
-        Model(mesh.positions @ turn, cage_triangles(mesh)[0]) for mesh, turn in ((target.control, here), (cage, there))
-    ]
-    wires = [_edges(mesh) @ turn for mesh, turn in ((target.control, here), (cage, there))]
-    jobs = []
+    _, _, distance = closest_points(surface.tree, surface.scale * wrapped.finest.positions)
+    max_distance = float(np.quantile(distance, DISTANCE_QUANTILE))
+    target_turn, source_turn = viewpoints.target.turn, viewpoints.source_turn
+    wrapped_model, source_model = _finest_model(wrapped, source_turn), _finest_model(source, source_turn)
+    target_model = _finest_model(target, target_turn)
+    distance_skin = Skin(vertex_colors=scalar_colors(distance, 0.0, max_distance))
+    wrapped_edges, target_edges = control_edges(wrapped) @ source_turn, control_edges(target) @ target_turn
+    jobs: list[_Job] = []
     for view in (FRONT, BACK):
         jobs += [
-            (other, Skin(), view, None, f"{source.control.name} (source), {view.name}"),
-            (own, _clay(own), view, net, f"wrapped surface, the edges of the cage on it, {view.name}"),
+            (source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"),
+            (
+                wrapped_model,
+                _clay_skin(wrapped_model),
+                view,
+                wrapped_edges,
+                f"wrapped surface, the edges of the cage on it, {view.name}",
+            ),
         ]
+    scale = f"distance to the source: dark 0, yellow {100 * max_distance:.2g} % of sqrt(area)"
     jobs += [
-        (own, colors, FRONT, None, f"distance to the source: dark 0, yellow {100 * most:.2g} % of sqrt(area)"),
-        (before, _clay(before), FRONT, rest, f"{target.control.name} (target) as it was"),
-        (flat[1], _clay(flat[1]), FRONT, wires[1], "wrapped cage, not smoothed"),
-        (flat[0], _clay(flat[0]), FRONT, wires[0], "target's cage, not smoothed"),
+        (wrapped_model, distance_skin, FRONT, None, scale),
+        (target_model, _clay_skin(target_model), FRONT, target_edges, f"{target.control.name} (target) as it was"),
     ]
+    for mesh, turn, caption in (
+        (cage, source_turn, "wrapped cage, not smoothed"),
+        (target.control, target_turn, "target's cage, not smoothed"),
+    ):
+        model = Model(mesh.positions @ turn, cage_triangles(mesh)[0])
+        jobs.append((model, _clay_skin(model), FRONT, cage_edges(mesh) @ turn, caption))
     lead = (
         "The target's cage in the source's shape. Edge loops should run as they did; the distance says where the cage "
         "has no room for what the source has."
     )
-    return Panel("Wrapped", lead, tuple(_drawn(jobs, size)))
+    return Panel("Wrapped", lead, tuple(_draw_all(jobs, size)))
 
 
-def _weights(result: MatchResult, weights: Weights, views: Seen, size: tuple[int, int]) -> Panel:
-    """Every joint in a colour of its own; mixed where several hold a vertex."""
-    target, source = result.target.refinement, result.source.refinement
-    palette = distinct_colors(weights.source.shape[1])
-    jobs = []
+def _weights_panel(result: MatchResult, weights: Weights, viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
+    """Skinning weights as colours, from the front and from behind."""
+    jobs: list[_Job] = []
     for view in (FRONT, BACK):
-        for refinement, values, turn, role in (
-            (source, weights.source, views.source_turn, "source"),
-            (target, weights.target, views.target.turn, "target"),
-        ):
-            mixed = values @ palette + (1.0 - values.sum(axis=1, keepdims=True)).clip(0.0) * _CLAY
-            colors = refinement.prolong(mixed, 0, refinement.n_levels).clip(0.0, 1.0)
-            caption = f"{refinement.control.name} ({role}), {view.name}"
-            jobs.append((_model(refinement, turn), Skin(vertex_colors=colors), view, None, caption))
+        for refinement, values, turn, side in _both_sides(result, viewpoints, weights.source, weights.target):
+            colors = refinement.prolong(joint_colors(values), 0, refinement.n_levels).clip(0.0, 1.0)
+            caption = f"{refinement.control.name} ({side}), {view.name}"
+            jobs.append((_finest_model(refinement, turn), Skin(vertex_colors=colors), view, None, caption))
     lead = "A colour for every joint, mixed where several joints hold a vertex. Borders should lie at equal places."
-    return Panel("Skinning weights", lead, tuple(_drawn(jobs, size)))
+    return Panel("Skinning weights", lead, tuple(_draw_all(jobs, size)))
 
 
-def _shapes(result: MatchResult, shapes: tuple[CarriedShape, ...], views: Seen, size: tuple[int, int]) -> Panel:
-    """The largest shapes, on source and target."""
-    target, source = result.target.refinement, result.source.refinement
+def _shapes_panel(
+    result: MatchResult, shapes: tuple[CarriedShape, ...], viewpoints: Viewpoints, size: tuple[int, int]
+) -> Panel:
+    """The largest shapes on both models, coloured by the length of the offsets."""
     largest = sorted(shapes, key=lambda shape: -float(np.linalg.norm(shape.source, axis=1).max(initial=0.0)))
-    jobs = []
-    for shape in sorted(largest[:_MOST_SHAPES], key=lambda shape: shape.name):
-        for refinement, offsets, turn, role in (
-            (source, shape.source, views.source_turn, "source"),
-            (target, shape.target, views.target.turn, "target"),
-        ):
-            moved = refinement.prolong(offsets, 0, refinement.n_levels)
-            length = np.linalg.norm(moved, axis=1)
-            moved_to = (refinement.finest.positions + moved) @ turn
-            model = Model(moved_to, level_triangles(refinement, refinement.n_levels))
-            share = (length / (float(np.quantile(length, _MOVED)) or 1.0)).clip(0.0, 1.0)[:, None]
-            colors = (1.0 - share) * _CLAY + share * np.array([0.80, 0.36, 0.22])
-            jobs.append((model, Skin(vertex_colors=colors), FRONT, None, f"{shape.name}, {role}"))
+    jobs: list[_Job] = []
+    for shape in sorted(largest[:MAX_PANEL_SHAPES], key=lambda shape: shape.name):
+        for refinement, offsets, turn, side in _both_sides(result, viewpoints, shape.source, shape.target):
+            finest_offsets = refinement.prolong(offsets, 0, refinement.n_levels)
+            length = np.linalg.norm(finest_offsets, axis=1)
+            share = (length / (float(np.quantile(length, OFFSET_QUANTILE)) or 1.0)).clip(0.0, 1.0)[:, None]
+            colors = (1.0 - share) * CLAY + share * np.array([0.80, 0.36, 0.22])
+            model = _finest_model(refinement, turn, finest_offsets)
+            jobs.append((model, Skin(vertex_colors=colors), FRONT, None, f"{shape.name}, {side}"))
     lead = "The same shape on both, redder where it moves more."
-    if len(shapes) > _MOST_SHAPES:
-        lead += f" The largest {_MOST_SHAPES} of {len(shapes)}."
-    return Panel("Blend shapes", lead, tuple(_drawn(jobs, size)))
+    if len(shapes) > MAX_PANEL_SHAPES:
+        lead += f" The largest {MAX_PANEL_SHAPES} of {len(shapes)}."
+    return Panel("Blend shapes", lead, tuple(_draw_all(jobs, size)))
 
 
-def draw_passengers(result: MatchResult, passengers: Sequence[Passenger], views: Seen, size: tuple[int, int]) -> Panel:
-    """Both bodies with what they wear, a colour for each passenger."""
+def _passengers_panel(
+    result: MatchResult, passengers: Sequence[Passenger], viewpoints: Viewpoints, size: tuple[int, int]
+) -> Panel:
+    """Both bodies with their passengers, a colour for each."""
     palette = distinct_colors(len(passengers))
-    sides = (
-        (result.source.refinement, [one.source for one in passengers], views.source_turn, "source"),
-        (result.target.refinement, [one.target for one in passengers], views.target.turn, "target"),
-    )
-    jobs = []
+    meshes = [passenger.source for passenger in passengers], [passenger.target for passenger in passengers]
+    jobs: list[_Job] = []
     for view in (FRONT, BACK):
-        for refinement, worn, turn, role in sides:
-            whole = _model(refinement, turn)
+        for refinement, worn, turn, side in _both_sides(result, viewpoints, *meshes):
+            body = _finest_model(refinement, turn)
             parts = [Model(mesh.positions @ turn, cage_triangles(mesh)[0]) for mesh in worn]
-            colors = [np.broadcast_to(_CLAY, whole.positions.shape)]
+            colors = [np.broadcast_to(CLAY, body.positions.shape)]
             colors += [np.tile(color, (len(part.positions), 1)) for color, part in zip(palette, parts, strict=True)]
             skin = Skin(vertex_colors=np.concatenate(colors))
-            jobs.append(
-                (_joined([whole, *parts]), skin, view, None, f"{refinement.control.name} ({role}), {view.name}")
-            )
-    names = ", ".join(one.name for one in passengers)
-    return Panel("Passengers", f"What the source wears, on the target: {names}.", tuple(_drawn(jobs, size)))
+            caption = f"{refinement.control.name} ({side}), {view.name}"
+            jobs.append((_join_models([body, *parts]), skin, view, None, caption))
+    names = ", ".join(passenger.name for passenger in passengers)
+    return Panel("Passengers", f"What the source wears, on the target: {names}.", tuple(_draw_all(jobs, size)))
 
 
-def draw_poses(result: MatchResult, poses: Sequence[Pose], views: Seen, size: tuple[int, int]) -> Panel:
-    """Both models in every pose."""
-    jobs = []
-    for pose in poses[:_MOST_POSES]:
-        for refinement, positions, turn, role in (
-            (result.source.refinement, pose.source, views.source_turn, "source"),
-            (result.target.refinement, pose.target, views.target.turn, "target"),
-        ):
-            moved = refinement.prolong(positions - refinement.control.positions, 0, refinement.n_levels)
-            model = Model(
-                (refinement.finest.positions + moved) @ turn, level_triangles(refinement, refinement.n_levels)
-            )
-            jobs.append((model, _clay(model), FRONT, None, f"{pose.name}, {role}"))
+def _poses_panel(result: MatchResult, poses: Sequence[Pose], viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
+    """Both models in the first poses."""
+    jobs: list[_Job] = []
+    for pose in poses[:MAX_PANEL_POSES]:
+        for refinement, positions, turn, side in _both_sides(result, viewpoints, pose.source, pose.target):
+            offsets = refinement.prolong(positions - refinement.control.positions, 0, refinement.n_levels)
+            model = _finest_model(refinement, turn, offsets)
+            jobs.append((model, _clay_skin(model), FRONT, None, f"{pose.name}, {side}"))
     lead = "The same poses on both. Joints should bend at equal places, without dents."
-    if len(poses) > _MOST_POSES:
-        lead += f" The first {_MOST_POSES} of {len(poses)}."
-    return Panel("Poses", lead, tuple(_drawn(jobs, size)))
+    if len(poses) > MAX_PANEL_POSES:
+        lead += f" The first {MAX_PANEL_POSES} of {len(poses)}."
+    return Panel("Poses", lead, tuple(_draw_all(jobs, size)))
 
 
-def _joined(models: Sequence[Model]) -> Model:
-    """Several models as one."""
+def _both_sides(
+    result: MatchResult, viewpoints: Viewpoints, source: _Value, target: _Value
+) -> Iterator[tuple[Refinement, _Value, FloatArray, str]]:
+    """Refinement, value, rotation and name of the source, then of the target."""
+    yield result.source.refinement, source, viewpoints.source_turn, "source"
+    yield result.target.refinement, target, viewpoints.target.turn, "target"
+
+
+def joint_colors(weights: FloatArray) -> FloatArray:
+    """(n, 3) one colour for every joint, mixed by skinning weights (n, joints); clay where they sum to less than 1."""
+    palette = distinct_colors(weights.shape[1])
+    return np.asarray(weights @ palette + (1.0 - weights.sum(axis=1, keepdims=True)).clip(0.0) * CLAY)
+
+
+def _join_models(models: Sequence[Model]) -> Model:
+    """One model of several."""
     first = np.cumsum([0, *(len(model.positions) for model in models[:-1])])
     triangles = [model.triangles + start for model, start in zip(models, first, strict=True)]
     return Model(np.concatenate([model.positions for model in models]), np.concatenate(triangles))
 
 
-_Job = tuple[Model, Skin, View, FloatArray | None, str]
-
-
-def _drawn(jobs: Sequence[_Job], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
+def _draw_all(jobs: Sequence[_Job], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
     with ThreadPool(2) as pool:
         yield from zip(pool.map(partial(_draw, size=size), jobs), (job[4] for job in jobs), strict=True)
 
@@ -271,47 +278,49 @@ def _drawn(jobs: Sequence[_Job], size: tuple[int, int]) -> Iterator[tuple[Image,
 def _draw(job: _Job, size: tuple[int, int]) -> Image:
     model, skin, view, segments, _ = job
     camera = frame(model.positions, view, aspect=size[0] / size[1])
-    image = render(model, skin, camera, width=size[0], height=size[1], background=PAPER)
-    return image if segments is None else draw_segments(image, model, camera, segments, _WIRE)
+    image = render(model, skin, camera, width=size[0], height=size[1], background=BACKGROUND)
+    return image if segments is None else draw_segments(image, model, camera, segments, WIRE_COLOR)
 
 
-def _clay(model: Model) -> Skin:
-    return Skin(vertex_colors=np.broadcast_to(_CLAY, model.positions.shape))
+def _clay_skin(model: Model) -> Skin:
+    return Skin(vertex_colors=np.broadcast_to(CLAY, model.positions.shape))
 
 
-def _model(refinement: Refinement, turn: FloatArray) -> Model:
-    return Model(refinement.finest.positions @ turn, level_triangles(refinement, refinement.n_levels))
+def _finest_model(refinement: Refinement, turn: FloatArray, offsets: FloatArray | float = 0.0) -> Model:
+    """The finest level, with offsets of its vertices, rotated."""
+    positions = (refinement.finest.positions + offsets) @ turn
+    return Model(positions, level_triangles(refinement, refinement.n_levels))
 
 
 def refined_wrap(target: Refinement, cage: ControlMesh) -> Refinement:
-    """The surface over a wrapped cage, as fine as the target's."""
+    """The wrapped cage refined to the target's finest level."""
     level = next(level for level in range(target.n_levels) if target.levels[level].n_vertices == cage.n_vertices)
     return refine(cage, target.n_levels - level, target.scheme)
 
 
 def control_edges(refinement: Refinement) -> FloatArray:
-    """(e, 2, 3) pieces of the control mesh's edges on the refined surface: finest edges between control faces."""
+    """(e, 2, 3) edges of the finest level that lie on edges of the control mesh."""
     level = refinement.finest
     faces = np.asarray(level.faces)
-    edges, sides = _sides(faces)
-    parents = np.where(sides >= 0, level.face_parents[np.maximum(sides, 0)], -1)
+    edges, edge_faces = _edge_faces(faces)
+    parents = np.where(edge_faces >= 0, level.face_parents[np.maximum(edge_faces, 0)], -1)
     return np.asarray(level.positions[edges[parents[:, 0] != parents[:, 1]]])
 
 
-def _sides(faces: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """(e, 2) edges of triangles or quads, and (e, 2) faces on both sides, -1 where there is none."""
+def _edge_faces(faces: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """(e, 2) edges of triangles or quads, and (e, 2) faces on both sides, -1 for none."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     owner = np.repeat(np.arange(len(faces)), faces.shape[1])
-    edges, which = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    which = which.ravel()
-    sides = np.full((len(edges), 2), -1, dtype=np.int64)
-    sides[which, 0] = owner
-    sides[which[::-1], 1] = owner[::-1]
-    sides[sides[:, 0] == sides[:, 1], 1] = -1
-    return edges, sides
+    edges, edge_of = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+    edge_of = edge_of.ravel()
+    edge_faces = np.full((len(edges), 2), -1, dtype=np.int64)
+    edge_faces[edge_of, 0] = owner
+    edge_faces[edge_of[::-1], 1] = owner[::-1]
+    edge_faces[edge_faces[:, 0] == edge_faces[:, 1], 1] = -1
+    return edges, edge_faces
 
 
-def _edges(mesh: ControlMesh) -> FloatArray:
+def cage_edges(mesh: ControlMesh) -> FloatArray:
     """(e, 2, 3) edges of a control mesh."""
     ends = np.stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]], axis=1)
     return np.asarray(mesh.positions[np.unique(np.sort(ends, axis=1), axis=0)])

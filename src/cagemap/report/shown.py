@@ -1,4 +1,4 @@
-"""Both surfaces of a result, simplified to what a page can show smoothly."""
+"""Both surfaces of a result, simplified for display on a page."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.operators.coarse_levels import simplified
-from cagemap.report.viewpoints import Seen
+from cagemap.report.viewpoints import Viewpoints
 from cagemap.spectral import Surface
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.transfer.textured_surface import TexturedSurface
 
-# Vertices of each surface; more neither look different on a page nor fit into its 5 MB.
-MAX_VERTICES = 60_000
-# Of sqrt(area): source places farther from the target's image are not reached, whatever the size of the triangles.
-REACH = 0.01
+# More vertices look the same on a page and do not fit into its 5 MB.
+MAX_MODEL_VERTICES = 60_000
+# Of sqrt(area): source vertices this close to the target's image count as reached, however small its triangles are.
+MIN_REACH = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class ShownSurface:
-    """One surface, some of whose finest vertices are shown.
+class DisplaySurface:
+    """The vertices and triangles of a surface that a page displays.
 
     Attributes
     ----------
@@ -31,14 +31,14 @@ class ShownSurface:
     vertices : (n,) int64
         Of the finest level.
     triangles : (t, 3) int64
-        Between them.
+        Of ``vertices``.
     positions : (n, 3) float64
-        Turned upright, centred, and in the unit ball.
+        Upright, centred, in the unit ball.
     turn, centre, radius
         ``positions`` are ``(p @ turn - centre) / radius``.
     corner_uvs : (t, 3, 2) float64 or None
     control_faces : (t,) int64 or None
-        Face of the control mesh that each triangle is a part of; None where the surface is simplified.
+        Control face of each triangle; None if the surface is simplified.
     """
 
     surface: Surface
@@ -51,50 +51,54 @@ class ShownSurface:
     corner_uvs: FloatArray | None
     control_faces: IndexArray | None
 
-    def placed(self, positions: FloatArray) -> FloatArray:
-        """Positions (p, 3) of the file in the frame of the page."""
+    def to_page(self, positions: FloatArray) -> FloatArray:
+        """Page coordinates (p, 3) of positions in file units."""
         return np.asarray((positions @ self.turn - self.centre) / self.radius)
 
 
-def shown_surface(surface: Surface, turn: FloatArray, most: int = MAX_VERTICES) -> ShownSurface:
-    """The finest level of at most so many vertices; of a larger plain mesh a simplification."""
+def display_surface(surface: Surface, turn: FloatArray, max_vertices: int = MAX_MODEL_VERTICES) -> DisplaySurface:
+    """The finest level with at most ``max_vertices``; a simplified mesh if a plain mesh has more."""
     refinement = surface.refinement
     positions = np.asarray(refinement.finest.positions)
-    small = [k for k, level in enumerate(refinement.levels) if level.n_vertices <= most and level.faces is not None]
+    level_numbers = [
+        k for k, level in enumerate(refinement.levels) if level.n_vertices <= max_vertices and level.faces is not None
+    ]
     uvs, parents = None, None
-    if small and (not refinement.is_plain or small[-1] == refinement.n_levels):
-        level = refinement.levels[small[-1]]
-        textured = TexturedSurface.from_level(level, refinement.holes(small[-1]))
-        kept = slice(None) if textured.holes is None else ~textured.holes
-        triangles, vertices = textured.triangles[kept], refinement.on_finest(small[-1])
-        uvs = None if textured.uvs is None else textured.corner_uvs()[kept]
-        parents = textured.face_parents[textured.triangle_faces][kept]
+    if level_numbers and (not refinement.is_plain or level_numbers[-1] == refinement.n_levels):
+        level = refinement.levels[level_numbers[-1]]
+        textured = TexturedSurface.from_level(level, refinement.holes(level_numbers[-1]))
+        rows = slice(None) if textured.holes is None else ~textured.holes
+        triangles, vertices = textured.triangles[rows], refinement.on_finest(level_numbers[-1])
+        uvs = None if textured.uvs is None else textured.corner_uvs()[rows]
+        parents = textured.face_parents[textured.triangle_faces][rows]
     else:
-        coarse = simplified(positions, surface.finest_triangles.triangles, most)
+        coarse = simplified(positions, surface.finest_triangles.triangles, max_vertices)
         vertices, triangles = coarse.kept, coarse.triangles
-    turned = positions[vertices] @ turn
-    centre = (turned.min(0) + turned.max(0)) / 2
-    radius = float(np.linalg.norm(turned - centre, axis=1).max()) or 1.0
-    return ShownSurface(surface, vertices, triangles, (turned - centre) / radius, turn, centre, radius, uvs, parents)
+    upright = positions[vertices] @ turn
+    centre = (upright.min(0) + upright.max(0)) / 2
+    radius = float(np.linalg.norm(upright - centre, axis=1).max()) or 1.0
+    return DisplaySurface(surface, vertices, triangles, (upright - centre) / radius, turn, centre, radius, uvs, parents)
 
 
-def shown_surfaces(result: MatchResult, views: Seen, most: int = MAX_VERTICES) -> tuple[ShownSurface, ShownSurface]:
-    """Target and source."""
+def display_surfaces(
+    result: MatchResult, viewpoints: Viewpoints, max_vertices: int = MAX_MODEL_VERTICES
+) -> tuple[DisplaySurface, DisplaySurface]:
+    """Displayed target and source."""
     return (
-        shown_surface(result.target, views.target.turn, most),
-        shown_surface(result.source, views.source_turn, most),
+        display_surface(result.target, viewpoints.target.turn, max_vertices),
+        display_surface(result.source, viewpoints.source_turn, max_vertices),
     )
 
 
-def reached(result: MatchResult, source: ShownSurface) -> NDArray[np.bool_]:
-    """(n,) which shown vertices of the source some part of the target maps to."""
+def reached_vertices(result: MatchResult, source: DisplaySurface) -> NDArray[np.bool_]:
+    """(n,) mask of the displayed source vertices that the map reaches."""
     images, triangles = result.point_map.images.positions, result.point_map.target.triangles
-    places = result.point_map.source
+    surface = result.point_map.source
     corners = images[triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    queries = places.positions[source.vertices]
-    found, _, distance = closest_points(
-        build_tree(images, triangles), queries, places.vertex_normals[source.vertices], minimum_cosine=0.0
+    vertices = surface.positions[source.vertices]
+    triangle, _, distance = closest_points(
+        build_tree(images, triangles), vertices, surface.vertex_normals[source.vertices], minimum_cosine=0.0
     )
-    within = np.where(found >= 0, 0.5 * np.minimum(longest[found], 0.1), 0.0)
-    return np.asarray(distance <= np.maximum(REACH, within))
+    half_edge = np.where(triangle >= 0, 0.5 * np.minimum(longest[triangle], 0.1), 0.0)
+    return np.asarray(distance <= np.maximum(MIN_REACH, half_edge))

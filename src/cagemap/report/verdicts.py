@@ -11,12 +11,12 @@ _PERCENT = "{:.2f} %"
 
 @dataclass(frozen=True)
 class Rating:
-    """One figure for people.
+    """One quality figure with its verdict.
 
     Attributes
     ----------
     label, value, meaning : str
-        What it is called, its number with its unit, and a sentence on how to read it.
+        Name, number with unit, and how to read it.
     verdict : str
         "good", "fair" or "poor".
     finding : str
@@ -30,37 +30,37 @@ class Rating:
     finding: str
 
 
-def explain(quality: dict[str, Any]) -> list[Rating]:
-    """Figures of a manifest's ``quality``, each with a verdict; unknown or missing ones are left out."""
+def rate_figures(quality: dict[str, Any]) -> list[Rating]:
+    """Rate the known figures of a manifest's ``quality``."""
     ratings = []
-    for read, label, show, meaning, good, fair, finding in _FIGURES:
+    for read, label, formatted, meaning, good, fair, finding in _FIGURES:
         value = read(quality)
         if value is None:
             continue
         badness = abs(value)
         verdict = "good" if badness <= good else "fair" if badness <= fair else "poor"
-        ratings.append(Rating(label, show(value), meaning, verdict, finding.format(show(value))))
+        ratings.append(Rating(label, formatted(value), meaning, verdict, finding.format(formatted(value))))
     return ratings
 
 
-def overall(ratings: list[Rating], warnings: list[str]) -> str:
-    """One word for all: the worst verdict, at best "fair" where there are warnings."""
+def overall_verdict(ratings: list[Rating], warnings: list[str]) -> str:
+    """The worst verdict; at best "fair" if there are warnings."""
     verdicts = {rating.verdict for rating in ratings} | ({"fair"} if warnings else set())
     return next((verdict for verdict in ("poor", "fair") if verdict in verdicts), "good")
 
 
-def sentence(ratings: list[Rating], verdict: str, *, unsure: bool = False, marked: bool = True) -> str:
-    """The verdict for people: one sentence that names the worst figure.
+def verdict_sentence(ratings: list[Rating], verdict: str, *, unsure: bool = False, marked: bool = True) -> str:
+    """The verdict as one sentence that names the worst figure.
 
     Parameters
     ----------
     ratings : list of Rating
     verdict : str
-        See `overall`.
+        See `overall_verdict`.
     unsure : bool
-        Whether the map, with few landmarks or none, may be another than the right one.
+        Whether the map may be a wrong answer.
     marked : bool
-        Whether the page has marked places.
+        Whether the page has marks.
     """
     worst = next((rating.finding for rating in ratings if rating.verdict == verdict), "")
     if verdict == "good":
@@ -73,26 +73,26 @@ def sentence(ratings: list[Rating], verdict: str, *, unsure: bool = False, marke
     return f"The map is usable; {worst}: {advice}." if worst else f"The map is usable; {advice}."
 
 
-def _get(quality: dict[str, Any], *names: str) -> float | None:
+def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
     value: Any = quality
     for name in names:
         value = value.get(name) if isinstance(value, dict) else None
     return float(value) if isinstance(value, int | float) else None
 
 
-def _missing(name: str) -> Callable[[dict[str, Any]], float | None]:
+def _complement(name: str) -> Callable[[dict[str, Any]], float | None]:
     def read(quality: dict[str, Any]) -> float | None:
-        share = _get(quality, name)
+        share = _read_figure(quality, name)
         return None if share is None else 1.0 - share
 
     return read
 
 
-_Figure = tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float, str]
-# reader, label, format, meaning, good up to, fair up to (of the value as read), finding
-_FIGURES: list[_Figure] = [
+_FigureRow = tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float, str]
+# Reader, label, format, meaning, largest good and largest fair value, finding.
+_FIGURES: list[_FigureRow] = [
     (
-        lambda q: _get(q, "landmark_error_mean"),
+        lambda q: _read_figure(q, "landmark_error_mean"),
         "Landmarks, mean miss",
         lambda x: _PERCENT.format(100 * x),
         "How far from their partners the landmarks land, as a share of the model's size (the square root of its area). "
@@ -102,7 +102,7 @@ _FIGURES: list[_Figure] = [
         "landmarks miss by {} of the model's size",
     ),
     (
-        lambda q: _get(q, "landmark_error_worst"),
+        lambda q: _read_figure(q, "landmark_error_worst"),
         "Landmarks, worst miss",
         lambda x: _PERCENT.format(100 * x),
         "The same for the landmark that is met worst. Pairs that were left out do not count.",
@@ -111,7 +111,7 @@ _FIGURES: list[_Figure] = [
         "a landmark misses by {} of the model's size",
     ),
     (
-        lambda q: _get(q, "flipped_area"),
+        lambda q: _read_figure(q, "flipped_area"),
         "Folded area",
         lambda x: _PERCENT.format(100 * x),
         "Part of the target where the map runs backwards over itself. A texture is mirrored or smeared there.",
@@ -120,17 +120,17 @@ _FIGURES: list[_Figure] = [
         "{} of the target is folded over",
     ),
     (
-        _missing("coverage"),
+        _complement("coverage"),
         "Source left out",
         lambda x: _PERCENT.format(100 * x),
         "Part of the source's area that nothing of the target maps to. What is painted there does not arrive.",
         0.02,
-        # A part that the target lacks (an udder, a mouth) leaves the rest of the map as good as it is.
+        # A part that the target lacks (an udder, a mouth) does not make the rest of the map worse.
         0.5,
         "{} of the source arrives nowhere",
     ),
     (
-        lambda q: _get(q, "dirichlet"),
+        lambda q: _read_figure(q, "dirichlet"),
         "Stretch",
         "{:.2f}".format,
         "1 for a map that keeps all lengths; models of different proportions have more. Lower is smoother.",
@@ -139,7 +139,7 @@ _FIGURES: list[_Figure] = [
         "it stretches strongly ({}; 1 keeps all lengths)",
     ),
     (
-        lambda q: _get(q, "aspect_ratio_percentiles", "50"),
+        lambda q: _read_figure(q, "aspect_ratio_percentiles", "50"),
         "Typical distortion",
         lambda x: f"{x:.2f} : 1",
         "How much longer than wide a small circle becomes, in the middle half of the surface.",
@@ -148,13 +148,13 @@ _FIGURES: list[_Figure] = [
         "it distorts strongly ({} in the middle)",
     ),
     (
-        _missing("trusted_area"),
+        _complement("trusted_area"),
         "Not to be trusted",
         lambda x: _PERCENT.format(100 * x),
         "How far the map is from unfolded and little stretched, averaged over the target; the red places of "
         "the view Problems.",
         0.10,
-        # Folds have a verdict of their own above; a toy and its living model differ by this much stretch alone.
+        # Folds have their own verdict; a toy and a real animal differ by this much stretch.
         0.60,
         "{} of the target is folded or stretched",
     ),

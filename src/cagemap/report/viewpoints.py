@@ -1,4 +1,4 @@
-"""Viewpoints from which both surfaces of a result are drawn."""
+"""Viewpoints of source and target in pictures."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
-from cagemap.pictures import Orientation, matching_turn, orientation
+from cagemap.pictures import Orientation, find_orientation, matching_turn
 from cagemap.subdivision import level_triangles
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """Rotations, for rows, after which target and source are seen from the same side, with +Y up.
+class Viewpoints:
+    """Rotations, for rows, after which target and source face the same way with +Y up.
 
     Attributes
     ----------
@@ -26,16 +26,18 @@ class Seen:
     source_turn: FloatArray
 
 
-def seen(result: MatchResult, upright: FloatArray | None = None, reason: str = "") -> Seen:
-    """How a result is seen: the target by its file or its shape, the source by the map.
+def choose_viewpoints(result: MatchResult, upright: FloatArray | None = None, reason: str = "") -> Viewpoints:
+    """Viewpoints of a result: the target's from its file or shape, the source's from the map.
 
     Parameters
     ----------
     result : MatchResult
     upright : (3, 3) float64, optional
-        Rotation for rows after which the target's up is +Y, where it is known, and ``reason`` says from where.
+        Rotation for rows after which the target's up is +Y, if known.
+    reason : str
+        Where ``upright`` comes from.
     """
     refinement = result.target.refinement
     positions = np.asarray(refinement.finest.positions)
-    target = orientation(positions, level_triangles(refinement, refinement.n_levels), upright, reason)
-    return Seen(target, matching_turn(result.image(), positions, target.turn))
+    target = find_orientation(positions, level_triangles(refinement, refinement.n_levels), upright, reason)
+    return Viewpoints(target, matching_turn(result.image(), positions, target.turn))

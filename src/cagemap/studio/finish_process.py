@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
 
-from cagemap.errors import explained, in_options
+from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
 from cagemap.studio.worker import PATIENCE, Done, Stage
@@ -95,10 +95,10 @@ def perform(request: Request, stages: Stages) -> Made:
                 summary, warnings = run_request(request, stages)
                 logged.texts += warnings
             except Exception as error:
-                failure = explained(error)
+                failure = explain_error(error)
     finally:
         log.removeHandler(logged)
-    said = tuple(dict.fromkeys(map(in_options, logged.texts)))  # some files are read several times
+    said = tuple(dict.fromkeys(map(use_option_names, logged.texts)))  # some files are read several times
     return Made(summary, said, tuple(file.resolve() for file in files), failure)
 
 

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from cagemap.errors import CagemapError, in_options
+from cagemap.errors import CagemapError, use_option_names
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Studio, with_message
 
@@ -52,7 +52,7 @@ class Held:
 
     def _notes(self, notes: Iterable[str], kind: str = "note") -> None:
         for note in notes:
-            self._say(kind, in_options(note))
+            self._say(kind, use_option_names(note))
 
     def _change(self, **fields: object) -> None:
         with self._lock:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures.camera import turn_between
+from cagemap.pictures.camera import turn_angle
 from cagemap.studio.file_parts import Rest
 from cagemap.studio.glb import Drawn, glb
 from cagemap.studio.shape import Shape
@@ -86,7 +86,7 @@ def faced(source: Shape, target: Shape, images: Images | None) -> Shape:
     if images is None:
         return source
     places = images.on(source.triangles, source.turned(source.positions))
-    quarters = round(turn_between(places, target.turned(target.positions)) / 90) % 4
+    quarters = round(turn_angle(places, target.turned(target.positions)) / 90) % 4
     if not quarters:
         return source
     cos, sin = ((0, 1), (-1, 0), (0, -1))[quarters - 1]

@@ -9,11 +9,11 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.normals import moved
+from cagemap.character.normals import move_vertices
 from cagemap.character.passenger_pieces import Kind
 from cagemap.character.passengers import carry_passengers
-from cagemap.character.retarget import retargeted
-from cagemap.character.roles import body_of, role
+from cagemap.character.retarget import retarget_all
+from cagemap.character.roles import find_body, passenger_word
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Animation, Character, Part
 from cagemap.errors import ParameterError
@@ -80,7 +80,7 @@ def carry_character(
     landmarks : Landmarks, optional
         Between the two bodies.
     bodies : (str or None, str or None)
-        Names of the target's and of the source's body; by default `body_of` finds them.
+        Names of the target's and of the source's body; by default `find_body` finds them.
     passengers : sequence of str, optional
         Names of those to carry. Default: all whose role (`role`) no other part of the target has.
     kinds : mapping of str to kind, optional
@@ -97,7 +97,7 @@ def carry_character(
         If there is no part of a name given.
     """
     stages = Stages() if stages is None else stages
-    target_body, source_body = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])
+    target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _chosen(source, source_body, target, target_body, passengers)
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
@@ -113,7 +113,7 @@ def carry_character(
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     dressed = [
         replace(
-            moved(part, one.positions),
+            move_vertices(part, one.positions),
             shapes={name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()},
         )
         for part, one in zip(to_carry, carried, strict=True)
@@ -122,7 +122,7 @@ def carry_character(
     if source.rig is not None:
         stages("skeleton and animations")
         rig = carry_rig(result.point_map, source.rig)
-        animations, posed_otherwise = retargeted(source.animations, source.rig, rig)
+        animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)
         if posed_otherwise:
             notes.append(
                 "the body stands in another pose than the character: animations are adapted to the pose of the body"
@@ -237,7 +237,7 @@ def _chosen(
                 f"got {', '.join(missing)}"
             )
         return [part for part in there if part.name in names], []
-    roles = {role(part.name) for part in target.parts if part is not target_body} - {""}
-    declined = [part.name for part in there if role(part.name) in roles]
+    roles = {passenger_word(part.name) for part in target.parts if part is not target_body} - {""}
+    declined = [part.name for part in there if passenger_word(part.name) in roles]
     notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
     return [part for part in there if part.name not in declined], notes if declined else []

@@ -10,16 +10,16 @@ from cagemap.errors import CagemapError
 from cagemap.files.meshes.formats import read_whole
 from cagemap.jobs import Job, Plan, Task, missing_tasks
 from cagemap.jobs.costs import (
-    FACTOR,
-    PREPARED,
-    STARTUP,
+    ERROR_FACTOR,
+    PREPARED_VERTICES,
+    STARTUP_SECONDS,
     Size,
-    stored_result,
-    stored_surface,
+    result_bytes,
+    surface_bytes,
     task_seconds,
     worker_memory,
 )
-from cagemap.jobs.farm import farm_steps, numbered
+from cagemap.jobs.farm import farm_steps, numbered_tasks
 from cagemap.mesh.mesh_report import counted
 from cagemap.pipeline import choose_level
 from cagemap.spectral.surface import DEFAULT_VERTICES
@@ -66,7 +66,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
     lines, total, memory, disk = [], 0.0, 0.0, 0.0
     missing = missing_tasks(plan)
     waiting = {task.name for task in missing}
-    for number, task in numbered(farm_steps(plan)):
+    for number, task in numbered_tasks(farm_steps(plan)):
         if task.name not in waiting:
             lines.append(f"  {number} {task.name}: done")
             continue
@@ -77,16 +77,16 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         shown = " + ".join(f"{size.finest:,}" for size in own)
         lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, own)}")
     used = max(min(workers, len(missing)), 1)
-    minutes = (total / used + STARTUP * bool(missing)) / 60
+    minutes = (total / used + STARTUP_SECONDS * bool(missing)) / 60
     return "\n".join(
         [
             f"{len(plan.tasks)} tasks for {counted(len(plan.pairs), 'pair')}, {len(missing)} to do",
             *lines,
             f"  {farm_steps(plan)[-1].last} page",
-            *(f"  {text}" for text in plan.left_out),
+            *(f"  {text}" for text in plan.omitted_outputs),
             *(f"  {name} cannot be used: {size.problem}" for name, size in sizes.items() if size.problem),
             f"about {total / 60:.1f} core minutes, {minutes:.1f} minutes with {workers} workers (within a factor of "
-            f"{FACTOR:g} on the machine that was measured)",
+            f"{ERROR_FACTOR:g} on the machine that was measured)",
             f"about {memory / 1e9:.1f} GB of memory for each worker, {disk / 1e9:.2f} GB on the disk",
         ]
     )
@@ -117,8 +117,8 @@ def _seconds(task: Task, sizes: list[Size]) -> float:
 def _bytes(task: Task, sizes: list[AssetSize]) -> float:
     """Bytes that a task leaves on the disk, images of outputs aside."""
     if task.kind == "prepare":
-        return stored_surface(sizes[0].both, sizes[0].prepared)
-    return stored_result([size.both for size in sizes]) if task.kind in ("match", "compose") else 0.0
+        return surface_bytes(sizes[0].both, sizes[0].prepared)
+    return result_bytes([size.both for size in sizes]) if task.kind in ("match", "compose") else 0.0
 
 
 def _size(job: Job, name: str, plan: Plan) -> AssetSize:
@@ -132,7 +132,7 @@ def _size(job: Job, name: str, plan: Plan) -> AssetSize:
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
     except CagemapError as error:
         return AssetSize(problem=str(error))
-    prepared = next((n for n in counts if n >= PREPARED), counts[-1])
+    prepared = next((n for n in counts if n >= PREPARED_VERTICES), counts[-1])
     return AssetSize(control.n_vertices, counts[-1], prepared, control.uvs is not None)
 
 

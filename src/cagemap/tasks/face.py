@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.character.bones import humanoid_names
-from cagemap.character.roles import body_of
+from cagemap.character.bones import humanoid_joints
+from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
@@ -43,7 +43,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     kit = read_face_kit(None if request.only is None else _names(request.only))
     document, given = read_body(request.head)
     try:
-        body = body_of(given.parts, request.part)
+        body = find_body(given.parts, request.part)
     except ParameterError as error:
         raise ParameterError(f"{request.head}: {error}") from None
     kept = [name for name in kit.part.shapes if name in body.shapes]
@@ -97,7 +97,7 @@ def _head_vertices(body: Part, rig: Rig | None) -> IndexArray | None:
     """Vertices that head and neck move; None where a body has no such joints, or is a head alone."""
     if rig is None or body.weights is None:
         return None
-    joint = humanoid_names(rig)
+    joint = humanoid_joints(rig)
     top = joint.get("neck", joint.get("head"))
     if top is None:
         return None

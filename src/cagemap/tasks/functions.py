@@ -14,7 +14,7 @@ from cagemap.files.values.attributes import write_attributes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures.colors import AMOUNT, BALANCE, scalar_colors
+from cagemap.pictures.colors import AMOUNT_SCALE, BALANCE_SCALE, scalar_colors
 from cagemap.pipeline import choose_level, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.tasks.basis_options import parse_schedule, with_laplacian
@@ -170,7 +170,7 @@ def _write_colors(request: FunctionsRequest, surface: Surface, level: int, value
         raise ParameterError(f"--column: expected a function from 0 to {values.shape[1] - 1}, got {column}")
     shown = values[:, column]
     most = float(np.abs(shown).max())
-    ends = (-most, most, BALANCE) if signed else (float(shown.min()), float(shown.max()), AMOUNT)
+    ends = (-most, most, BALANCE_SCALE) if signed else (float(shown.min()), float(shown.max()), AMOUNT_SCALE)
     net = surface.refinement.levels[level]
     mesh = surface.control if net.faces is None else ControlMesh.from_faces(net.positions, net.faces)
     write_mesh(request.output, replace(mesh, vertex_colors=scalar_colors(shown, *ends)), force=request.force)

@@ -10,8 +10,8 @@ import numpy as np
 
 from cagemap.character.passenger_pieces import Kind
 from cagemap.character.poses import pose_at
-from cagemap.character.roles import body_of
-from cagemap.character.values import Character, Part, posed
+from cagemap.character.roles import find_body
+from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.build import character_glb
@@ -116,7 +116,7 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
 
 def _body(character: Character, name: str | None, path: Path) -> Part:
     try:
-        return body_of(character.parts, name)
+        return find_body(character.parts, name)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
 
@@ -309,7 +309,7 @@ def _poses(
     end = max(float(track.times[-1]) for track in pair[0].tracks)
     for share in (0.25, 0.5, 0.75):
         both = [
-            posed(body, rig, pose_at(rig, animation, share * end))[own]
+            skinned_positions(body, rig, pose_at(rig, animation, share * end))[own]
             for body, rig, animation, own in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
         yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])

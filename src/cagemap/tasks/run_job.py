@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from cagemap.errors import CagemapError, ParameterError, in_options
+from cagemap.errors import CagemapError, ParameterError, use_option_names
 from cagemap.files.code_version import code_version
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import landmark_messages, read_manifest, read_result, write_result
@@ -31,10 +31,10 @@ from cagemap.jobs import (
     spanning_tree,
     write_library,
 )
-from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
+from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
 from cagemap.jobs.consistency import read_consistency, write_consistency
-from cagemap.jobs.detours import composed_result, has_detours, matches_only, with_detours
-from cagemap.jobs.farm import PAGE, Step, chosen_numbers, farm_steps, openjd_template, slurm_script
+from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
+from cagemap.jobs.farm import PAGE_STEP, Step, farm_steps, openjd_template, parse_task_range, slurm_script
 from cagemap.jobs.page import PairRow
 from cagemap.jobs.plan import STATE
 from cagemap.jobs.run import execute, kept_outcome
@@ -76,7 +76,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     stages("read job")
     job = read_job(request.job, COMMANDS, WRITTEN)
     version = code_version()
-    plan = with_carried(plan_job(job, version, spanning_tree), job, version)
+    plan = add_carry_tasks(plan_job(job, version, spanning_tree), job, version)
     _require_one_way(request)
     if request.dry_run:
         return dry_run(job, plan, request.workers or core_count()), True
@@ -89,10 +89,10 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     with open_client(request.scheduler, request.workers, stages.note) as connect:
         verdict, matched = Consistency({}, 0, (), {}), dict[str, Outcome]()
         if has_detours(plan):
-            matched = run_plan(matches_only(plan), run_task, connect, Ticker(stages))
+            matched = run_plan(keep_matches(plan), run_task, connect, Ticker(stages))
             stages("compare maps with each other")
             verdict = collection_verdict(plan, matched)
-            plan = with_detours(plan, verdict.detours, version)
+            plan = add_detours(plan, verdict.detours, version)
             stages("run tasks")
         outcomes = run_plan(plan, run_task, connect, Ticker(stages))
     # What the first half did is no leftover of an earlier run.
@@ -114,14 +114,14 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
     A task whose needs are not done fails. Detours around doubtful maps have no number and are made first.
     """
     steps = farm_steps(plan)
-    numbers = chosen_numbers(words, steps[-1].last)
+    numbers = parse_task_range(words, steps[-1].last)
     lines, whole = [], True
     for step, number in ((step, number) for step in steps for number in numbers if step.first <= number <= step.last):
         verdict = Consistency({}, 0, (), {})
         current = plan
         if step.name not in ("prepare", "match"):
             verdict, current = _with_verdict(plan, version)
-        if step.name == PAGE:
+        if step.name == PAGE_STEP:
             text, there = _concluded(title, current, _kept_so_far(current), verdict, time.perf_counter())
             lines.append(f"{number} page:\n{text}")
             whole &= there
@@ -130,7 +130,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
             outcome = _done_alone(task.name, current)
             lines.append(f"{number} {task.name}: {outcome.state}{': ' * bool(outcome.message)}{outcome.message}")
             whole &= outcome.usable
-    return in_options("\n".join(lines)), whole
+    return use_option_names("\n".join(lines)), whole
 
 
 def _require_one_way(request: RunRequest) -> None:
@@ -179,7 +179,7 @@ def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
     (plan.root / STATE).mkdir(parents=True, exist_ok=True)
     with FileLock(plan.root / STATE / "consistency.lock"):
         verdict = collection_verdict(plan, _kept_so_far(plan))
-    return verdict, with_detours(plan, verdict.detours, version)
+    return verdict, add_detours(plan, verdict.detours, version)
 
 
 def _concluded(
@@ -187,7 +187,7 @@ def _concluded(
 ) -> tuple[str, bool]:
     """Write the page of a job; its summary, and whether everything is there."""
     carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
-    notes = [*plan.left_out, *cycle_notes(verdict), *carried_notes([outcome.figures for outcome in carried])]
+    notes = [*plan.omitted_outputs, *cycle_notes(verdict), *carry_notes([outcome.figures for outcome in carried])]
     page = None
     try:  # where the disk is full the outcomes are still told
         page = write_library(plan.root, title, in_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
@@ -205,7 +205,7 @@ _EXPORTS: dict[str, Callable[[Path, tuple[Step, ...]], str]] = {
 
 def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
     """Rows of the page with messages in the words of the command line and of job files."""
-    return [replace(row, messages=tuple(map(in_options, row.messages))) for row in rows]
+    return [replace(row, messages=tuple(map(use_option_names, row.messages))) for row in rows]
 
 
 def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
@@ -265,7 +265,7 @@ def run_task(task: Task) -> dict[str, Any]:
         return carry_landmarks(task.request)
     if task.kind == "compose":
         way = [read_result(folder) for folder in task.request["way"]]
-        result = composed_result(way, task.request["names"])
+        result = compose_results(way, task.request["names"])
         write_result(task.request["output"], result)
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
     if task.kind == "match":

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.character.bones import humanoid_names
-from cagemap.character.roles import body_of, role
+from cagemap.character.bones import humanoid_joints
+from cagemap.character.roles import find_body, passenger_word
 from cagemap.files.gltf.animations import animation_lengths, animation_names
 from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import humanoid_bones
@@ -26,7 +26,7 @@ class Contents:
     Attributes
     ----------
     body : str
-        The mesh that `cagemap.character.roles.body_of` finds.
+        The mesh that `cagemap.character.roles.find_body` finds.
     passengers : tuple of str
         All other meshes.
     vertices, stored : int
@@ -35,7 +35,7 @@ class Contents:
     influences : int
         Joints that move a vertex, at most.
     humanoid : int
-        Joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_names`.
+        Joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_joints`.
     shapes : tuple of str
     textures : tuple of str
         Material, slot and format.
@@ -63,7 +63,7 @@ class Contents:
     @property
     def is_character(self) -> bool:
         """Whether it has a skeleton, or clothes, eyes and such by their names."""
-        return bool(self.joints or any(map(role, self.passengers)))
+        return bool(self.joints or any(map(passenger_word, self.passengers)))
 
     def __str__(self) -> str:
         bones = f", {self.humanoid} of them named as humanoid bones" if self.humanoid else ""
@@ -98,7 +98,7 @@ def contents_of(scene: Scene) -> Contents:
     """
     document = scene.document
     parts = [one.part for one in scene.parts]
-    body = body_of(parts)
+    body = find_body(parts)
     rig = None if scene.joints is None else scene.joints.rig
     weights = [part.weights for part in parts if part.weights is not None]
     named = [name for name in document.entries("extensionsUsed") if isinstance(name, str) and name != NGONS]
@@ -109,7 +109,7 @@ def contents_of(scene: Scene) -> Contents:
         stored=sum(one.stored for one in scene.parts),
         joints=0 if rig is None else len(rig.names),
         influences=max((int(np.diff(table.indptr).max()) for table in weights), default=0),
-        humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_names(rig))),
+        humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_joints(rig))),
         shapes=tuple(dict.fromkeys(name for part in parts for name in part.shapes)),
         textures=_textures(document),
         animations=tuple(zip(animation_names(document), animation_lengths(document), strict=True)),

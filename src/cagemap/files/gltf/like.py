@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.character.normals import moved
+from cagemap.character.normals import move_vertices
 from cagemap.errors import FormatError
 from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of
@@ -49,5 +49,5 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
         write_glb(path, mesh, force=force)
         return
     places = np.split(mesh.positions, starts[1:-1])
-    parts = tuple(moved(part, own) for part, own in zip(character.parts, places, strict=True))
+    parts = tuple(move_vertices(part, own) for part, own in zip(character.parts, places, strict=True))
     write_document(path, character_glb(replace(character, parts=parts), document), force=force)
