@@ -87,7 +87,7 @@ def figure_1() -> Drawn:
     for axis, (method, (target, source)) in zip(axes[3:], sides.items(), strict=True):
         found = match(target, source, example.landmarks, MatchConfig(method=method))
         axis.imshow(textured_picture(target, bake(found, example.texture, size=len(example.texture))))
-        axis.set_title(f"target, `{method}`")
+        axis.set_title(f"target, {method}")
         missed = 100.0 * found.quality.landmark_errors
         said.append(
             f"`{method}` folds {100.0 * found.quality.flipped_area:.1f} % of the area and misses landmarks by "
