@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.paper.data import SCHEDULE, human, picture, prepared, verdict
+from benchmarks.paper.data import SCHEDULE, color_scale, human, picture, prepared, verdict
 from cagemap.operators import build_operators
 from cagemap.paper.descriptors import heat_filters, heat_times, signatures
 from cagemap.pictures import BALANCE_SCALE, scalar_colors
@@ -35,10 +35,10 @@ def figure_3() -> Drawn:
         axes[0, level].set_title(f"level {level}: {mesh.n_vertices:,} vertices")
         axes[0, level].axis("off")
         axes[1, level].spy(stiffness, markersize=0.05, rasterized=True)  # a dot an entry: no vectors
-        axes[1, level].set_xticks([])
-        axes[1, level].set_yticks([])
         sizes.append(stiffness.nnz / stiffness.shape[0])
-        axes[1, level].set_xlabel(f"$W^{level}$: {sizes[-1]:.0f} entries a row")
+        axes[1, level].set(
+            xticks=[], yticks=[], ylabel="vertex", xlabel=f"vertex; $W^{level}$: {sizes[-1]:.0f} entries a row"
+        )
     entries = ", ".join(f"{size:.0f}" for size in sizes)
     return figure, f"Entries a row of $W^l$, from level 0: {entries}. The finest level's geometry reaches every level."
 
@@ -87,14 +87,16 @@ def figure_5() -> Drawn:
     products = np.sum(fine.vectors * (operators.mass[1] @ prolonged), axis=0)
     shown = alone[:5]
     triangles = level_triangles(refinement, 1)
-    figure, axes = plt.subplots(2, len(shown), figsize=(2.2 * len(shown), 6))
+    figure, axes = plt.subplots(2, len(shown), figsize=(2.2 * len(shown) + 1, 6))
     for column, j in enumerate(shown):
         for row, values in enumerate((fine.vectors[:, j], np.sign(products[j]) * prolonged[:, j])):
             reach = np.abs(values).max()
             colors = scalar_colors(values, -reach, reach, BALANCE_SCALE)
-            axes[row, column].imshow(picture(refinement.finest.positions, triangles, colors, size=(240, 400)))
+            axes[row, column].imshow(picture(refinement.finest.positions, triangles, colors, size=(600, 1000)))
             axes[row, column].axis("off")
         axes[0, column].set_title(f"{j}: {abs(products[j]):.4f}")
+    for axis, name in zip(axes[:, -1], ("exact", "prolonged"), strict=True):
+        color_scale(axis, BALANCE_SCALE, -1.0, 1.0, f"{name} eigenvector / largest value")
     worst = min(alone, key=lambda j: abs(products[j]))
     return figure, (
         f"Above exact, below prolonged, with their inner product. Over {len(alone)} separated eigenvectors of the first 21 "
@@ -119,8 +121,10 @@ def figure_6() -> Drawn:
     axes[2].legend()
     for axis, title in zip(axes, ("eigenvalues", "their end", "ratios", "their end"), strict=True):
         axis.set(title=title, xlabel="number of the eigenvalue")
-    axes[0].set_ylabel("eigenvalue of unit area")
-    axes[2].set_ylabel("finer / coarser level")
+    for axis in axes[:2]:
+        axis.set_ylabel("eigenvalue of unit area")
+    for axis in axes[2:]:
+        axis.set_ylabel("eigenvalue, finer / coarser level")
     said = "; ".join(
         f"level {level + 1} / {level}: {ratio[99]:.3f}, {ratio[199]:.3f}, {ratio[298]:.3f}"
         for level, ratio in enumerate(ratios)

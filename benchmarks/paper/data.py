@@ -7,6 +7,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 
 from benchmarks.accuracy.data import DATA, HUMANS, REPOSITORY, HumanPair
 from benchmarks.truth import true_map
@@ -22,8 +25,8 @@ OUTPUT = REPOSITORY / "docs" / "paper"
 # The schedule of Fig. 13's pair and of the trolls (Table 1).
 SCHEDULE = (100, 50, 50, 50)
 PAIR = HUMANS["female1605__male1591"]
-# Figures are looked at on a page: this many pixels a panel.
-PANEL = (360, 480)
+# Pixels of a panel of 2.4 by 3.2 inches: 300 to an inch.
+PANEL = (720, 960)
 STANDING = View("from the front", 20.0, 6.0)
 
 
@@ -73,11 +76,15 @@ class Judged:
         places = source.triangles(source.finest)
         return cls(places.positions, truth.on(places).positions, truth.known)
 
-    def error(self, images: np.ndarray) -> float:
-        """Mean distance to the true images, x100 of sqrt(area), of the first vertices of the target."""
+    def errors(self, images: np.ndarray) -> np.ndarray:
+        """(n,) distances to the true images, x100 of sqrt(area), of the first vertices of the target; NaN if unknown."""
         n = len(images)
-        away = np.linalg.norm(images - self.images[:n], axis=1)
-        return 100.0 * float(away[self.known[:n]].mean())
+        away = 100.0 * np.linalg.norm(images - self.images[:n], axis=1)
+        return np.where(self.known[:n], away, np.nan)
+
+    def error(self, images: np.ndarray) -> float:
+        """Mean of `errors` where the truth is known."""
+        return float(np.nanmean(self.errors(images)))
 
 
 def with_landmarks(target: Surface, source: Surface, count: int) -> Pair:
@@ -96,6 +103,12 @@ def picture(
     width, height = size
     camera = frame(positions, view, aspect=width / height)
     return render(Model(positions, triangles), Skin(vertex_colors=colors), camera, width=width, height=height)
+
+
+def color_scale(axis: Axes, scale: np.ndarray, low: float, high: float, label: str) -> None:
+    """Bar beside a panel that tells what the colours of `cagemap.pictures.scalar_colors` mean."""
+    colors = ScalarMappable(Normalize(low, high), LinearSegmentedColormap.from_list("scale", scale))
+    axis.figure.colorbar(colors, ax=axis, shrink=0.6, label=label)
 
 
 def verdict(holds: bool, claim: str, but: str = "") -> str:
