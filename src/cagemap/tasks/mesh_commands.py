@@ -100,12 +100,8 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
     try:
         ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else None
         report = check_mesh(mesh if ready is None else ready.mesh)
-        done = None if ready is None else ready.repairs
-        if done is not None and done.pieces and not pieces:
-            vertices = counted(done.pieces_vertices, "vertex")
-            repairs = (f"{counted(done.pieces, 'smaller piece')} ({vertices}) for `rig` to carry along",)
-            done = replace(done, pieces=0)
-        repairs = (*repairs, *(() if done is None else done.sentences()))
+        if ready is not None:
+            repairs = ready.repairs.sentences() if pieces else ready.repairs.sentences_of_body()
     except InvalidMeshError as error:
         report = check_mesh(mesh)
         own = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
