@@ -83,7 +83,8 @@ def build_page(
         _still_pictures(result, gallery),
         _mark_list(marks),
         _message_list(
-            [name_marks(use_option_names(text), marks) for text in warnings],
+            result,
+            [name_marks(text, marks) for text in warnings],
             [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])],
         ),
         _answers_section(result, gallery),
@@ -293,9 +294,14 @@ def _page_header(title: str, text: str, verdict: str) -> str:
     )
 
 
-def _message_list(warnings: list[str], notes: list[str]) -> str:
-    items = [f'<li class="warning">{escape(text)}</li>' for text in warnings]
-    items += [f"<li>{escape(text)}</li>" for text in notes]
+def _message_list(result: MatchResult, warnings: list[str], notes: list[str]) -> str:
+    files = result.target.control.name, result.source.control.name
+
+    def item(tag: str, text: str) -> str:
+        words = use_option_names(text)
+        return f"{tag}{escape(words if words.startswith(files) else _capital(words))}</li>"
+
+    items = [item('<li class="warning">', text) for text in warnings] + [item("<li>", text) for text in notes]
     return f'<ul class="notes">{"".join(items)}</ul>' if items else ""
 
 

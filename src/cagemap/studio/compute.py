@@ -11,12 +11,13 @@ import numpy as np
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
+from cagemap.files.gltf.material_images import extract_texture
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.models import OpenedModel, open_model, own_texture, with_texture
+from cagemap.studio.models import OpenedModel, open_model, with_texture
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import Images, faced, source_skin, target_skin
 from cagemap.studio.state import MapState
@@ -186,7 +187,7 @@ def open_models(opening: Opening, progress: Progress) -> tuple[OpenedModel, Open
     progress("reading the models")
     sides = zip((opening.target, opening.source), opening.schemes, opening.ups, opening.parts, strict=True)
     target, source = (open_model(path, scheme, up, opening.vertices, part) for path, scheme, up, part in sides)
-    image = opening.texture or own_texture(opening.source, source.control, opening.folder)
+    image = opening.texture or extract_texture(opening.source, source.control, opening.folder)
     if image is not None:
         progress("reading the texture")
         source = replace(source, look=with_texture(source.look, image), texture=image)

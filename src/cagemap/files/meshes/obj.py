@@ -266,7 +266,7 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
 def warn_of_bare_faces(path: Path, count: int, n_faces: int) -> None:
     """Warn of faces without texture coordinates in a file that has some."""
     if count:
-        _log.warning("%s: %d of %d faces have no texture coordinates: nothing is baked onto them", path, count, n_faces)
+        _log.warning("%s: %d of %d faces have no texture coordinates: no image is baked there", path, count, n_faces)
 
 
 def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:
