@@ -14,7 +14,7 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
-from tests.browser_page import chromium
+from tests.fixtures.browser_page import chromium
 
 from benchmarks.processor import children_time
 from cagemap.jobs.page import PairRow, build_library_page

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from benchmarks.paper.data import PAIR, Judged, color_scale, picture, prepared, verdict, with_landmarks
 from cagemap.example import example_pair
 from cagemap.files.images.image import Pixels
-from cagemap.maps.result import LevelMap
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles
+from cagemap.maps.result import LevelMap
 from cagemap.paper.descriptors import choose_filters, landmark_descriptors
 from cagemap.paper.method import paper_map
 from cagemap.pictures import (

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from tests.browser_page import Page, chromium, studio
+from tests.fixtures.browser_page import Page, chromium, studio
 
 from benchmarks.processor import children_time
 from cagemap.files.landmarks.pairs import write_landmarks

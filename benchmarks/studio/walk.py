@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.browser_page import Page, chromium, studio
+from tests.fixtures.browser_page import Page, chromium, studio
 
 from benchmarks.accuracy.data import DATA
 from benchmarks.studio.waits import LONG

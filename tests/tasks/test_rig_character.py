@@ -19,7 +19,7 @@ from cagemap.files.images.image import Image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
-from cagemap.mesh.join import join_meshes
+from cagemap.mesh.parts import join_meshes
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
