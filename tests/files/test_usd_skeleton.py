@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.result.folder import file_hash, write_result
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import file_hash
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 
@@ -27,10 +28,10 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 from test_usd import complaints
 
+from cagemap.files.usd.prims import local_to_world, moved
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
-from cagemap.files.usd.transforms import local_to_world, moved
 from cagemap.files.usd.write import UsdResults, write_usd
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])

@@ -24,7 +24,7 @@ from cagemap.studio.finish_process import Made, perform, serve
 from cagemap.studio.worker import STOPPED, Failure, Worker
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 
 
 def two_creatures(folder: Path) -> tuple[Path, Path]:

@@ -11,7 +11,7 @@ import pytest
 from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.folder import write_result
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result

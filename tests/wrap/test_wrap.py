@@ -13,7 +13,7 @@ from examples.shapes import cube, disk, torus
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.files.meshes.obj_layout import write_obj_positions
+from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries

@@ -11,7 +11,7 @@ from cagemap.character.retarget import retarget
 from cagemap.character.values import Animation, Rig
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
-from cagemap.transfer.skeleton import carry_joints
+from cagemap.transfer.skin import carry_joints
 
 # A child whose direction is within this cosine of an axis of its joint ends the joint's bone.
 _ALONG_AXIS = 0.99

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document
 from cagemap.files.gltf.entries import image_bytes
@@ -18,7 +19,6 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.ownership import is_own
-from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd.space import upright_turn
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid

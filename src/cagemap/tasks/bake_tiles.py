@@ -28,14 +28,15 @@ from cagemap.files.images.image import (
     write_image,
 )
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.meshes.obj_layout import write_obj_layout
-from cagemap.files.result.folder import ARRAYS, MANIFEST, input_file, note_transfer, read_files, stated_path
+from cagemap.files.meshes.obj_write import write_obj_layout
+from cagemap.files.result.folder import ARRAYS
+from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, read_files, stated_path
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest, base_of
+from cagemap.tasks.requests.results import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement

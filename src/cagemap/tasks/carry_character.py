@@ -25,7 +25,7 @@ from cagemap.mesh.weld import Welded
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
-from cagemap.tasks.match_plain import ready_mesh
+from cagemap.tasks.match_parts import ready_mesh
 from cagemap.tasks.progress import Stages
 
 # Finest vertices of a body that is subdivided; plain ones are matched as they are.

@@ -13,8 +13,8 @@ from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.face_kit import ABSENT, FaceKit, read_face_kit
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.document import GLTF_SUFFIXES, write_document
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_mesh
@@ -27,7 +27,7 @@ from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.face import FaceRequest
+from cagemap.tasks.requests.models import FaceRequest
 from cagemap.tasks.rig_character import read_body
 
 # Share of a head's area on which the match is to be trusted: heads have 0.98 and more, a whole body 0.5.

@@ -17,12 +17,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.colors import AMOUNT, BALANCE, scalar_colors
 from cagemap.pipeline import choose_level, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.tasks.basis_options import parse_schedule, with_laplacian
 from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.method import parse_schedule, with_laplacian
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.functions import FunctionsRequest
-from cagemap.tasks.subdivision import SubdivisionRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.requests.models import FunctionsRequest
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 FUNCTION_VERTICES = 50_000
 EIGENFUNCTIONS = "eigenfunctions"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.result.folder import ARRAYS, MANIFEST, check_result_folder, write_result
-from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
+from cagemap.files.result.manifest import MANIFEST, stated_inputs
 from cagemap.files.result.maps import dense_map, read_images, source_level
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
@@ -20,8 +20,8 @@ from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import MaskOptions, mask_inputs, masks_on, read_masks
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.subdivision import weld_asked
 
 MAP_VERTICES = 50_000
 

@@ -14,7 +14,7 @@ import tomli_w
 from cagemap.errors import FormatError
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.ownership import is_own, mark
-from cagemap.files.result.folder import stated_path
+from cagemap.files.result.manifest import stated_path
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import WRITTEN
 

@@ -19,16 +19,8 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.landmarks.symmetry import symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
-from cagemap.files.result.folder import (
-    ARRAYS,
-    MANIFEST,
-    assurance,
-    check_result_folder,
-    landmark_messages,
-    peak_memory,
-    write_result,
-)
-from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
+from cagemap.files.result.manifest import MANIFEST, assurance, landmark_messages, peak_memory, stated_inputs
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import prepared
 from cagemap.files.usd.space import unit_notes
@@ -38,23 +30,23 @@ from cagemap.mesh.weld import Welded
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
-from cagemap.tasks.basis_options import (
+from cagemap.tasks.job_file import note_match
+from cagemap.tasks.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
+from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
+from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.method import (
     SIDES,
     basis_parameters,
+    read_symmetries,
     require_level_or_vertices,
     side_bases,
     side_levels,
+    used_parameters,
+    with_parameters,
 )
-from cagemap.tasks.job_file import note_match
-from cagemap.tasks.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
-from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts
-from cagemap.tasks.match_plain import ready_inputs
-from cagemap.tasks.mesh_commands import require_size
-from cagemap.tasks.method import read_symmetries, used_parameters, with_parameters
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
-from cagemap.tasks.subdivision import SubdivisionRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 _log = logging.getLogger(__name__)
 

@@ -11,10 +11,9 @@ from typing import Any
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.gltf.contents import Contents, contents_of
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.parts import read_scene
-from cagemap.files.gltf.read import scene_mesh
+from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
@@ -28,8 +27,7 @@ from cagemap.mesh.weld import weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
-from cagemap.tasks.subdivision import SubdivisionRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 MOST_VERTICES = 20_000_000
 MOST_PARTS = 40

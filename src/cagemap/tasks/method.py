@@ -1,4 +1,4 @@
-"""Parameters of the method and the symmetry files of `cagemap match`."""
+"""Parameters of the method, bases and levels of both surfaces, and symmetry files of `cagemap match`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from typing import Any
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.landmarks.symmetry import read_symmetry
 from cagemap.maps.pair import SymmetryPair
-from cagemap.pipeline import MatchConfig
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.operators import LAPLACIANS
+from cagemap.pipeline import MatchConfig, choose_level, default_basis
+from cagemap.spectral import BasisConfig
+from cagemap.spectral.surface import DEFAULT_VERTICES, MOST_LEVELS
+from cagemap.tasks.requests.match import MatchRequest
 
 # The field of `MatchConfig` that holds each method's parameters.
 _OWN = {"elastic": "start", "hfm": "hfm", "paper": "paper"}
@@ -80,3 +85,133 @@ def _filled(config: Any, values: dict[str, Any]) -> Any:
         name: _filled(value, values) if is_dataclass(value) else values[name] for name, value in vars(config).items()
     }
     return replace(config, **changed)
+
+
+SIDES = ("target", "source")
+
+
+def basis_config(request: MatchRequest, level: int = MOST_LEVELS) -> BasisConfig:
+    """Parameters of the basis of a surface up to a level, where nothing else is asked for on one side."""
+    usual = default_basis(request.method, level)
+    schedule = usual.schedule if request.schedule is None else parse_schedule(request.schedule, "--set schedule")
+    if request.k is not None and request.schedule is None:
+        schedule = None
+    made = replace(
+        usual,
+        count=usual.count if request.k is None else request.k,
+        schedule=schedule,
+        accuracy=usual.accuracy if request.accuracy is None else request.accuracy,
+        literal=request.literal and schedule is not None,
+    )
+    return _with_vertices(with_laplacian(made, request.laplacian, "--set laplacian"), request)
+
+
+def side_bases(
+    request: MatchRequest, levels: tuple[int, int] = (MOST_LEVELS, MOST_LEVELS)
+) -> tuple[BasisConfig, BasisConfig]:
+    """Parameters of the target's and the source's basis, whose finest levels are given.
+
+    Raises
+    ------
+    ParameterError
+        If a text is no schedule or no Laplacian, or ``literal`` is asked for where there is no schedule.
+    """
+    found = []
+    for side, level in zip(SIDES, levels, strict=True):
+        basis = basis_config(request, level)
+        k, schedule, accuracy, laplacian = (
+            getattr(request, f"{side}_{name}") for name in ("k", "schedule", "accuracy", "laplacian")
+        )
+        if k is not None:  # asked for on this side, so a schedule of both does not hold here
+            basis = replace(basis, schedule=None, literal=False)
+        own = basis.schedule if schedule is None else parse_schedule(schedule, f"--set {side}.schedule")
+        literal = bool(request.literal or getattr(request, f"{side}_literal"))
+        if literal and own is None:
+            raise ParameterError(
+                f"--set literal: expected a schedule of the {side} with it, as in Definition 2, got none"
+            )
+        basis = replace(
+            basis,
+            count=basis.count if k is None else k,
+            schedule=own,
+            accuracy=basis.accuracy if accuracy is None else accuracy,
+            literal=literal,
+        )
+        found.append(_with_vertices(with_laplacian(basis, laplacian, f"--set {side}.laplacian"), request))
+    return found[0], found[1]
+
+
+def _with_vertices(basis: BasisConfig, request: MatchRequest) -> BasisConfig:
+    """Who asks for other search levels or for a schedule gets the finest level's operators."""
+    usual = default_basis(request.method)
+    searched = any("search_vertices" in given for given in request.parameter)  # maybe a level above the usual one's
+    exact = searched or basis.schedule is not None
+    return replace(basis, vertices=None if exact else usual.vertices)
+
+
+def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:
+    """A basis of the Laplacian that is named, such as ``alexa-wardetzky`` or ``alexa-wardetzky:2``."""
+    if text is None:
+        return basis
+    name, given, number = text.partition(":")
+    try:
+        stabilisation = float(number) if given else 1.0
+    except ValueError:
+        name = ""
+    if name not in LAPLACIANS or (given and name == "mean"):
+        raise ParameterError(
+            f"{option}: expected {', '.join(LAPLACIANS)}, the last two with :LAMBDA after it where it is not 1, "
+            f"got {text!r}."
+        )
+    return replace(basis, laplacian=name, stabilisation=stabilisation)
+
+
+def require_level_or_vertices(request: MatchRequest) -> None:
+    """Refuse a level and a number of vertices that are asked for in one breath.
+
+    Raises
+    ------
+    ParameterError
+    """
+    for prefix in ("", "target_", "source_"):
+        if None not in (getattr(request, f"{prefix}level"), getattr(request, f"{prefix}vertices")):
+            before = f"--set {prefix[:-1]}." if prefix else "--"
+            words = [f"{before}{name}" for name in ("level", "vertices")]
+            raise ParameterError(
+                f"{' and '.join(words)}: expected one of them, got both. {words[1]} chooses the level."
+            )
+
+
+def side_levels(request: MatchRequest, controls: Sequence[ControlMesh]) -> tuple[int, int]:
+    """Finest level of the target and of the source; 0 of a plain mesh, whatever is asked for both."""
+    found = []
+    for side, control in zip(SIDES, controls, strict=True):
+        level, vertices = getattr(request, f"{side}_level"), getattr(request, f"{side}_vertices")
+        if level is None and vertices is None:
+            level = None if isinstance(control.scheme, Plain) else request.level
+        wanted = vertices or request.vertices or DEFAULT_VERTICES
+        found.append(choose_level(control, wanted) if level is None else level)
+    return found[0], found[1]
+
+
+def basis_parameters(basis: BasisConfig) -> dict[str, Any]:
+    """What decided about a basis: a schedule or a number of functions, and how it was computed."""
+    how = {"accuracy": basis.accuracy, "laplacian": basis.laplacian}
+    if basis.laplacian != "mean":
+        how["stabilisation"] = basis.stabilisation
+    if basis.schedule is not None:
+        return {"k": sum(basis.schedule), "schedule": list(basis.schedule), "literal": basis.literal, **how}
+    return {"k": basis.count, **how}
+
+
+def parse_schedule(text: str, option: str = "--schedule") -> tuple[int, ...]:
+    """Numbers of basis functions per level from text such as ``100,50,50,50``."""
+    try:
+        schedule = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        schedule = ()
+    if not schedule or min(schedule) < 0 or max(schedule) < 1:
+        raise ParameterError(
+            f"{option}: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
+        )
+    return schedule

@@ -14,9 +14,9 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.images.image import Image, Pixels, read_image, read_texture
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.result.folder import ARRAYS, MANIFEST, read_result
-from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, input_file
+from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.space import upright_turn
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows
@@ -26,7 +26,7 @@ from cagemap.pictures import UP_AXES
 from cagemap.report import CarriedData, CarriedShape, Weights, check_page_path, write_report
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.results import ReportRequest
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.bones import mirrored_joints
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.values import gltf_skeleton
+from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.meshes.mhclo import bind, write_mhclo
-from cagemap.files.result.folder import note_transfer, read_files, stated_path
+from cagemap.files.result.manifest import note_transfer, read_files, stated_path
 from cagemap.files.result.maps import write_map
-from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults
@@ -24,15 +26,15 @@ from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, 
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.mesh.skeleton import Skeleton
+from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
-from cagemap.tasks.joint_choice import with_choice
-from cagemap.tasks.masked_base import in_file, keep_base
+from cagemap.tasks.masks import in_file, keep_base
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
-from cagemap.transfer.skeleton import carry_joints
-from cagemap.transfer.skin import normalised_skin
+from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, normalised, normalised_skin, pruned
 
 # A mesh further from its base than this, in units of sqrt(area), is hardly meant to follow it as it stands.
 _APART = 0.05
@@ -212,3 +214,72 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
             "it at that distance; `cagemap wrap --mhclo` puts it onto it first"
         )
     return f"wrote {request.output}: {control.name} follows {source.control.name}", warnings
+
+
+def with_choice(
+    request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
+) -> FloatArray:
+    """Carried weights (n, j), made symmetric if asked; joints that are not chosen keep the target's own weights.
+
+    Parameters
+    ----------
+    request : TransferRequest
+    control : ControlMesh
+        The target's.
+    carried : (n, j) float64
+    names : sequence of str
+        Of the joints; empty where the weights have none.
+    rows : FileRows or None
+        Of the target's file.
+
+    Raises
+    ------
+    ParameterError
+        If joints have no names, or none of those asked for; if the target has no mirror plane, or no own weights.
+    """
+    for option, asked in (("--mirror", request.mirror), ("--only", request.only is not None)):
+        if asked and not names:
+            raise ParameterError(f"{option}: expected weights of named joints. Give a column for each, or --joints.")
+    if request.mirror:
+        carried = _alike(control, carried, names)
+        carried = normalised(pruned(carried, request.influences or None), carried.sum(axis=1))
+    return carried if request.only is None else _chosen(request, control, carried, names, rows)
+
+
+def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> FloatArray:
+    """Means with the mirror image, of the plane that changes least."""
+    joints = mirrored_joints(names)
+    if np.array_equal(joints, np.arange(len(names))):
+        raise ParameterError(
+            "--mirror: expected joints of both sides, such as arm.L and arm.R, got none by their names"
+        )
+    found = [mirrored_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
+    if not found:
+        raise ParameterError(f"--mirror: expected a target with a mirror plane, {control.name} has none. Leave it out.")
+    return min(found, key=lambda skin: float(np.abs(skin - carried).sum()))
+
+
+def _chosen(
+    request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
+) -> FloatArray:
+    words = [word.strip() for word in str(request.only).split(",") if word.strip()]
+    missing = [word for word in words if word not in names]
+    if missing or not words:
+        raise ParameterError(
+            f"--only: expected names of joints ({', '.join(names)}), got {', '.join(missing) or 'none'}"
+        )
+    base = base_of(request)
+    if base is None:
+        raise ParameterError("--only: expected the target's own weights of the other joints. Give them as --base.")
+    return chosen_joints(carried, _own(base, control, names, rows), np.array([names.index(word) for word in words]))
+
+
+def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:
+    """(n, j) weights of a file, by the joints' names; a table is taken to be in their order."""
+    own = read_attributes(base, control, rows)
+    if all(name in own for name in names):
+        return np.column_stack([own[name] for name in names]).astype(np.float64)
+    (table,) = own.values() if len(own) == 1 else (None,)
+    if table is None or table.shape != (control.n_vertices, len(names)):
+        raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
+    return np.asarray(table, dtype=np.float64)

@@ -14,7 +14,6 @@ from cagemap.character.roles import body_of
 from cagemap.character.values import Character, Part, posed
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
@@ -25,8 +24,9 @@ from cagemap.files.gltf.material_images import (
     read_material_image,
     with_copied_materials,
 )
-from cagemap.files.gltf.materials_of import with_materials_of
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import with_materials_of
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
@@ -41,7 +41,7 @@ from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, 
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.rig import RigRequest
+from cagemap.tasks.requests.models import RigRequest
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 

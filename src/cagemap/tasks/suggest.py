@@ -10,7 +10,8 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.landmarks.pairs import write_landmarks
-from cagemap.files.result.folder import ARRAYS, MANIFEST, read_files, read_result
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, read_files
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks

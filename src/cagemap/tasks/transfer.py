@@ -1,15 +1,25 @@
-"""`cagemap transfer`: images, values, rigs or shapes of the source, carried to the target."""
+"""`cagemap transfer`: images, values, rigs, shapes or passengers of the source, carried to the target."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
+from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passengers import carry_passenger
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import all_or_nothing, require_no_input, require_replaceable, require_writable_folder
-from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.result.folder import input_file, note_transfer, read_files, read_result, stated_path
+from cagemap.files.atomic import (
+    all_or_nothing,
+    check_outputs,
+    require_no_input,
+    require_replaceable,
+    require_writable_folder,
+)
+from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.files.result.manifest import input_file, note_transfer, read_files, stated_path
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
@@ -18,8 +28,8 @@ from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import inputs_of
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_detail import carry_detail
 from cagemap.tasks.carry_images import (
+    carry_detail,
     carry_displacement,
     carry_material_colors,
     carry_normal_map,
@@ -27,11 +37,9 @@ from cagemap.tasks.carry_images import (
     carry_vector_displacement,
 )
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masked_base import in_file, keep_base
-from cagemap.tasks.masks import MaskOptions, with_masks
-from cagemap.tasks.passenger import transfer_passenger
+from cagemap.tasks.masks import MaskOptions, in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.texture_maps import require_map_names
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
@@ -203,3 +211,28 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
             f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
+
+
+# A passenger further from the body than this on average, of sqrt(area), has probably other units or another place.
+_FAR_PASSENGER = 0.5
+
+
+def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Clothes, eyes, hair or a prop; UVs and materials stay as they are."""
+    assert request.passenger is not None
+    check_mesh_path(request.output)
+    mesh = read_mesh(request.passenger)
+    check_outputs(mesh_files(request.output, mesh), [request.passenger], force=request.force)
+    stages("passenger")
+    carried = carry_passenger(result, mesh, kind=cast(Kind | None, request.kind))
+    write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)
+    files = {"file": request.passenger, "output": request.output}
+    entry = {"kind": "passenger"} | {name: stated_path(path, request.result) for name, path in files.items()}
+    note_transfer(request.result, entry)
+    warnings = []
+    if carried.distance > _FAR_PASSENGER:
+        warnings.append(
+            f"{request.passenger} is {carried.distance:.1f} body sizes away from "
+            f"{result.source.control.name} on average: check that both have the same units and place"
+        )
+    return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import UDIM_MARK
-from cagemap.files.result.folder import input_file
+from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file

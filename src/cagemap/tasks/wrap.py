@@ -13,20 +13,12 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.meshes.mhclo import bind, write_mhclo
-from cagemap.files.meshes.obj_layout import write_obj_positions
-from cagemap.files.result.folder import (
-    ARRAYS,
-    MANIFEST,
-    input_file,
-    mesh_hash,
-    note_transfer,
-    read_files,
-    read_result,
-    stated_path,
-)
+from cagemap.files.meshes.obj_write import write_obj_positions
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files, stated_path
+from cagemap.files.usd.prims import moved
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.space import between_spaces
-from cagemap.files.usd.transforms import moved
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows, rows_of
@@ -35,17 +27,16 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
+from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import MaskOptions, mask_inputs, with_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
-from cagemap.tasks.wrap_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
 

@@ -21,8 +21,7 @@ from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry
-from cagemap.files.gltf.nodes import decomposed, transform
-from cagemap.files.gltf.skins import invertible
+from cagemap.files.gltf.nodes import decomposed, invertible, transform
 from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray
 

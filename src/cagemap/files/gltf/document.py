@@ -15,23 +15,10 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.fbx.read import fbx_as_glb
 from cagemap.files.gltf.draco import DRACO, without_draco
-from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, resource, view_bytes
-from cagemap.files.gltf.structure import require_structure
+from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, require_structure, resource
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes, whole_characters
 from cagemap.numerics.arrays import shown
-
-__all__ = [
-    "GLTF_SUFFIXES",
-    "SCENE_SUFFIXES",
-    "Document",
-    "glb_bytes",
-    "image_bytes",
-    "packed",
-    "read_document",
-    "view_bytes",
-    "write_document",
-]
 
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
 # What is read as a glTF document.

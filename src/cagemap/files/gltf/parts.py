@@ -11,9 +11,19 @@ from scipy import sparse
 from cagemap.character.values import Part
 from cagemap.errors import FormatError
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.nodes import Nodes, distinct, read_nodes
+from cagemap.files.gltf.nodes import (
+    Joints,
+    Nodes,
+    Skin,
+    distinct,
+    invertible,
+    nearest_joint,
+    read_joints,
+    read_nodes,
+    read_skins,
+    rounded,
+)
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
-from cagemap.files.gltf.skins import Joints, Skin, invertible, nearest_joint, read_joints, read_skins, rounded
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.files.gltf.accessors import read_accessor
 from cagemap.files.gltf.binary import NGONS, STARTS, corners_from
-from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import distinct
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh, Plain

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError, InvalidMeshError
-from cagemap.files.array_specs import ArraySpec, check_arrays, check_offsets, lie_in_triangles
+from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
 from cagemap.mesh.curves import CageCurves, Curves

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.colors import as_shares
 from cagemap.files.meshes.ply_records import Column, read_columns
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes
-from cagemap.files.values.colors import as_shares
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray

@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.array_specs import ArraySpec, check_arrays, lie_in_triangles
+from cagemap.files.npz import ArraySpec, check_arrays, lie_in_triangles
 from cagemap.files.schema import LevelMapRecord
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.point_map import PointMap

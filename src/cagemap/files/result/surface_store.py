@@ -22,13 +22,11 @@ from scipy import sparse
 
 from cagemap import __version__
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.array_specs import ArraySpec, check_arrays, check_offsets
 from cagemap.files.atomic import atomic_path
-from cagemap.files.code_version import code_version
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
-from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, read_npz, write_npz
 from cagemap.files.ownership import is_own
-from cagemap.files.result.folder import mesh_hash
+from cagemap.files.result.manifest import code_version, mesh_hash
 from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
 from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain

@@ -18,17 +18,20 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.text import require_file, text_name
-from cagemap.files.usd.face_sets import face_sets
-from cagemap.files.usd.primvars import (
+from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     corner_primvars,
     corner_values,
+    face_sets,
     integers,
+    is_mirrored,
+    local_to_world,
+    moved,
     primvar_arrays,
     stated,
+    unflattened,
     uv_primvars,
 )
-from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved, unflattened
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd.primvars import integers
+from cagemap.files.usd.prims import integers, moved
 from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
-from cagemap.files.usd.transforms import moved
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton, tails_of
 from cagemap.numerics.arrays import FloatArray, IndexArray

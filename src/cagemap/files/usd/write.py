@@ -17,13 +17,11 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
 from cagemap.files.usd.earlier_results import add_earlier
-from cagemap.files.usd.face_sets import named_faces
 from cagemap.files.usd.material import bind_textures
-from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
 from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace, StageUnits
-from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray

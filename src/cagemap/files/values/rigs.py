@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.values import gltf_shapes, gltf_skeleton
+from cagemap.files.gltf.read import gltf_shapes, gltf_skeleton
 from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
-from cagemap.files.usd.primvars import BLEND_SHAPE
+from cagemap.files.usd.prims import BLEND_SHAPE
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.values.attributes import read_attributes

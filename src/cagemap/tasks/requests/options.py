@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
+from cagemap.files import IMAGE_SUFFIXES, VALUE_SUFFIXES
 from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
 
