@@ -43,13 +43,7 @@ class FaceKit:
     points: dict[str, int] = field(default_factory=lambda: dict(POINTS))
 
     def vertices_of(self, names: tuple[str, ...]) -> list[int]:
-        """Vertices of named points.
-
-        Raises
-        ------
-        InvalidLandmarksError
-            If a name is unknown.
-        """
+        """Vertices of named points."""
         unknown = [name for name in names if name not in self.points]
         if unknown:
             raise InvalidLandmarksError(
@@ -65,11 +59,6 @@ def read_face_kit(only: tuple[str, ...] | None = None) -> FaceKit:
     ----------
     only : tuple of str, optional
         ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
-
-    Raises
-    ------
-    ParameterError
-        If a name is unknown.
     """
     with resources.as_file(resources.files("cagemap.character.face")) as folder, np.load(folder / "face.npz") as kept:
         given = {name: kept[name] for name in kept.files}

@@ -36,16 +36,8 @@ def write_npz(
 
     Parameters
     ----------
-    path : Path
-    arrays : mapping of str to array
     later : callable, optional
         Makes more arrays, while those are written.
-    compressed : bool
-
-    Raises
-    ------
-    ValueError
-        If an array holds objects.
     """
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
     with zipfile.ZipFile(path, "w", method) as archive, ThreadPool(1) as aside:
@@ -72,13 +64,7 @@ def write_npy(path: Path, array: NDArray[Any]) -> None:
 
 
 def read_npz(path: Path, remedy: str) -> Arrays:
-    """Read all arrays of an archive.
-
-    Raises
-    ------
-    FormatError
-        If the file is no archive of arrays, or damaged; says ``remedy``.
-    """
+    """Read all arrays of an archive."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {
@@ -91,13 +77,7 @@ def read_npz(path: Path, remedy: str) -> Arrays:
 
 
 def read_npy(content: bytes, path: Path, remedy: str) -> NDArray[Any]:
-    """One array from the content of an ``.npy`` file.
-
-    Raises
-    ------
-    FormatError
-        If it is none, is cut short, or holds Python objects; says ``remedy``.
-    """
+    """One array from the content of an ``.npy`` file."""
     try:
         return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # the header is Python text, and what is wrong with it fails in as many ways
@@ -144,17 +124,10 @@ def check_arrays(
     ----------
     path : path
         The file, for messages.
-    arrays : mapping of str to array
-    specs : mapping of str to ArraySpec
     sizes : dict of str to int
         Sizes known beforehand; those found are added.
     remedy : str
         Last sentence of every message.
-
-    Raises
-    ------
-    FormatError
-        Names the first array that is not what it should be.
     """
     missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
     if missing:

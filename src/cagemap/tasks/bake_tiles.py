@@ -69,7 +69,6 @@ class SourceImage:
 
     Attributes
     ----------
-    texture : array, or arrays by UDIM number
     first : Image
         Whose form (colour space, alpha) the result takes.
     dtype : numpy.dtype
@@ -200,10 +199,8 @@ def bake_tiles(
     ----------
     request : TransferRequest
         Its output is the image to write, or a pattern for several tiles.
-    prepared : Prepared
     bake : callable
         ``options``, which say the tile -> what was baked.
-    stages : Stages
     name : str
         Of the map, to be shown.
     """
@@ -240,8 +237,6 @@ def write_tiles(
         As in `bake_tiles`.
     finished : callable
         What is written of an image that was baked.
-    force : bool
-        Whether foreign files may be replaced.
     """
     with ThreadPool(1) as aside:
         written: list[Future[None]] = []

@@ -47,7 +47,6 @@ class CarriedCharacter:
     passengers : tuple of Part
         As on the source, in the order of the last parts of ``character``; pieces of the source's body that could not
         be matched are among them.
-    notes : tuple of str
     """
 
     character: Character
@@ -87,14 +86,6 @@ def carry_character(
         See `carry_passengers`.
     influences : int, optional
         Joints that may move a vertex of the body; None for all.
-    stages : Stages, optional
-
-    Raises
-    ------
-    InvalidMeshError
-        If a body cannot be matched.
-    ParameterError
-        If there is no part of a name given.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])
@@ -158,13 +149,7 @@ class Bodies:
 
 
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Match two parts, repaired where they need it.
-
-    Raises
-    ------
-    InvalidMeshError
-        If one of them cannot be matched.
-    """
+    """Match two parts, repaired where they need it."""
     ready = ready_mesh(target.mesh), ready_mesh(source.mesh)
     landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready))
     stages("prepare")

@@ -74,7 +74,6 @@ class DetailTexture:
 
     Attributes
     ----------
-    texture : array, or arrays by UDIM number
     first : Image
         Whose form (number type, colour space) the result takes.
     uvs : (p, 2) float64
@@ -97,14 +96,12 @@ class DetailBakes:
     Attributes
     ----------
     images : dict of kind -> Path
-    size : int
     bits : int, optional
         By default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion.
     space, green
         Of normals and vectors.
     rays : int
         Of ambient occlusion, a vertex of the detailed mesh.
-    force : bool
     texture : DetailTexture, optional
         Of the detailed mesh, for the kind "texture".
     """
@@ -181,13 +178,8 @@ def bake_detail(
 
     Parameters
     ----------
-    bakes : DetailBakes
-    transfer : Transfer
-    detail : Detail
     colors : (n, 3) float64 or None
         At the detail's vertices, where colours are asked for.
-    tiles : list of int
-    stages : Stages
     units : str
         Whose units lengths are in, as the reader is told.
     finished : callable

@@ -149,9 +149,6 @@ def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: 
 
     Parameters
     ----------
-    character : Character
-    name : str
-    shapes : sequence of str
     head : Part
         What the camera shows.
 

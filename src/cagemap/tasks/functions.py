@@ -30,13 +30,7 @@ ARRAYS = (".npz", ".npy", ".csv")
 
 
 def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
-    """Write functions of a mesh, as arrays or as its colours; returns a summary and notes.
-
-    Raises
-    ------
-    ParameterError
-        If a kind is not known, kernels lack their points, or the output cannot hold what is asked for.
-    """
+    """Write functions of a mesh, as arrays or as its colours; returns a summary and notes."""
     kinds = _kinds(request)
     check_outputs([request.output], [request.mesh], force=request.force)
     basis = _basis(request)
@@ -78,9 +72,6 @@ def functions_at(
 
     Parameters
     ----------
-    surface : Surface
-    level : int
-    kinds : tuple of str
     filters : (int, int)
         Heat and wave filters.
     points : (p,) array

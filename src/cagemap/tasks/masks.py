@@ -123,13 +123,7 @@ def mask_inputs(target: str | None, source: str | None) -> dict[str, Path]:
 
 
 def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
-    """Masks of the target's and the source's whole files.
-
-    Raises
-    ------
-    ParameterError
-        See `read_mask`; if there is an edge and no mask.
-    """
+    """Masks of the target's and the source's whole files."""
     texts = {"--target-mask": options.target, "--source-mask": options.source}
     target, source = (
         None if text is None else read_mask(text, options.edge, control, file, option)
@@ -154,17 +148,10 @@ def with_masks(result: MatchResult, options: MaskOptions, folder: Path) -> Match
 
     Parameters
     ----------
-    result : MatchResult
     options : MaskOptions
         In the words and numbers of the files that were matched.
     folder : Path
         Of the RESULT, where the files are looked up.
-
-    Raises
-    ------
-    ParameterError
-        See `read_masks`; if nothing would be left; if only a part of a file was matched and that file is not where it
-        was.
     """
     if options == MaskOptions():
         return result
@@ -204,14 +191,8 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
         Width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
     control : ControlMesh
         The file's whole mesh.
-    mesh_file : Path
     option : str
         For messages.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part or primvar, or values are not one a control vertex or face, from 0 to 1.
     """
     inverted = text.startswith(NOT)
     name = text.removeprefix(NOT)
@@ -268,16 +249,9 @@ def keep_base(
 
     Parameters
     ----------
-    request : TransferRequest
-    result : MatchResult
     carried : dict of str to array
     rows : FileRows or None
         Of the target's file.
-
-    Raises
-    ------
-    ParameterError
-        If the base lacks a value, or has another number of rows or columns.
     """
     if not result.masks.any:
         return carried, []

@@ -59,7 +59,6 @@ class Inputs:
     ----------
     target, source : ControlMesh
         As in their files; plain meshes made ready where all of both is matched.
-    landmarks : Landmarks
     notes : tuple of str
         What the user is to know.
     parts : tuple of PartInputs

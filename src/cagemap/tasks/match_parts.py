@@ -39,7 +39,6 @@ class PartInputs:
 
     Attributes
     ----------
-    target, source : ControlMesh
     landmarks : Landmarks
         Those that lie on both, in the meshes' own numbers.
     notes : tuple of str
@@ -79,11 +78,6 @@ def chosen_parts(
         In the files' numbers.
     target_part, source_part : str or None
         A part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for the whole. See `asked_parts`.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part, or no parts go together.
     """
     # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
@@ -161,15 +155,7 @@ def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumberi
 
 
 def ready_inputs(given: PartInputs) -> PartInputs:
-    """Check two meshes and their landmarks; plain ones are mended, and what of them is set aside is said.
-
-    Raises
-    ------
-    InvalidMeshError
-        If a mesh cannot be matched, and mending does not help.
-    InvalidLandmarksError
-        If landmarks do not fit the meshes.
-    """
+    """Check two meshes and their landmarks; plain ones are mended, and what of them is set aside is said."""
     check_landmarks(given.landmarks, given.target, given.source)
     ready = dict(zip(("target", "source"), in_threads(ready_mesh, [given.target, given.source]), strict=True))
     plain = {side: one for side, one in ready.items() if isinstance(one, PlainMesh)}
@@ -199,13 +185,7 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
 
 
 def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:
-    """A cage as it is, or a plain mesh repaired, once it is checked; ``mesh``, ``vertex_of`` and ``notes`` of either.
-
-    Raises
-    ------
-    InvalidMeshError
-        If it cannot be matched.
-    """
+    """A cage as it is, or a plain mesh repaired, once checked; both have ``mesh``, ``vertex_of`` and ``notes``."""
     ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else unwelded(mesh)
     require_valid(ready.mesh)
     return ready

@@ -177,13 +177,7 @@ def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh,
 
 
 def require_size(control: ControlMesh, level: int) -> None:
-    """Refuse levels that no machine holds, before memory runs out.
-
-    Raises
-    ------
-    ParameterError
-        If the finest level would have more than 20 million vertices.
-    """
+    """Refuse levels that no machine holds, before memory runs out."""
     fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(

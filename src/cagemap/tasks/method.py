@@ -22,13 +22,7 @@ _OWN = {"elastic": "start", "hfm": "hfm", "paper": "paper"}
 
 
 def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
-    """Set parameters of the method from texts such as ``laplacian=0.01``.
-
-    Raises
-    ------
-    ParameterError
-        If a name is not known, has no meaning for the method, or its value is no number.
-    """
+    """Set parameters of the method from texts such as ``laplacian=0.01``."""
     own = getattr(config, _OWN[config.method])
     values = _named_values(own)
     for setting in settings:
@@ -56,13 +50,7 @@ def used_parameters(config: MatchConfig) -> dict[str, Any]:
 
 
 def read_symmetries(target: Sequence[Path], source: Sequence[Path]) -> tuple[SymmetryPair, ...]:
-    """Self-maps of both control meshes from files, the first of one side with the first of the other.
-
-    Raises
-    ------
-    ParameterError
-        If one side has more than the other.
-    """
+    """Self-maps of both control meshes from files, the first of one side with the first of the other."""
     if len(target) != len(source):
         raise ParameterError(
             "--set target.symmetry and source.symmetry: expected as many files for one side as for the other, got "
@@ -109,13 +97,7 @@ def basis_config(request: MatchRequest, level: int = MOST_LEVELS) -> BasisConfig
 def side_bases(
     request: MatchRequest, levels: tuple[int, int] = (MOST_LEVELS, MOST_LEVELS)
 ) -> tuple[BasisConfig, BasisConfig]:
-    """Parameters of the target's and the source's basis, whose finest levels are given.
-
-    Raises
-    ------
-    ParameterError
-        If a text is no schedule or no Laplacian, or ``literal`` is asked for where there is no schedule.
-    """
+    """Parameters of the target's and the source's basis, whose finest levels are given."""
     found = []
     for side, level in zip(SIDES, levels, strict=True):
         basis = basis_config(request, level)
@@ -167,12 +149,7 @@ def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisCo
 
 
 def require_level_or_vertices(request: MatchRequest) -> None:
-    """Refuse a level and a number of vertices that are asked for in one breath.
-
-    Raises
-    ------
-    ParameterError
-    """
+    """Refuse a level and a number of vertices that are asked for in one breath."""
     for prefix in ("", "target_", "source_"):
         if None not in (getattr(request, f"{prefix}level"), getattr(request, f"{prefix}vertices")):
             before = f"--set {prefix[:-1]}." if prefix else "--"

@@ -223,7 +223,6 @@ def with_choice(
 
     Parameters
     ----------
-    request : TransferRequest
     control : ControlMesh
         The target's.
     carried : (n, j) float64
@@ -231,11 +230,6 @@ def with_choice(
         Of the joints; empty where the weights have none.
     rows : FileRows or None
         Of the target's file.
-
-    Raises
-    ------
-    ParameterError
-        If joints have no names, or none of those asked for; if the target has no mirror plane, or no own weights.
     """
     for option, asked in (("--mirror", request.mirror), ("--only", request.only is not None)):
         if asked and not names:

@@ -80,13 +80,7 @@ AUTO = "auto"
 
 
 def weld_asked(control: ControlMesh, word: str | None) -> Welded:
-    """The mesh welded as ``--weld`` says, ``auto`` or a tolerance; as it is where nothing is asked for.
-
-    Raises
-    ------
-    ParameterError
-        If the word is neither.
-    """
+    """The mesh welded as ``--weld`` says, ``auto`` or a tolerance; as it is where nothing is asked for."""
     from cagemap.mesh.weld import unwelded, weld_mesh
 
     return unwelded(control) if word is None else weld_mesh(control, _tolerance(word))

@@ -43,13 +43,7 @@ def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
 
 
 def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
-    """The landmarks of a result, and ``count`` more where they would tell most, on the source where the map puts them.
-
-    Raises
-    ------
-    ParameterError
-        If the target has not so many control vertices left.
-    """
+    """The landmarks of a result, and ``count`` more where they would tell most, with the points of the map."""
     target, source = result.point_map.target, result.point_map.source
     vertices = result.target.control.n_vertices
     pairs = result.landmarks

@@ -12,13 +12,7 @@ from cagemap.files.images.image import UDIM_MARK, with_udim_mark
 def texture_and_maps(
     given: Sequence[str], option: str = "--texture"
 ) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
-    """Tell a single image from the named maps of a material: ``albedo=skin.png``.
-
-    Raises
-    ------
-    ParameterError
-        If one of several has no name, or two have the same but for capitals, which some disks take for one file.
-    """
+    """Tell a single image from the named maps of a material: ``albedo=skin.png``."""
     named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
     if len(given) == 1 and (not named or Path(given[0]).exists()):
         return Path(given[0]), ()
@@ -29,13 +23,7 @@ def texture_and_maps(
 
 
 def require_map_names(maps: Sequence[tuple[str, Path]], option: str = "--texture") -> None:
-    """Refuse several images that their names do not tell apart.
-
-    Raises
-    ------
-    ParameterError
-        See `texture_and_maps`.
-    """
+    """Refuse several images that their names do not tell apart."""
     names = [name for name, _ in maps]
     if not all(names) or len({name.casefold() for name in names}) != len(names):
         given = ", ".join(f"{name}={path}" if name else str(path) for name, path in maps)

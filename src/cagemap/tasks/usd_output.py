@@ -35,14 +35,6 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
         The RESULT folder.
     result : MatchResult
         What it holds.
-    results : UsdResults
-
-    Raises
-    ------
-    FormatError
-        See `write_usd_over`.
-    ParameterError
-        If the target's file has several meshes and the result does not say which one it is about.
     """
     control = result.target.control
     original = input_file(folder, result.manifest, "target")

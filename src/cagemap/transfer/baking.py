@@ -54,7 +54,6 @@ class Transfer:
 
     Attributes
     ----------
-    target, source : TexturedSurface
     point_map : PointMap
         T12, for the target's vertices and the source's triangles.
     mapped : MappedSurface
@@ -222,13 +221,7 @@ class Canvas:
 
 
 def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
-    """Lay the target's UV triangles of one tile on the raster of an image.
-
-    Raises
-    ------
-    ParameterError
-        If it has no texture coordinates, none of its triangles covers a part of the tile, or the size is out of range.
-    """
+    """Lay the target's UV triangles of one tile on the raster of an image."""
     target = transfer.target
     sides: Any = (size, size) if np.ndim(size) == 0 else size
     try:
@@ -289,16 +282,12 @@ def run_bake(
 
     Parameters
     ----------
-    transfer : Transfer
-    canvas : Canvas
     samples_per_axis : (t1, 2) int32
         Samples along x and y in every raster cell of a target triangle.
     shade : callable
         Samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several threads.
-    channels : int
     dtype
         Number type of the result; integers are rounded and clipped.
-    options : BakeOptions
     crisp : (t1,) bool, optional
         See `cagemap.transfer.lookups.Lookups`.
     """

@@ -49,8 +49,6 @@ class ShapeCarrier:
 
     Attributes
     ----------
-    point_map : PointMap
-    source : Refinement
     samples : (s, n1) csr_array
         Sampled target vertices from control vertices.
     triangles : (t, 3) int64
@@ -70,7 +68,6 @@ class ShapeCarrier:
         Weights of the source's control values at the target's control vertices.
     ridge : (n1, n1) dia_array
     matrix : (n1, n1) csc_array
-    factors : Factorization
     """
 
     point_map: PointMap
@@ -98,7 +95,6 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     ----------
     target, source : Refinement
         Up to the levels of the map.
-    point_map : PointMap
     """
     level = min(max(target.coarsest_level(_SAMPLES), 1), target.n_levels)
     triangles = level_triangles(target, level)
@@ -187,7 +183,6 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    carrier : ShapeCarrier
     displacement : (n2, 3) float64
         Of the source's control vertices, in its file units.
 
@@ -195,11 +190,6 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     -------
     (n1, 3) float64
         In the target's file units.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one finite row a control vertex.
     """
     expected = (carrier.source.control.n_vertices, 3)
     if np.shape(displacement) != expected or not np.isfinite(displacement).all():
@@ -244,7 +234,6 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
 
     Parameters
     ----------
-    carrier : ShapeCarrier
     moved : (n, 3) float64
         Displacement of the source's finest vertices at unit area.
     """

@@ -55,11 +55,6 @@ def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     -------
     (n1,) or (n1, q) array
         Of the same kind. Where two labels weigh the same, the smaller one.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a column of the weights.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:
@@ -77,7 +72,6 @@ def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray
 
     Parameters
     ----------
-    control : ControlMesh
     values : (c,) or (c, q) array
         At the face corners, face by face.
     """
@@ -112,7 +106,6 @@ def corner_weights(
 
     Parameters
     ----------
-    transfer : Transfer
     target, source : Refinement
         Up to the levels of the transfer.
     nodes : (c2,) int64
@@ -170,13 +163,7 @@ class CarriedUvs:
 
 
 def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> CarriedUvs:
-    """Give the target's corners the source's texture coordinates, so that the source's own image fits the target.
-
-    Raises
-    ------
-    ParameterError
-        If the source has no texture coordinates.
-    """
+    """Give the target's corners the source's texture coordinates, so that the source's own image fits the target."""
     control = source.control
     if control.uvs is None or control.uv_indices is None:
         raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")

@@ -31,7 +31,6 @@ def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | N
     covered : (h, w) bool
     distance : int, optional
         How far to fill, in texels; the whole background by default.
-    threads : int
     """
     height, width = covered.shape
     if not covered.any():

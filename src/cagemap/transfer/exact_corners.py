@@ -115,7 +115,6 @@ class SurfaceTargets:
 
     Attributes
     ----------
-    surface : TriangleSurface
     points, normals : (k, 3) float64
         Of the corners, not displaced.
     offsets : (k, 3) float64
@@ -154,7 +153,6 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamp
     -------
     uvs : (k, 2) float64
         In the tile's unit square.
-    samples : TexelSamples
     triangle : (k,) int64
         A target triangle that has the corner.
     inside : (k, 3) float64

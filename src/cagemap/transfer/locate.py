@@ -175,13 +175,11 @@ def locate_samples(
 
     Parameters
     ----------
-    surface : MappedSurface
     layout_corners : (t1, 3, 2) float64
         Texel coordinates of the target triangles' corners.
     cells : (k,) int64
         The texels, as ``(row - top) * width + column``, ascending. Whole rows at a time make results repeatable where
         a map is torn and a point has several closest ones.
-    width, top : int
     target_triangle : (k,) int32
         Target triangle of every texel.
     samples_per_axis : (t1, 2) int32

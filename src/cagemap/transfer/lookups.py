@@ -35,7 +35,6 @@ class Lookups:
 
     Attributes
     ----------
-    mips : MipMaps
     counts : (t1, 2) int32
         Samples along x and y in a raster cell.
     crisp : (t1,) bool
@@ -61,13 +60,10 @@ def plan_lookups(
 
     Parameters
     ----------
-    mapped : MappedSurface
-    source : TexturedSurface
     layout : Layout
         The target's, in raster cells.
     supersample : int
         Raster cells along a texel's side.
-    laid : Texture
     exact : bool
         See `MipMaps.build`.
     kind : "smooth", "linear" or "nearest"
@@ -149,7 +145,6 @@ def texel_spans(
 
     Parameters
     ----------
-    surface : MappedSurface
     layout_corners : (t1, 3, 2) float64
         Texel coordinates of the target triangles' corners.
     source_texels : (t2, 3, 2) float64

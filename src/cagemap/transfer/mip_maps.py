@@ -69,7 +69,6 @@ class MipMaps:
 
         Parameters
         ----------
-        texture : Texture
         of_triangle : (t1,) int64
             See `cagemap.transfer.lookups.mip_levels`.
         coverage : dict of int to (h, w) bool

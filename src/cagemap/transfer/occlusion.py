@@ -23,16 +23,8 @@ def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
 
     Parameters
     ----------
-    surface : TriangleSurface
     rays : int
         Over each vertex; the same places of the sky in every run.
-
-    Raises
-    ------
-    ParameterError
-        If there is no ray.
-    MissingLibraryError
-        If embreex, which casts the rays, is not installed.
     """
     if rays < 1:
         raise ParameterError(f"occlusion: expected 1 ray or more, got {rays}")

@@ -45,11 +45,6 @@ def carry_skin(
     -------
     (n1, j) float64
         Rows sum to 1, unless the source's rows around have none.
-
-    Raises
-    ------
-    ParameterError
-        If rows are no weights (`normalised_skin`), or nothing is trusted.
     """
     skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
@@ -74,11 +69,6 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
         Rows that sum to 1 or 0 already are as they were.
     str
         Empty where nothing was scaled.
-
-    Raises
-    ------
-    ParameterError
-        If weights are negative or no numbers, or a sum is further from 1.
     """
     skin = np.asarray(skin, dtype=np.float64)
     sums = skin.sum(axis=1)
@@ -102,13 +92,7 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
 
 
 def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
-    """Values (n, q), kept where known and harmonic on the net elsewhere.
-
-    Raises
-    ------
-    ParameterError
-        If nothing is known.
-    """
+    """Values (n, q), kept where known and harmonic on the net elsewhere."""
     if known.all():
         return values
     if not known.any():
@@ -150,11 +134,6 @@ def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> F
         Rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet.
     chosen : (q,) int64
         Columns. Rows whose own weights are all of chosen joints take all carried ones.
-
-    Raises
-    ------
-    ParameterError
-        If the two are of other shapes, or a joint is not among them.
     """
     if carried.shape != own.shape:
         raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
@@ -201,7 +180,6 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, F
 
     Parameters
     ----------
-    point_map : PointMap
     joints : (j, 3) float64
         In the source's file units.
 

@@ -54,13 +54,7 @@ class TangentFrames:
 
 
 def tangent_frames(surface: TexturedSurface) -> TangentFrames:
-    """Frames of a refined surface with texture coordinates.
-
-    Raises
-    ------
-    ParameterError
-        If it has none.
-    """
+    """Frames of a refined surface with texture coordinates."""
     uvs, uv_triangles = surface.layout()
     triangles = surface.triangles
     normals = vertex_normals(surface.positions, triangles)

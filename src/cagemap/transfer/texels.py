@@ -74,8 +74,6 @@ def lay_out(
     corner_uvs : (t, 3, 2) float64
     neighbors : (t, 3) int32
         Triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's border.
-    height, width : int
-    band_rows : int
     gutter : float
         How far to extend islands beyond their border, in texels.
     """

@@ -92,11 +92,6 @@ def lay_texture(
     uv_triangles : (t2, 3) int64
     wrap : "repeat" or "clamp"
         How a plain image continues outside the unit square. Renderers and material libraries repeat it.
-
-    Raises
-    ------
-    ParameterError
-        If the pixels are no image, tiles disagree, or triangles lie in tiles that are not there.
     """
     if wrap not in ("repeat", "clamp"):
         raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
@@ -140,13 +135,7 @@ def each_tile(texture: Pixels | Mapping[int, Pixels], change: Callable[[Pixels],
 
 
 def as_pixels(image: Pixels) -> Pixels:
-    """(h, w, c) contiguous pixels of an image.
-
-    Raises
-    ------
-    ParameterError
-        If it is not 2- or 3-dimensional, empty, or not of integers or floats.
-    """
+    """(h, w, c) contiguous pixels of an image."""
     pixels = array_of(image)
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
@@ -168,8 +157,6 @@ def look_up(
 
     Parameters
     ----------
-    texture : Texture
-    samples : TexelSamples
     smooth : dict of int to SmoothTile, optional
         Where to look up smoothly, by tile; bilinear elsewhere.
     nearest : bool

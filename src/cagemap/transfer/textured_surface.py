@@ -43,13 +43,7 @@ class TexturedSurface:
 
     @classmethod
     def from_level(cls, level: Level, holes: NDArray[np.bool_] | None = None) -> TexturedSurface:
-        """Split the faces of a refined level into triangles; ``holes`` (m,) are faces that are no part of it.
-
-        Raises
-        ------
-        ParameterError
-            At level 0 of a mesh whose faces are not all quads or all triangles.
-        """
+        """Split the faces of a refined level into triangles; ``holes`` (m,) are faces that are no part of it."""
         if level.faces is None:
             raise ParameterError("expected quads or triangles, got a control mesh of mixed polygons: refine it once")
         split = triangles(level.faces)
@@ -60,13 +54,7 @@ class TexturedSurface:
         return cls(level.positions, split, level.uvs, uv_split, faces, level.face_parents, hollow)
 
     def layout(self) -> tuple[FloatArray, IndexArray]:
-        """Texture coordinates (p, 2), and those of every triangle corner (t, 3).
-
-        Raises
-        ------
-        ParameterError
-            If the surface has none.
-        """
+        """Texture coordinates (p, 2), and those of every triangle corner (t, 3)."""
         if self.uvs is None or self.uv_triangles is None:
             raise ParameterError(
                 "expected a surface with texture coordinates, got none: unwrap its control mesh first (`unwrap`)"

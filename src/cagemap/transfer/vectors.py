@@ -104,15 +104,12 @@ def bake_vector_displacement(
 
     Parameters
     ----------
-    transfer : Transfer
     texture : (h, w, 3) array, or such arrays by UDIM number
         Vector = (value - midlevel) * scale, in the source's units; in tangent space the channels are tangent, normal,
         bitangent.
     size : int or (height, width)
-    space : "tangent" or "object"
     midlevel : float, optional
         By default 0.5 for integers and 0 for floats.
-    scale : float
     dtype, options
         As in `bake_texture`.
 
@@ -120,11 +117,6 @@ def bake_vector_displacement(
     -------
     Displacement
         With three channels. As with heights, floats get new values and integers a new scale.
-
-    Raises
-    ------
-    ParameterError
-        If the image has fewer than three channels, the scale is 0, or as `bake_texture`.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -205,8 +197,6 @@ def bake_vectors(
 
     Parameters
     ----------
-    transfer : Transfer
-    canvas : Canvas
     counts : (t1, 2) int32
         Samples in a texel, as `run_bake` takes them.
     vectors_at : callable
@@ -217,8 +207,6 @@ def bake_vectors(
         Of the target, for the result.
     order : list of int
         Which channels hold tangent, bitangent and normal.
-    kept : numpy.dtype
-    options : BakeOptions
     crisp : (t1,) bool, optional
         As `run_bake` takes it.
     """
@@ -240,7 +228,6 @@ class VectorPullback:
 
     Attributes
     ----------
-    transfer : Transfer
     frames : TangentFrames or None
         Of the target; None leaves vectors in object space.
     normals, source_normals : (n, 3) float64

@@ -30,8 +30,6 @@ def animation_entry(
 
     Parameters
     ----------
-    binary : Binary
-    scene, stack : ufbx objects
     nodes : sequence of dict
         Entries of the nodes, at rest.
     before : dict of int to dict

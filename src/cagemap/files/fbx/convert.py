@@ -76,16 +76,10 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
 
     Parameters
     ----------
-    content : bytes
     path : Path
         Where it lies: textures are found from here.
     note : callable
         Called with a line for everything that is left out.
-
-    Raises
-    ------
-    ufbx.UfbxError, FormatError
-        If it is no FBX, or has no polygons.
     """
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):

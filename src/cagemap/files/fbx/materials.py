@@ -31,10 +31,8 @@ class Materials:
 
     Parameters
     ----------
-    binary : Binary
     path : Path
         The FBX file: textures lie beside it, or in folders below.
-    note : callable
     """
 
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:

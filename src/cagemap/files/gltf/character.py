@@ -21,14 +21,7 @@ _TYPES = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
 
 
 def read_character(path: str | Path) -> Character:
-    """Read a glTF or VRM file as a character.
-
-    Raises
-    ------
-    FormatError
-        As `cagemap.files.gltf.document.read_document`; also if the scene has no triangles, or arrays do not fit
-        together.
-    """
+    """Read a glTF or VRM file as a character."""
     return character_of(read_document(path))
 
 
@@ -40,13 +33,7 @@ def character_of(document: Document) -> Character:
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:
-    """Names of nodes by VRM's names of humanoid bones; empty where a document is no VRM.
-
-    Raises
-    ------
-    FormatError
-        If a bone is no node.
-    """
+    """Names of nodes by VRM's names of humanoid bones; empty where a document is no VRM."""
     extensions = document.table(document.json, "extensions", "glTF")
     names = read_nodes(document).names
     stated: list[tuple[Any, Any]] = []
@@ -131,8 +118,6 @@ def animation_entries(
 
     Parameters
     ----------
-    binary : Binary
-    animations : sequence of Animation
     nodes : sequence of int
         Node of each joint.
     above : dict of int to (4, 4) float64
@@ -177,13 +162,7 @@ def animation_names(document: Document) -> tuple[str, ...]:
 
 
 def animation_lengths(document: Document) -> tuple[float, ...]:
-    """Seconds of every animation, of joints or of anything else.
-
-    Raises
-    ------
-    FormatError
-        If times are no numbers.
-    """
+    """Seconds of every animation, of joints or of anything else."""
     found = []
     for number in range(len(document.entries("animations"))):
         where = f"animations {number}"
@@ -223,7 +202,6 @@ def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents:
     Parameters
     ----------
     values : (k, q) or (k, 3, q) float64
-    channel : str
     above : (4, 4) float64
         A similarity.
     tangents : bool

@@ -38,14 +38,7 @@ _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 def read_document(path: str | Path) -> Document:
-    """Read a glTF 2.0 file with its buffers, or an FBX file as one; nothing is fetched from a network.
-
-    Raises
-    ------
-    FormatError
-        If the file is neither, is cut short, lacks a buffer, names files outside its folder, or requires an
-        extension that is not understood.
-    """
+    """Read a glTF 2.0 file with its buffers, or an FBX file as one; nothing is fetched from a network."""
     file = Path(path)
     content = fbx_as_glb(file) if file.suffix.lower() == ".fbx" else read_bytes(file, "a glTF file")
     text, blob = _chunks(file, content) if content[:4] == b"glTF" else (content, None)
@@ -177,13 +170,7 @@ def _dumped(document: Document) -> bytes:
 
 
 def write_document(path: str | Path, document: Document, *, force: bool = False) -> None:
-    """Write a document as one file, with buffers and images inside: `.glb` and `.vrm` binary, `.gltf` as text.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is another one, or the file cannot be written.
-    """
+    """Write a document as one file, with buffers and images inside: `.glb` and `.vrm` binary, `.gltf` as text."""
     suffix = Path(path).suffix.lower()
     if suffix not in GLTF_SUFFIXES:
         raise FormatError(f"{path}: expected a name ending in {', '.join(GLTF_SUFFIXES)}. Give another name.")

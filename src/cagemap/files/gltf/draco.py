@@ -15,13 +15,7 @@ DRACO = "KHR_draco_mesh_compression"
 
 
 def without_draco(document: Document) -> Document:
-    """The same document with its compressed meshes as plain ones, in a further buffer; as it is where there are none.
-
-    Raises
-    ------
-    FormatError
-        If a mesh cannot be decompressed, or the library that does it is not installed.
-    """
+    """The document with its compressed meshes as plain ones, in a further buffer; as it is where there are none."""
     found = [
         (number, place)
         for number in range(len(document.entries("meshes")))

@@ -60,13 +60,7 @@ class Document:
         return found
 
     def entry(self, kind: str, number: object, where: str = "glTF") -> dict[str, Any]:
-        """One of the JSON's lists' entries, by number.
-
-        Raises
-        ------
-        FormatError
-            If there is none.
-        """
+        """One of the JSON's lists' entries, by number."""
         entries = self.entries(kind)
         found = entries[self.whole(number, f"{where}: number of {kind}", 0, len(entries) - 1)]
         if not isinstance(found, dict):
@@ -115,13 +109,7 @@ def resource(document: Document, uri: object, where: str) -> bytes:
 
 
 def view_bytes(document: Document, number: object, where: str) -> memoryview:
-    """Bytes of a buffer view.
-
-    Raises
-    ------
-    FormatError
-        If it does not lie inside its buffer.
-    """
+    """Bytes of a buffer view."""
     view = document.entry("bufferViews", number, where)
     where = f"bufferViews {number}"
     buffer = document.buffers[document.whole(view.get("buffer"), where, 0, len(document.buffers) - 1)]
@@ -131,13 +119,7 @@ def view_bytes(document: Document, number: object, where: str) -> memoryview:
 
 
 def image_bytes(document: Document, number: object) -> tuple[bytes, str]:
-    """An image as it is stored, and its suffix, such as ``.png``.
-
-    Raises
-    ------
-    FormatError
-        If it is not there, or is neither PNG, JPEG nor WebP.
-    """
+    """An image as it is stored, and its suffix, such as ``.png``."""
     entry, where = document.entry("images", number), f"images {number}"
     uri = entry.get("uri")
     data = (
@@ -191,13 +173,7 @@ _STRUCTURE: dict[str, Any] = {
 
 
 def require_structure(document: Document) -> None:
-    """Refuse a document whose objects, lists and numbers are not what the standard says.
-
-    Raises
-    ------
-    FormatError
-        That names the place.
-    """
+    """Refuse a document whose objects, lists and numbers are not what the standard says."""
     _require(document, document.json, _STRUCTURE, "glTF")
     for number, animation in enumerate(document.entries("animations")):
         count = len(animation.get("samplers", ()))
@@ -242,8 +218,6 @@ def read_accessor(
 
     Parameters
     ----------
-    document : Document
-    number : int
     where : str
         What names it, for messages.
     shapes : tuple of str
@@ -251,12 +225,6 @@ def read_accessor(
     count : int, optional
         How many elements there must be. An accessor without data, all zero, is read only where this is given: its own
         count could be anything.
-
-    Raises
-    ------
-    FormatError
-        If it is not there, has another type or count, reads outside its buffer view, or holds numbers that are not
-        finite.
     """
     entry = document.entry("accessors", number, where)
     place = f"accessors {number} ({where})"

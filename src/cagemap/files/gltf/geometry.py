@@ -32,7 +32,6 @@ def mesh_entry(
 
     Parameters
     ----------
-    binary : Binary
     mesh : ControlMesh
         Creases and infinite colours have no place in the format.
     materials : sequence of int or None

@@ -56,26 +56,14 @@ class MaterialImage:
 
 
 def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
-    """All textures of a material.
-
-    Raises
-    ------
-    FormatError
-        If there is no such material, or a texture of it is not in the document.
-    """
+    """All textures of a material."""
     number = _number(document, material)
     entry = document.entry("materials", number)
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
-    """The pixels of an image of a document.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read.
-    """
+    """The pixels of an image of a document."""
     data, suffix = image_bytes(document, found.image)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"image{suffix}"

@@ -44,13 +44,7 @@ class Nodes:
 
 
 def read_nodes(document: Document) -> Nodes:
-    """The nodes of a document.
-
-    Raises
-    ------
-    FormatError
-        If a node has two parents or is its own ancestor, or a transform is no finite one.
-    """
+    """The nodes of a document."""
     count = len(document.entries("nodes"))
     children = [_children(document, number) for number in range(count)]
     parents = np.full(count, -1, dtype=np.int64)
@@ -190,7 +184,6 @@ class Joints:
 
     Attributes
     ----------
-    rig : Rig
     joint_of : (n,) int64
         Joint that each node is, -1 where it is none.
     above : (n, 4, 4) float64
@@ -204,13 +197,7 @@ class Joints:
 
 
 def read_skins(document: Document, nodes: Nodes) -> tuple[Skin, ...]:
-    """Skins of a document, with different joints each.
-
-    Raises
-    ------
-    FormatError
-        If joints are no nodes, or their matrices have no inverse.
-    """
+    """Skins of a document, with different joints each."""
     return tuple(_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
 
 
@@ -274,11 +261,6 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
 
     A node above a joint is a joint too where it is animated or has no similarity as transform. Others are part of the
     transforms of the joints below them.
-
-    Raises
-    ------
-    FormatError
-        If a joint at rest is scaled to nothing, and its bind pose is not stated.
     """
     if not skins:
         return None

@@ -41,7 +41,6 @@ class ReadPart:
 
     Attributes
     ----------
-    part : Part
     node : int
         Its number in the document.
     stored : int
@@ -71,11 +70,6 @@ def read_scene(document: Document) -> Scene:
 
     Skinned meshes are in their bind pose, their node's own transform is ignored, as glTF has it. Several skins share
     one bind pose: meshes bound in another one are posed. A mesh below a joint follows that joint.
-
-    Raises
-    ------
-    FormatError
-        If the scene has no triangles, or arrays do not fit together.
     """
     nodes = read_nodes(document)
     skins = read_skins(document, nodes)

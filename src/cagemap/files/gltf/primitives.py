@@ -67,11 +67,6 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
     """A mesh of a document; None where it has no triangles.
 
     Primitives that share their vertices share them here.
-
-    Raises
-    ------
-    FormatError
-        If its accessors do not fit together.
     """
     where = f"meshes {number}"
     primitives = document.entries("primitives", document.entry("meshes", number), where)

@@ -35,11 +35,6 @@ def read_gltf(path: str | Path) -> ControlMesh:
     Mesh nodes become objects. Vertices that the file splits at seams are joined; they are numbered as
     `cagemap.files.gltf.character.read_character` numbers its parts, one part after the other. The scheme is
     none: triangles of a glTF are the surface itself.
-
-    Raises
-    ------
-    FormatError
-        As `cagemap.files.gltf.document.read_document`; also if the scene has no triangles.
     """
     scene = read_scene(read_document(path))
     for one in scene.parts:
@@ -61,13 +56,7 @@ def _object(one: ReadPart) -> ControlMesh:
 
 
 def gltf_weights(path: str | Path) -> FloatArray:
-    """Weights (n, j) of the joints of `gltf_skeleton`, at the vertices of `read_gltf`; 0 for meshes without a skin.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or has no skin.
-    """
+    """Weights (n, j) of the joints of `gltf_skeleton`, at the vertices of `read_gltf`; 0 for meshes without a skin."""
     scene = read_scene(read_document(path))
     if scene.joints is None:
         raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
@@ -80,13 +69,7 @@ def gltf_weights(path: str | Path) -> FloatArray:
 
 
 def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
-    """Offsets (n, 3) of the blend shapes by name, at the vertices of `read_gltf`; shapes of one name are one.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
-    """
+    """Offsets (n, 3) of the blend shapes by name, at the vertices of `read_gltf`; shapes of one name are one."""
     parts = [one.part for one in read_scene(read_document(path)).parts]
     names = dict.fromkeys(name for part in parts for name in part.shapes)
     return {
@@ -96,13 +79,7 @@ def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
 
 
 def gltf_skeleton(path: str | Path) -> Skeleton:
-    """Joints of all skins in the bind pose.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or has no skin.
-    """
+    """Joints of all skins in the bind pose."""
     scene = read_scene(read_document(path))
     if scene.joints is None:
         raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
@@ -128,12 +105,10 @@ class Contents:
         All other meshes.
     vertices, stored : int
         Vertices after welding, and in the file.
-    joints : int
     influences : int
         Joints that move a vertex, at most.
     humanoid : int
         Joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_names`.
-    shapes : tuple of str
     textures : tuple of str
         Material, slot and format.
     animations : tuple of (str, float)
@@ -186,13 +161,7 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
 
 
 def contents_of(scene: Scene) -> Contents:
-    """What a file holds.
-
-    Raises
-    ------
-    FormatError
-        If names, animations or textures of its document are damaged.
-    """
+    """What a file holds."""
     document = scene.document
     parts = [one.part for one in scene.parts]
     body = body_of(parts)

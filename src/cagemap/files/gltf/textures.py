@@ -31,11 +31,6 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
 
     The sampler and the other settings of a slot stay. A material without that slot gets it; only
     ``baseColorTexture``, ``normalTexture``, ``occlusionTexture`` and ``emissiveTexture`` can be added.
-
-    Raises
-    ------
-    FormatError
-        If there is no such material or slot, or the bytes are no image.
     """
     if not images:
         return document
@@ -94,20 +89,13 @@ def with_materials_of(document: Document, given: Document, names: Sequence[str])
 
     Parameters
     ----------
-    document, given : Document
     names : sequence of str
         Of materials of ``given``, as `cagemap.files.gltf.primitives.material_names` has them.
 
     Returns
     -------
-    Document
     dict of str to str
         The name that each has there: another one where the document has a material of that name.
-
-    Raises
-    ------
-    FormatError
-        If a texture or an image of them is not there.
     """
     binary, top = Binary(document), json.loads(json.dumps(document.json))
     known = material_names(given)

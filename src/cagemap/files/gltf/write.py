@@ -36,16 +36,8 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
 
     Parameters
     ----------
-    path : path
-    mesh : ControlMesh
     to_metres : (4, 4) float64, optional
         From the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of its node.
-    force : bool
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written.
     """
     write_whole(path, _packed(mesh, to_metres), force=force)
 
@@ -94,14 +86,8 @@ def character_glb(
     ----------
     character : Character
         Positions and bind pose in metres, Y up, as read.
-    materials_from : Document, optional
     images : dict of (material, slot) to bytes, optional
         PNG or JPEG files for textures, such as ``("body", "baseColorTexture")``. The slot keeps its other settings.
-
-    Raises
-    ------
-    FormatError
-        If the document's own scene cannot be read.
     """
     scene = None if materials_from is None else read_scene(materials_from)
     made = _Made(scene)
@@ -279,11 +265,6 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
 
     Materials, textures, skins, blend shapes, animations and extensions of the file are kept then. Another mesh is
     written alone, with a warning where the file has a skeleton, shapes or animations.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written.
     """
     try:
         document = read_document(like)

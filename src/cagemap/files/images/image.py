@@ -150,13 +150,7 @@ def _open(file: Path) -> tuple[Any, str]:
 
 
 def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
-    """Number type and number of channels of an image, or of the first tile of a set, from its header alone.
-
-    Raises
-    ------
-    FormatError
-        If it is no image that `read_image` reads.
-    """
+    """Number type and number of channels of an image, or of the first tile of a set, from its header alone."""
     opened, kind = _open(next(iter(tile_files(path).values())))
     channels = int(opened.spec().nchannels)
     opened.close()
@@ -229,11 +223,6 @@ def _reserve(path: Path, size: int) -> None:
     """Make sure that a file has room: where the disk is full, the library of JPEG ends the whole process.
 
     Where the file system cannot tell, it is written as it is.
-
-    Raises
-    ------
-    OSError
-        If there is not so much.
     """
     if hasattr(os, "posix_fallocate"):
         with path.open("rb+") as stream:
@@ -262,12 +251,7 @@ def _divided(pixels: Pixels) -> Pixels:
 
 
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
-    """Refuse, before any work is done, an image that its format cannot hold.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse, before any work is done, an image that its format cannot hold."""
     file = Path(path)
     text_name(file.absolute())
     suffix = file.suffix.lower()
@@ -294,11 +278,6 @@ def read_texture(path: str | Path) -> Image | dict[int, Image]:
     -------
     Image, or dict of int -> Image
         By UDIM number.
-
-    Raises
-    ------
-    FormatError
-        If there is no tile, or an image cannot be read.
     """
     found = tile_files(path)
     if UDIM_MARK not in with_udim_mark(Path(path)).name:
@@ -312,13 +291,7 @@ def with_udim_mark(path: Path) -> Path:
 
 
 def tile_files(path: str | Path) -> dict[int, Path]:
-    """Files of a texture by UDIM number; one image is the first tile.
-
-    Raises
-    ------
-    FormatError
-        If there is no tile.
-    """
+    """Files of a texture by UDIM number; one image is the first tile."""
     file = with_udim_mark(Path(path))
     if UDIM_MARK not in file.name:
         return {FIRST_TILE: file}
@@ -375,13 +348,7 @@ def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, P
 
 
 def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
-    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float.
-
-    Raises
-    ------
-    FormatError
-        For other numbers.
-    """
+    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float."""
     names = {8: "uint8", 16: "float16" if suffix.lower() == ".exr" else "uint16", 32: "float32"}
     if bits not in names:
         raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}. Choose one of them.")

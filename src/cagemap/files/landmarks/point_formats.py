@@ -69,13 +69,7 @@ def is_of_pairs(path: str | Path) -> bool:
 
 
 def point_form(path: str | Path) -> PointForm:
-    """The form that a file's name asks for; our own for every other ``.json``.
-
-    Raises
-    ------
-    FormatError
-        If the name asks for none.
-    """
+    """The form that a file's name asks for; our own for every other ``.json``."""
     name = Path(path).name.lower()
     found = next((form for form in POINT_FORMS if name.endswith(form.ending)), None)
     if found is None and name.endswith(".json"):
@@ -93,17 +87,8 @@ def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, fo
 
     Parameters
     ----------
-    path : path
-    points : NamedPoints
     mesh : ControlMesh
         Other programs' points are places in space: those of its vertices, or, for Wrap, of its triangles.
-    force : bool
-        Write over a file that cagemap did not write; Wrap's form has no place that says so.
-
-    Raises
-    ------
-    FormatError
-        If the name asks for no form, the file cannot be written, or the form is asked for curves, which it has not.
     """
     form = point_form(path)
     if points.curves and not form.curves:

@@ -43,11 +43,6 @@ def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoint
         A .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
     mesh : ControlMesh, optional
         Wrap's points are triangles of it, with coordinates; other forms do not ask.
-
-    Raises
-    ------
-    FormatError
-        If the file has none of these forms; the point is named.
     """
     file = Path(path)
     name = file.name.lower()

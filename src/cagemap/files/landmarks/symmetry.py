@@ -20,13 +20,7 @@ _REMEDY = (
 
 
 def read_symmetry(path: Path) -> IndexArray:
-    """Read the image of every control vertex from ``.npy``, ``.json`` or text.
-
-    Raises
-    ------
-    FormatError
-        If the file does not hold one list of whole numbers.
-    """
+    """Read the image of every control vertex from ``.npy``, ``.json`` or text."""
     content = read_bytes(path, "a symmetry file")
     if path.suffix == ".npy":
         values = read_npy(content, path, _REMEDY)

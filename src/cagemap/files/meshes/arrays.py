@@ -65,13 +65,7 @@ def control_from_arrays(
     remedy: str,
     scheme: Scheme | None = None,
 ) -> ControlMesh:
-    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with.
-
-    Raises
-    ------
-    FormatError
-        If arrays are missing, of another spec, or make no mesh that the method can take; says ``remedy``.
-    """
+    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with."""
     stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
     texts: dict[str, Any] = {
         key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
@@ -108,13 +102,7 @@ def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tu
 
 
 def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
-    """Points of a control mesh whose arrays have their specs already, if there are any.
-
-    Raises
-    ------
-    FormatError
-        If one array is missing or points lie outside their triangles; says ``remedy``.
-    """
+    """Points of a control mesh whose arrays have their specs already, if there are any."""
     corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
     if corners is None and weights is None:
         return None
@@ -140,18 +128,10 @@ def curves_from_arrays(
 
     Parameters
     ----------
-    path : path
-    arrays : mapping of str to array
     names : sequence of str
         Of the curves.
     vertices : (int, int)
         Number of control vertices of target and source.
-    remedy : str
-
-    Raises
-    ------
-    FormatError
-        If arrays are missing, of another spec, or are no curves of the meshes; says ``remedy``.
     """
     if not names:
         return Curves.none()
@@ -181,13 +161,7 @@ def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
 
 
 def scheme_from_entry(path: Path, entry: Mapping[str, Any], remedy: str) -> Scheme:
-    """Undo `scheme_to_entry`.
-
-    Raises
-    ------
-    FormatError
-        If the entry lacks something, has too much or another value than the scheme knows; says ``remedy``.
-    """
+    """Undo `scheme_to_entry`."""
     settings = dict(entry)
     try:
         return SCHEMES[settings.pop("name")](**settings)

@@ -48,14 +48,8 @@ def polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], 
     ----------
     lines : sequence of str
         All that begin with `KEYWORD`.
-    n_vertices : int
     fail : callable
         Makes the error about a line, given its number among these and what was expected.
-
-    Raises
-    ------
-    FormatError
-        If a line is no such list, or there is not one value for every vertex.
     """
     if not lines:
         return None
@@ -79,13 +73,7 @@ _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))
 
 
 def read_material_colors(path: Path) -> dict[str, Color]:
-    """Diffuse colour of every material of a ``.mtl`` file; NaN where it gives none as RGB.
-
-    Raises
-    ------
-    FormatError
-        If the file is no text or a ``Kd`` line is malformed.
-    """
+    """Diffuse colour of every material of a ``.mtl`` file; NaN where it gives none as RGB."""
     colors: dict[str, Color] = {}
     name = None
     for number, line in enumerate(read_text(path, "a material file").split("\n"), start=1):

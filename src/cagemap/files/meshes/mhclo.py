@@ -56,7 +56,6 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
     ----------
     positions : (n, 3) float64
         Of the mesh, in the base's units.
-    base : ControlMesh
     faces : (n,) int64
         Face of the base that each vertex belongs to; of its triangles the nearest one is taken.
     """
@@ -87,13 +86,7 @@ def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) 
 
 
 def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
-    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is another one, or the file cannot be written.
-    """
+    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``."""
     file = Path(path)
     if file.suffix.lower() not in (".mhclo", ".proxy"):
         raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")

@@ -60,12 +60,6 @@ def read_obj(path: str | Path) -> ControlMesh:
     a colour (else ZBrush's polypaint, `obj_polypaint`), and ``t`` lines creases, corners, holes and
     options (`obj_tags`). Normals, points, lines and smoothing groups are ignored; several objects become
     one mesh.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, a line is malformed (named by its number), an index is out of range, a coordinate
-        is not finite, or a face has texture coordinates at some corners only.
     """
     file = Path(path)
     statements = _split_statements(file, read_text(file, "an OBJ file"))

@@ -48,17 +48,10 @@ def parse_tags(
 
     Parameters
     ----------
-    lines : sequence of str
     fail : callable
         Makes the error for line number i of ``lines``, given what was expected.
-    n_vertices, n_faces : int
     triangles : bool
         Whether all faces are: then options without a scheme are Loop's.
-
-    Raises
-    ------
-    FormatError
-        If a line is malformed, a number is out of range, or a word is none of those allowed.
     """
     sharp: dict[str, list[tuple[list[int], float]]] = {"crease": [], "corner": []}
     holes: list[int] = []

@@ -24,12 +24,6 @@ def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
     """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
 
     Numbers are written with as many digits as it takes to read the same float64 back.
-
-    Raises
-    ------
-    FormatError
-        If a file cannot be written, or cagemap did not write the one that is there and ``force`` is not given; if a
-        material name has a line break.
     """
     file = Path(path)
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
@@ -124,19 +118,10 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
 
     Parameters
     ----------
-    path : path
-        The file to write.
     original : path
         The file that ``laid_out`` was read from.
     laid_out : ControlMesh
         With texture coordinates.
-    force : bool
-        Replace a file that cagemap did not write.
-
-    Raises
-    ------
-    FormatError
-        If the mesh has no texture coordinates, the file has other faces than the mesh, or cannot be written.
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:
@@ -163,18 +148,8 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
 
     Parameters
     ----------
-    path : path
-        The file to write.
     original : path
         The file that ``moved`` was read from.
-    moved : ControlMesh
-    force : bool
-        Replace a file that cagemap did not write.
-
-    Raises
-    ------
-    FormatError
-        If the file has other faces or vertices than the mesh, or cannot be written.
     """
     file, kept = Path(path), Path(original)
     known = read_obj(kept)

@@ -56,13 +56,7 @@ def read_level_maps(
     functional_map: FloatArray | None,
     remedy: str,
 ) -> tuple[LevelMap, ...]:
-    """The maps that `level_arrays` wrote, the result's own last.
-
-    Raises
-    ------
-    FormatError
-        If arrays are missing, or are no maps of their levels.
-    """
+    """The maps that `level_arrays` wrote, the result's own last."""
     if functional_map is None or not entries:
         return ()
     target, source = surfaces

@@ -129,11 +129,6 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     ----------
     entry : dict
         With "kind", "output" (path of the image) and what it was made of.
-
-    Raises
-    ------
-    FormatError
-        If the folder is not a result.
     """
     root = Path(folder)
     with one_at_a_time(root):
@@ -151,13 +146,7 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
-    """What ``manifest.json`` of a RESULT folder holds.
-
-    Raises
-    ------
-    FormatError
-        If the folder is no result of a version that this one reads.
-    """
+    """What ``manifest.json`` of a RESULT folder holds."""
     path = root / MANIFEST
     if not path.is_file():
         found = f"no {MANIFEST} in it" if root.is_dir() else "a file" if root.exists() else "nothing of that name"
@@ -244,8 +233,6 @@ def stored_confidence(
 
     Parameters
     ----------
-    record : ConfidenceRecord or None
-    answer : PointMap
     controls : int
         Control vertices n_0 of the target.
     others : (r, n_0, 3) float64

@@ -41,13 +41,6 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     - ``.npz``: ``triangle`` and ``barycentric``, or a sparse matrix as SciPy writes it.
     - ``.mtx`` (Matrix Market): a matrix, each row the weights of the corners of one source triangle; its dense form
       (``array``) up to `DENSE_ENTRIES`.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or is no map.
-    ParameterError
-        If its points are not points of this source.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -215,11 +208,6 @@ def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurfac
     """A map of the target's finest vertices from images of these, or of its vertices at any coarser level.
 
     Images of a coarser level are refined like the surface itself, and put back onto the source.
-
-    Raises
-    ------
-    FormatError
-        If there is not one image for each vertex of some level.
     """
     sizes = [level.n_vertices for level in target.levels]
     if len(images) == sizes[-1]:
@@ -237,13 +225,7 @@ def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurfac
 
 
 def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> None:
-    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is unknown or the file cannot be written.
-    """
+    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:

@@ -52,11 +52,6 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         All of one level and scheme a side.
     provenance : dict
         Entries beside those of the first part.
-
-    Raises
-    ------
-    ParameterError
-        If levels or schemes differ.
     """
     first, provenance = parts[0], parts[0].provenance | provenance
     if len(parts) == 1:

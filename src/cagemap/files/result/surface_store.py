@@ -81,13 +81,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 
 
 def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
-    """Write a prepared surface to one file, whole or not at all.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written.
-    """
+    """Write a prepared surface to one file, whole or not at all."""
     control, operators, basis = surface.control, surface.operators, surface.basis
     header = {
         "format": FORMAT,
@@ -123,26 +117,18 @@ def prepared(
     """A prepared surface from a folder of stored ones, or prepared now and stored there.
 
     A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced.
+    Nothing is stored where preparing fails.
 
     Parameters
     ----------
     folder : path
         Created if it does not exist.
-    control : ControlMesh
     level : int
         The finest level.
-    config : BasisConfig
     progress : callable
         Called with the name of each stage.
     prepare : callable
         What makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
-
-    Raises
-    ------
-    FormatError
-        If the folder cannot be made or written to.
-    CagemapError
-        Whatever preparing raises; nothing is stored then.
     """
     key = surface_key(control, level, default_scheme(control), config)
     place = _usable_folder(Path(folder)) / (key + SUFFIX)
@@ -166,11 +152,6 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
     """Read a prepared surface; what is not stored, its refined levels, is made again.
 
     A control mesh known to be equal to the stored one takes its place, name and all.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, damaged, no stored surface, or of another format version.
     """
     path = Path(path)
     require_file(path, "a prepared surface")

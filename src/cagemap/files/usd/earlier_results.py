@@ -26,18 +26,11 @@ def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: boo
         Where it will be written. A file that cagemap did not write adds nothing.
     prim_paths : sequence of str
         The meshes that the results are about.
-    force : bool
-        Replace results about another mesh.
 
     Returns
     -------
     bool
         Whether there was something to add.
-
-    Raises
-    ------
-    FormatError
-        If the file holds results about another mesh.
     """
     pxr = usd_modules()
     try:

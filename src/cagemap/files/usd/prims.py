@@ -51,11 +51,6 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
 
     Where a file gives each corner a value of its own, as Blender does, equal ones at one vertex become one: otherwise
     every face would be an island.
-
-    Raises
-    ------
-    FormatError
-        If there are too few values or indices, or some are not finite.
     """
     values, numbers, interpolation = _values(where, primvar)
     values = values.astype(np.float64)
@@ -311,13 +306,7 @@ def is_mirrored(matrix: FloatArray) -> bool:
 
 
 def local_to_world(prim: Any) -> FloatArray:
-    """(4, 4) from a prim's own space to the world's.
-
-    Raises
-    ------
-    FormatError
-        If it flattens what it moves, or is not finite.
-    """
+    """(4, 4) from a prim's own space to the world's."""
     matrix = _to_world(prim)
     if not np.isfinite(matrix).all() or _is_flattening(matrix):
         raise FormatError(

@@ -88,13 +88,7 @@ class UsdMesh:
 
 
 def usd_modules() -> Any:
-    """The ``pxr`` package.
-
-    Raises
-    ------
-    FormatError
-        If it is not installed.
-    """
+    """The ``pxr`` package."""
     try:
         import pxr
         import pxr.Usd
@@ -121,13 +115,7 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 
 def open_stage(path: str | Path) -> Any:
-    """Open a USD file; what it refers to and cannot be found is warned of.
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, there is no such file, or it is damaged.
-    """
+    """Open a USD file; what it refers to and cannot be found is warned of."""
     pxr = usd_modules()
     file = Path(path)
     require_file(file, "a USD file")
@@ -169,11 +157,6 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
     Stand-ins (purpose guide or proxy) are left out beside meshes that are none, and so are meshes that their transform
     flattens (as animators hide them) beside others; that is warned of.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, has no mesh with points and faces, or a mesh's arrays do not fit together.
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
@@ -209,11 +192,6 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
     """Read a control mesh from a USD file; several mesh prims become objects of one mesh, in world space.
 
     With ``mixed``, meshes that are subdivided in different ways come with their ``object_schemes``, to take parts of.
-
-    Raises
-    ------
-    FormatError
-        As `read_usd_meshes`, or if meshes are to be subdivided in different ways.
     """
     file = Path(path)
     meshes = read_usd_meshes(file)
@@ -232,13 +210,7 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
-    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to.
-
-    Raises
-    ------
-    FormatError
-        If there are several and it is of none or of several of them.
-    """
+    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to."""
     if len(meshes) == 1:
         return meshes[0]
     objects = None if control is None else control.face_objects

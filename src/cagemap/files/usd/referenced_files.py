@@ -23,12 +23,6 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
     ----------
     name : str
         Of the file; its ending says how it is read.
-    content : bytes
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, the file is damaged, or it is a package of packages.
     """
     pxr = usd_modules()
     with tempfile.TemporaryDirectory() as folder:

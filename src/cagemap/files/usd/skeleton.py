@@ -20,7 +20,6 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
 
     Parameters
     ----------
-    path : path
     control : ControlMesh, optional
         Says which mesh, where the file has several.
 
@@ -28,11 +27,6 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
     -------
     Skeleton or None
         None where the mesh is bound to none.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or joints and transforms do not fit together.
     """
     meshes = read_usd_meshes(path)
     chosen = one_mesh(path, meshes, control)
@@ -77,7 +71,6 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
 
     Parameters
     ----------
-    stage : Usd.Stage
     prim : Usd.Prim
         The mesh.
     skeleton : Skeleton

@@ -24,7 +24,6 @@ class StageUnits:
     ----------
     up_axis : str
         "Y" or "Z".
-    meters_per_unit : float
     """
 
     up_axis: str
@@ -35,13 +34,7 @@ class StageUnits:
 
 
 def stage_units(path: str | Path) -> StageUnits | None:
-    """Units of a USD file; None where the file is another one, which says nothing about them.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read.
-    """
+    """Units of a USD file; None where the file is another one, which says nothing about them."""
     if Path(path).suffix.lower() not in USD_SUFFIXES:
         return None
     pxr, stage = usd_modules(), open_stage(path)
@@ -58,7 +51,6 @@ class StageSpace:
 
     Attributes
     ----------
-    units : StageUnits
     to_world : (4, 4) float64
         The prim's transform, for rows.
     """
@@ -68,13 +60,7 @@ class StageSpace:
 
 
 def stage_space(path: str | Path) -> StageSpace:
-    """The space of a mesh that was read from a USD file.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read.
-    """
+    """The space of a mesh that was read from a USD file."""
     units, meshes = stage_units(path), read_usd_meshes(path)
     assert units is not None
     # Several meshes are read in world space.
@@ -90,13 +76,7 @@ def unit_notes(target: Path, source: Path) -> tuple[str, ...]:
 
 
 def to_standard(path: Path, control: ControlMesh) -> FloatArray:
-    """(4, 4) from the space of a file's control mesh to metres in world space with Y up.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read, or has several meshes and the control mesh is of none of them.
-    """
+    """(4, 4) from the space of a file's control mesh to metres in world space with Y up."""
     units = stage_units(path)
     assert units is not None
     meshes = read_usd_meshes(path)
@@ -108,13 +88,7 @@ def to_standard(path: Path, control: ControlMesh) -> FloatArray:
 
 
 def upright_turn(path: Path, control: ControlMesh) -> FloatArray | None:
-    """(3, 3) rotation for rows from the space of a file's control mesh to Y up; None where the file is no USD file.
-
-    Raises
-    ------
-    FormatError
-        As `to_standard`.
-    """
+    """(3, 3) rotation for rows from the space of a file's control mesh to Y up; None where the file is no USD file."""
     if path.suffix.lower() not in USD_SUFFIXES:
         return None
     left, _, right = np.linalg.svd(to_standard(path, control)[:3, :3])

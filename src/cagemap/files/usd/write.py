@@ -94,11 +94,6 @@ def write_usd(
     A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface. Without a
     ``space`` it is in metres with Y up. With ``add``, results that cagemap wrote to the file before stay in it; returns
     whether there were some.
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, or the file cannot be written; with ``add``, if it holds another mesh.
     """
     file = Path(path)
     check_usd_path(file)
@@ -150,15 +145,8 @@ def write_usd_over(
         The mesh's prim there; of several, each gets the textures.
     mesh : ControlMesh
         The mesh as it was read.
-    results : UsdResults
     world : bool
         Whether the mesh was read in world space, and not in the prim's own.
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, there is no such prim, or the file cannot be written; if the layer holds results about
-        another target, without ``force``.
     """
     file = Path(path)
     check_usd_path(file)
@@ -207,12 +195,7 @@ def _ancestors(prim: Any) -> list[Any]:
 
 
 def check_usd_path(file: Path) -> None:
-    """Refuse a name that does not end as one of USD's layers, or is no text.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse a name that does not end as one of USD's layers, or is no text."""
     text_name(file.absolute())
     if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
         raise FormatError(

@@ -39,7 +39,6 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
 
     Parameters
     ----------
-    path : path
     control : ControlMesh, optional
         The mesh whose values are meant, which says which one where a USD file has several.
     rows : FileRows, optional
@@ -49,11 +48,6 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     -------
     dict of str -> (n,) or (n, q) array
         Integers stay integers; all others are float64.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or an array is empty, not numeric, not finite or of more than two dimensions.
     """
     file = Path(path)
     require_file(file, "a file of attributes")
@@ -97,12 +91,6 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
 
     A ``.json`` holds vertex groups. An ``.npy`` or ``.csv`` has no place for cagemap's mark: an existing one is
     replaced with ``force`` alone.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is unknown, several arrays are to go into an ``.npy``, or rows differ in a ``.csv``; if the file
-        cannot be written (see `cagemap.files.atomic.require_replaceable`).
     """
     file = Path(path)
     check_attribute_path(file)
@@ -207,13 +195,7 @@ class GroupsRecord(Record):
 
 
 def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
-    """Read vertex groups as a weight (count,) for every vertex of a mesh, 0 where it is not in the group.
-
-    Raises
-    ------
-    FormatError
-        If the file is none of groups, a name or a vertex comes twice, or there is no such vertex.
-    """
+    """Read vertex groups as a weight (count,) for every vertex of a mesh, 0 where it is not in the group."""
     stated = parse_json(read_text(path, "vertex groups"), path, _REMEDY)
     found: dict[str, FloatArray] = {}
     for group in checked_record(GroupsRecord, stated, path, _REMEDY).groups:
@@ -235,13 +217,7 @@ def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
 
 
 def groups_text(attributes: Mapping[str, NDArray[Any]], path: Path) -> str:
-    """Text of a file of groups: of every array, the vertices whose weight is not 0.
-
-    Raises
-    ------
-    FormatError
-        If an array has several numbers a vertex.
-    """
+    """Text of a file of groups: of every array, the vertices whose weight is not 0."""
     groups = []
     for name, array in attributes.items():
         if array.ndim != 1:

@@ -129,11 +129,6 @@ def file_rows(folder: str | Path, manifest: dict[str, Any], side: str, control: 
     """The rows of a side's file; None if a result is about the whole of it, or, with a warning, the file is gone.
 
     In a USD file with several meshes, those of the one that the part lies in.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
     """
     if control.file_vertices is None:
         return None

@@ -37,14 +37,8 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
 
     Parameters
     ----------
-    path : path
     control : ControlMesh, optional
         The mesh that it moves, which says which one where a USD file has several.
-
-    Raises
-    ------
-    FormatError
-        If the file is no such list, a name comes twice, or a parent is missing.
     """
     file = Path(path)
     if file.suffix.lower() in SCENE_SUFFIXES:
@@ -105,14 +99,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
     paths : sequence of Path
         OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
         and glTF files.
-    rest : ControlMesh
     rows : FileRows, optional
         Of a cage that is a part of a file: shapes of the whole file are taken at the part.
-
-    Raises
-    ------
-    FormatError
-        If a file has other vertices or faces than the cage, a name comes twice, or there is no shape.
     """
     files: list[Path] = []
     for path in paths:

@@ -55,9 +55,6 @@ class CommandOption:
     kind : str
         "several" are some of ``choices``; "name or file" is a file where it ends in one of ``suffixes``; "output" names
         a file to write, and is asked for with True.
-    default : value
-    choices, suffixes : tuple of str
-    least, most : float or None
     """
 
     command: str
@@ -77,12 +74,7 @@ class CommandOption:
         return self.command, self.name
 
     def require(self, value: Value) -> None:
-        """Refuse a number outside its range.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """Refuse a number outside its range."""
         if not isinstance(value, int | float):
             return
         if (self.least is not None and value < self.least) or (self.most is not None and value > self.most):
@@ -90,13 +82,7 @@ class CommandOption:
             raise ParameterError(f"{self.flag}: expected {self.least} {most}, got {value}. Correct it.")
 
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
-        """A value with its paths as ``require`` gives them; files in a folder as well.
-
-        Raises
-        ------
-        ParameterError
-            If one lies elsewhere.
-        """
+        """A value with its paths as ``require`` gives them; files in a folder as well."""
         if isinstance(value, Path):
             return _placed(value, require)
         if self.kind == "name or file" and isinstance(value, str):
@@ -123,13 +109,7 @@ def all_options() -> Options:
 
 
 def request_of(options: Options, command: str, values: Mapping[str, Value]) -> Request:
-    """The request of a command with some values of its fields.
-
-    Raises
-    ------
-    ParameterError
-        If a number is outside its range.
-    """
+    """The request of a command with some values of its fields."""
     for name, value in values.items():
         if (command, name) in options:
             options[command, name].require(value)

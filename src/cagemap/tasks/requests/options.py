@@ -19,7 +19,6 @@ class Option:
     ----------
     names : tuple of str
         As typed; a switch may have ``--on/--off``. None: ``--`` and the field's name.
-    help : str
     min, max : float or None
         Least and largest value.
     metavar : str or None

@@ -79,16 +79,8 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    request : dataclass
     words : sequence of str
         ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
-
-    Raises
-    ------
-    ParameterError
-        If a name is not known or a value does not fit.
-    FormatError
-        If a file cannot be read.
     """
     if not words:
         return {}
