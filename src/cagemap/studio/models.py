@@ -239,7 +239,7 @@ def upright(path: Path, control: ControlMesh, up: str | None) -> FloatArray:
     """(3, 3) rotation from a file's space to the view, for rows: as asked, else as a USD file says, else y is up."""
     if up is not None:
         return UP_AXES[up]
-    said = upright_turn(path, control)
+    said = upright_turn(path)
     return Y_UP if said is None else said
 
 

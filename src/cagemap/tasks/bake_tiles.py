@@ -30,7 +30,7 @@ from cagemap.files.images.image import (
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.meshes.obj_write import write_obj_layout
 from cagemap.files.result.folder import ARRAYS
-from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, read_files, stated_path
+from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, read_files
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
@@ -304,10 +304,10 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
 def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
     """Note a bake in the manifest, and say what was written."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
-    mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
-    stated = stated_path(outputs[0], request.result)
     level = {} if request.level is None else {"level": request.level}
-    note_transfer(request.result, {**entry, **level, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
+    note_transfer(
+        request.result, {**entry, **level, "output": outputs[0], "tiles": prepared.tiles, "mesh": prepared.mesh}
+    )
     written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
     summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
     if prepared.transfer.masks.any:

@@ -11,7 +11,7 @@ from typing import Any, cast
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.result.manifest import note_transfer, stated_path
+from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.material import unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
@@ -71,7 +71,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     for (name, path), output in zip(maps, outputs, strict=True):
         own = replace(request, output=output)
         given = _bake_map(own, result, prepared, name, path, stages)
-        entry = _entry("texture", request, path, given)
+        entry = _entry("texture", path, given)
         summary, warnings = finish(own, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
@@ -122,10 +122,9 @@ def _baked(
     return bake_tiles(request, prepared, bound, stages)
 
 
-def _entry(kind: str, request: TransferRequest, path: Path, given: SourceImage) -> dict[str, Any]:
+def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
     """What the manifest notes of an image that was carried: its file, size baked, and word for the colour space."""
-    image = stated_path(path, request.result)
-    return {"kind": kind, "image": image, "size": given.size, "color_space": given.first.color_space}
+    return {"kind": kind, "image": path, "size": given.size, "color_space": given.first.color_space}
 
 
 def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
@@ -141,7 +140,7 @@ def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stag
         )
     bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
     _baked(bake, given, request, prepared, stages)
-    entry = _entry("normal-map", request, request.normal_map, given)
+    entry = _entry("normal-map", request.normal_map, given)
     return finish(request, prepared, {**entry, "space": request.space})
 
 
@@ -152,7 +151,7 @@ def carry_displacement(request: TransferRequest, result: MatchResult, stages: St
     prepared = prepare_bake(request, result, stages)
     bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
     baked = _baked(bake, given, request, prepared, stages)
-    entry = _entry("displacement", request, request.displacement, given)
+    entry = _entry("displacement", request.displacement, given)
     return _finish_displacement(request, prepared, entry, baked, "height")
 
 
@@ -164,7 +163,7 @@ def carry_vector_displacement(request: TransferRequest, result: MatchResult, sta
     space = cast(Space, request.space)
     bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
     baked = _baked(bake, given, request, prepared, stages)
-    entry = {**_entry("vector-displacement", request, request.vector_displacement, given), "space": request.space}
+    entry = {**_entry("vector-displacement", request.vector_displacement, given), "space": request.space}
     return _finish_displacement(request, prepared, entry, baked, "vector")
 
 
@@ -232,8 +231,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         partial(masking, request, prepared),
     )
     for kind, path in images.items():
-        place = udim_path(path, prepared.tiles[0])
-        entry = {"kind": f"bake-{kind}", "output": stated_path(place, request.result), "tiles": prepared.tiles}
+        entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
         note_transfer(request.result, {**entry, "size": bakes.size, "space": request.space})
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")

@@ -14,7 +14,7 @@ from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.meshes.mhclo import bind, write_mhclo
-from cagemap.files.result.manifest import note_transfer, read_files, stated_path
+from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.read import USD_SUFFIXES
@@ -44,7 +44,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     """Skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
-    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    rows = file_rows(request.result, result, "source")
     given = read_attributes(request.weights, result.source.control, rows)
     if JOINT_WEIGHTS in given:  # a USD or glTF file: other primvars are no weights
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
@@ -67,7 +67,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         carried = carry_weights(result, skin, influences=request.influences or None)
     except ParameterError as error:
         raise ParameterError(f"{request.weights}: {error}") from None
-    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    own = file_rows(request.result, result, "target")
     named = all(array.ndim == 1 for array in given.values())
     names = tuple(given) if named else () if skeleton is None else skeleton.names
     carried = with_choice(request, result.target.control, carried, names, own)
@@ -90,9 +90,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
                 attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, result.point_map)
             )
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
-    files = {"file": request.weights, "output": request.output}
-    entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
-    note_transfer(request.result, entry)
+    note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
@@ -159,15 +157,14 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     stages("joints")
     count = len(skeleton.names)
     write_skeleton(request.output, _moved(skeleton, result.point_map), force=request.force)
-    note_transfer(request.result, {"kind": "joints", "output": stated_path(request.output, request.result)})
+    note_transfer(request.result, {"kind": "joints", "output": request.output})
     return f"wrote {request.output}: {count} joints", []
 
 
 def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Blend shapes of the source's cage for the target's."""
     rows, own = (
-        file_rows(request.result, result.manifest, name, side.control)
-        for name, side in (("source", result.source), ("target", result.target))
+        file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
     )
     shapes = read_shapes(request.blend_shapes, result.source.control, rows)
     stages("shapes")
@@ -181,14 +178,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
         if request.usd is not None:
             shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
             text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
-    note_transfer(
-        request.result,
-        {
-            "kind": "blend-shapes",
-            "files": [stated_path(path, request.result) for path in request.blend_shapes],
-            "output": stated_path(request.output, request.result),
-        },
-    )
+    note_transfer(request.result, {"kind": "blend-shapes", "files": request.blend_shapes, "output": request.output})
     return text, []
 
 

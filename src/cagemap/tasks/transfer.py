@@ -19,7 +19,7 @@ from cagemap.files.atomic import (
 )
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
-from cagemap.files.result.manifest import input_file, note_transfer, read_files, stated_path
+from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
@@ -157,7 +157,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     assert request.attribute is not None
     check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
-    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    rows = file_rows(request.result, result, "source")
     values = read_attributes(request.attribute, result.source.control, rows)
     source = result.source.control
     stages("carry values")
@@ -174,7 +174,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         for name, array in values.items()
         if len(array) == source.n_vertices == source.n_faces
     ]
-    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    own = file_rows(request.result, result, "target")
     carried, notes = keep_base(request, result, carried, own)
     whole = in_file(request, carried, own)
     lines = []
@@ -183,9 +183,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         if request.usd is not None:
             results = UsdResults(attributes=carried)
             lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
-    files = {"file": request.attribute, "output": request.output}
-    entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
-    note_transfer(request.result, entry)
+    note_transfer(request.result, {"kind": "attribute", "file": request.attribute, "output": request.output})
     shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
@@ -200,7 +198,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     original, control = input_file(request.result, result.manifest, "target"), result.target.control
     laid_out = control.with_uvs(carried.uvs, carried.uv_indices)
     write_mesh(request.output, laid_out, like=original, force=request.force)
-    note_transfer(request.result, {"kind": "uvs", "output": stated_path(request.output, request.result)})
+    note_transfer(request.result, {"kind": "uvs", "output": request.output})
     count = len(carried.crossed)
     warnings = []
     if original is None and {path.suffix.lower() for path in (request.output, Path(control.name))} <= set(USD_SUFFIXES):
@@ -226,9 +224,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     stages("passenger")
     carried = carry_passenger(result, mesh, kind=cast(Kind | None, request.kind))
     write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)
-    files = {"file": request.passenger, "output": request.output}
-    entry = {"kind": "passenger"} | {name: stated_path(path, request.result) for name, path in files.items()}
-    note_transfer(request.result, entry)
+    note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     warnings = []
     if carried.distance > _FAR_PASSENGER:
         warnings.append(

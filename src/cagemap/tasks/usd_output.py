@@ -51,7 +51,7 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
             f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
             "Match one of them with --target-part; textures alone may be of several."
         )
-    rows = file_rows(folder, result.manifest, "target", control) if len(paths) == 1 else None
+    rows = file_rows(folder, result, "target") if len(paths) == 1 else None
     if rows is not None:
         control, results = replace(rows.whole, uv_name=control.uv_name), _of_prim(results, rows)
     kept = write_usd_over(layer, original, paths, control, results, world=len(meshes) > 1, force=force)

@@ -15,7 +15,7 @@ from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.meshes.mhclo import bind, write_mhclo
 from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import ARRAYS, read_result
-from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files, stated_path
+from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
 from cagemap.files.usd.prims import moved
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.space import between_spaces
@@ -172,7 +172,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     stages("write")
     space = _to_target(folder, result)
     warnings = _write(request, _through(wrapped, space), result, original, request.output)
-    note_transfer(folder, _entry(request, wrapped, folder))
+    note_transfer(folder, _entry(request, wrapped))
     note_output("wrap", folder, request)
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
@@ -222,7 +222,7 @@ def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray
 
 def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
     control = result.target.control
-    values = read_attributes(path, control, file_rows(folder, result.manifest, "target", control))
+    values = read_attributes(path, control, file_rows(folder, result, "target"))
     if len(values) != 1:
         raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
     follow = np.asarray(next(iter(values.values())), dtype=np.float64)
@@ -279,8 +279,7 @@ def _write(
 
 def _to_target(folder: Path, result: MatchResult) -> FloatArray:
     """(4, 4) from the source's space to the target's, where two USD files say that they differ."""
-    files = [input_file(folder, result.manifest, side) for side in ("target", "source")]
-    return between_spaces(files[0], result.target.control, files[1], result.source.control)
+    return between_spaces(*(input_file(folder, result.manifest, side) for side in ("target", "source")))
 
 
 def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
@@ -312,10 +311,10 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
     return "\n".join(lines), list(dict.fromkeys(warnings))
 
 
-def _entry(request: WrapRequest, wrapped: Wrapped, folder: Path) -> dict[str, Any]:
+def _entry(request: WrapRequest, wrapped: Wrapped) -> dict[str, Any]:
     return {
         "kind": "wrap",
-        "output": stated_path(request.output, folder),
+        "output": request.output,
         "fit_level": wrapped.level,
         "amount": request.amount,
         "residual": _noted(wrapped.residual) | {"without_counterpart": wrapped.left_out},

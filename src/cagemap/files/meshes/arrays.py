@@ -16,7 +16,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints
-from cagemap.mesh.schemes import SCHEMES, Scheme
+from cagemap.mesh.schemes import SCHEMES, Scheme, scheme_name
 
 # Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
 CONTROL_FORMS = {
@@ -156,8 +156,7 @@ def curves_from_arrays(
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
     """Name and settings of a scheme, for JSON."""
-    name = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
-    return {"name": name, **asdict(scheme)}
+    return {"name": scheme_name(scheme), **asdict(scheme)}
 
 
 def scheme_from_entry(path: Path, entry: Mapping[str, Any], remedy: str) -> Scheme:

@@ -84,7 +84,7 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in SCENE_SUFFIXES:
         write_glb_like(path, mesh, like, force=force)
     elif suffix == ".glb" and original is not None:
-        write_glb(path, mesh, to_metres=to_standard(original, mesh), force=force)
+        write_glb(path, mesh, to_metres=to_standard(original), force=force)
     else:
         _WRITERS[suffix](path, mesh, force=force)
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop
+from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop, scheme_name
 
 _CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
     "interpolateboundary": ("boundary", ("none", "edge_and_corner", "edge_only")),
@@ -127,7 +127,7 @@ def format_tags(mesh: ControlMesh) -> str:
             for tag, (option, choices) in _CHOICES.items()
             if option in stated
         ]
-        stated["scheme"] = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
+        stated["scheme"] = scheme_name(scheme)
         for tag, (option, meanings) in _WORDS.items():
             words = [word for word, meaning in meanings.items() if meaning == stated.get(option)]
             lines += [f"t {tag} 0/0/1 {word}" for word in words]

@@ -65,6 +65,13 @@ def stated_path(path: str | Path, folder: str | Path) -> str:
         return Path(file).name
 
 
+def stated(value: Any, folder: str | Path) -> Any:
+    """A value of a manifest or job file; paths in it, or in lists of it, by `stated_path`."""
+    if isinstance(value, list | tuple):
+        return [stated(item, folder) for item in value]
+    return stated_path(value, folder) if isinstance(value, Path) else value
+
+
 def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str, str]]:
     """How a manifest names what a result is made from: a file's name, its place, and the hash of its content.
 
@@ -121,24 +128,17 @@ def peak_memory() -> int | None:
 
 
 def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
-    """Add to a result's manifest what was baked from it, so that a report can show it; the same output replaces.
+    """Add to a result's manifest what was made with it: "kind", "output" and others; the same output replaces.
 
-    A folder that cannot be written to is warned of.
-
-    Parameters
-    ----------
-    entry : dict
-        With "kind", "output" (path of the image) and what it was made of.
+    Paths are noted by `stated_path`. A folder that cannot be written to is warned of.
     """
     root = Path(folder)
+    entry = {name: stated(value, root) for name, value in entry.items()}
     with one_at_a_time(root):
         manifest = read_manifest(root)
         record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
-        kept = [
-            other.model_dump(exclude_unset=True) for other in record.transfers if other.output != entry.get("output")
-        ]
-        manifest["transfers"] = [*kept, entry]
-        manifest["written_by"] = mark()
+        kept = [one.model_dump(exclude_unset=True) for one in record.transfers if one.output != entry["output"]]
+        manifest |= {"transfers": [*kept, entry], "written_by": mark()}
         try:
             write_whole(root / MANIFEST, to_json(manifest), force=True)
         except FormatError as error:  # the output itself is there; a RESULT may be somebody else's

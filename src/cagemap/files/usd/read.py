@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -32,33 +33,25 @@ from cagemap.files.usd.prims import (
     unflattened,
     uv_primvars,
 )
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
+from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
+from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import default_scheme
 
 logger = logging.getLogger(__name__)
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-_SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
-    "catmullClark": CatmullClark,
-    "loop": Loop,
-    "bilinear": Bilinear,
-    "none": Plain,
-}
-_BOUNDARIES = {"none": "none", "edgeOnly": "edge_only", "edgeAndCorner": "edge_and_corner"}
-_UVS = {
-    "none": "none",
-    "cornersOnly": "corners_only",
-    "cornersPlus1": "corners_plus1",
-    "cornersPlus2": "corners_plus2",
-    "boundaries": "boundaries",
-    "all": "all",
+# Words of USD; ours are the same in small letters, with "_" between them.
+_WORDS = {
+    "subdivisionScheme": ("catmullClark", "loop", "bilinear", "none"),
+    "interpolateBoundary": ("none", "edgeOnly", "edgeAndCorner"),
+    "faceVaryingLinearInterpolation": ("none", "cornersOnly", "cornersPlus1", "cornersPlus2", "boundaries", "all"),
+    "triangleSubdivisionRule": ("catmullClark", "smooth"),
 }
 # Purposes of meshes that stand for others.
 _STAND_INS = ("guide", "proxy")
-_TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,19 +271,16 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
-    words = {
-        "subdivisionScheme": (mesh.GetSubdivisionSchemeAttr().Get(), {name: name for name in _SCHEMES}),
-        "interpolateBoundary": (mesh.GetInterpolateBoundaryAttr().Get(), _BOUNDARIES),
-        "faceVaryingLinearInterpolation": (mesh.GetFaceVaryingLinearInterpolationAttr().Get(), _UVS),
-        "triangleSubdivisionRule": (mesh.GetTriangleSubdivisionRuleAttr().Get(), _TRIANGLES),
-    }
-    for name, (word, known) in words.items():
+    found = []
+    for name, known in _WORDS.items():
+        word = mesh.GetPrim().GetAttribute(name).Get()
         if str(word) not in known:
             raise FormatError(
                 f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."
             )
-    kind, boundary, uvs, triangles = (known[str(word)] for word, known in words.values())
-    return _SCHEMES[kind](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
+        found.append(re.sub("[A-Z]", lambda letter: f"_{letter[0].lower()}", str(word)))
+    kind, boundary, uvs, triangles = found
+    return SCHEMES[kind.replace("_", "-")](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
 
 
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,14 +22,12 @@ from cagemap.files.usd.material import bind_textures
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
 from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
 from cagemap.files.usd.skeleton import write_usd_skeleton
-from cagemap.files.usd.space import StageSpace, StageUnits
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
+from cagemap.files.usd.space import StageSpace
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import scheme_name
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-_SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear", Plain: "none"}
-_BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
-_TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8
 _CORNERS = "faceVarying"
 _log = logging.getLogger(__name__)
@@ -99,13 +98,13 @@ def write_usd(
     check_usd_path(file)
     pxr = usd_modules()
     stage = pxr.Usd.Stage.CreateInMemory()
-    units = StageUnits("Y", 1.0) if space is None else space.units
-    pxr.UsdGeom.SetStageUpAxis(stage, units.up_axis)
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, units.meters_per_unit)
+    space = space or StageSpace("Y", 1.0)
+    pxr.UsdGeom.SetStageUpAxis(stage, space.up_axis)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, space.meters_per_unit)
     kind = "SkelRoot" if _needs_skeleton(results) else "Xform"
     root = stage.DefinePrim("/Asset", kind)
     stage.SetDefaultPrim(root)
-    if space is not None and not np.array_equal(space.to_world, np.eye(4)):
+    if not np.array_equal(space.to_world, np.eye(4)):
         pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
@@ -226,12 +225,11 @@ def _write_topology(prim: Any, mesh: ControlMesh) -> None:
     prim.CreateFaceVertexCountsAttr(_ints(mesh.face_sizes))
     prim.CreateFaceVertexIndicesAttr(_ints(mesh.face_indices))
     scheme = mesh.scheme
-    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _SCHEMES[type(scheme)])
+    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _camel_case(scheme_name(scheme)))
     if scheme is not None:
-        prim.CreateInterpolateBoundaryAttr(_BOUNDARIES[scheme.boundary])
-        words = scheme.uv_interpolation.split("_")
-        prim.CreateFaceVaryingLinearInterpolationAttr(words[0] + "".join(word.capitalize() for word in words[1:]))
-        prim.CreateTriangleSubdivisionRuleAttr(_TRIANGLES[scheme.triangles])
+        prim.CreateInterpolateBoundaryAttr(_camel_case(scheme.boundary))
+        prim.CreateFaceVaryingLinearInterpolationAttr(_camel_case(scheme.uv_interpolation))
+        prim.CreateTriangleSubdivisionRuleAttr(_camel_case(scheme.triangles))
     if mesh.crease_edges is not None and mesh.crease_sharpness is not None and len(mesh.crease_edges):
         prim.CreateCreaseIndicesAttr(_ints(mesh.crease_edges.ravel()))
         prim.CreateCreaseLengthsAttr(_ints(np.full(len(mesh.crease_edges), 2)))
@@ -244,6 +242,12 @@ def _write_topology(prim: Any, mesh: ControlMesh) -> None:
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         color = prim.CreateDisplayColorPrimvar("vertex")
         color.Set(pxr.Vt.Vec3fArray.FromNumpy(mesh.vertex_colors.astype(np.float32)))
+
+
+def _camel_case(word: str) -> str:
+    """A word of ours, such as "edge_and_corner", as USD writes it."""
+    first, *others = re.split("[_-]", word)
+    return first + "".join(other.capitalize() for other in others)
 
 
 def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, UsdMesh, in_world, read_usd, read_usd_meshes
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -125,14 +126,15 @@ class FileRows:
         return self._spread(np.array(self.whole.positions), positions)
 
 
-def file_rows(folder: str | Path, manifest: dict[str, Any], side: str, control: ControlMesh) -> FileRows | None:
+def file_rows(folder: str | Path, result: MatchResult, side: str) -> FileRows | None:
     """The rows of a side's file; None if a result is about the whole of it, or, with a warning, the file is gone.
 
     In a USD file with several meshes, those of the one that the part lies in.
     """
+    control = (result.target if side == "target" else result.source).control
     if control.file_vertices is None:
         return None
-    file = input_file(folder, manifest, side)
+    file = input_file(folder, result.manifest, side)
     if file is None:
         _log.warning(
             "%s: was matched %s, and is not where the match read it, or has changed: values of the %s are "

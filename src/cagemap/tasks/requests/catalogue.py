@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin
 
 from pydantic import TypeAdapter
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf
+from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
 from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
 
 Request = MatchRequest | TransferRequest | WrapRequest | ReportRequest
@@ -125,17 +125,10 @@ def _validator(request: type) -> TypeAdapter[Any]:
 @cache
 def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     """Options of one command; what is no option of the command line is left out."""
-    hints = get_type_hints(request, include_extras=True)
-    found = []
-    for field in fields(request):
-        if get_origin(hints[field.name]) is not Annotated:
-            continue
-        kind, *said = get_args(hints[field.name])
-        info = next((one for one in said if type(one) is Option), None)
-        if info is not None:
-            default = None if field.default is MISSING else field.default
-            found.append(_option(command, field.name, kind, info, said, default))
-    return tuple(found)
+    return tuple(
+        _option(command, field.name, kind, info, said, None if field.default is MISSING else field.default)
+        for field, kind, said, info in options_in(request)
+    )
 
 
 def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], default: Any) -> CommandOption:

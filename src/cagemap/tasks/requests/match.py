@@ -30,6 +30,7 @@ from cagemap.tasks.requests.options import (
     TargetWeldOption,
     UvOption,
     WeldOption,
+    setting,
 )
 
 
@@ -60,89 +61,39 @@ class MatchRequest:
         ),
     ] = None
     k: Annotated[
-        int | None,
-        Option(
-            "-k",
-            group=RESEARCH,
-            min=3,
-            help="Basis functions of each surface.  [default: 100]",
-        ),
+        int | None, Option("-k", group=RESEARCH, min=3, help="Basis functions of each surface.  [default: 100]")
     ] = None
     schedule: Annotated[
-        str | None,
-        Option(
-            group=RESEARCH,
-            setting=True,
-            help="Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.",
-        ),
+        str | None, setting("Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.")
     ] = None
-    target_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="level of the target alone.")] = None
-    target_vertices: Annotated[
-        int | None, Option(group=RESEARCH, setting=True, min=1, help="vertices of the target alone.")
-    ] = None
-    target_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="k of the target alone.")] = None
-    target_schedule: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="schedule of the target alone.")
-    ] = None
-    source_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="level of the source alone.")] = None
-    source_vertices: Annotated[
-        int | None, Option(group=RESEARCH, setting=True, min=1, help="vertices of the source alone.")
-    ] = None
-    source_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="k of the source alone.")] = None
-    source_schedule: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="schedule of the source alone.")
-    ] = None
+    target_level: Annotated[int | None, setting("level of the target alone.")] = None
+    target_vertices: Annotated[int | None, setting("vertices of the target alone.", min=1)] = None
+    target_k: Annotated[int | None, setting("k of the target alone.")] = None
+    target_schedule: Annotated[str | None, setting("schedule of the target alone.")] = None
+    source_level: Annotated[int | None, setting("level of the source alone.")] = None
+    source_vertices: Annotated[int | None, setting("vertices of the source alone.", min=1)] = None
+    source_k: Annotated[int | None, setting("k of the source alone.")] = None
+    source_schedule: Annotated[str | None, setting("schedule of the source alone.")] = None
     laplacian: Annotated[
         str | None,
-        Option(
-            group=RESEARCH,
-            setting=True,
-            help="Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]",
-        ),
+        setting("Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]"),
     ] = None
-    accuracy: Annotated[
-        float | None,
-        Option(group=RESEARCH, setting=True, help="Convergence of the eigensolver.  [default: 1e-5]"),
-    ] = None
-    literal: Annotated[
-        bool,
-        Option(
-            "--literal",
-            group=RESEARCH,
-            setting=True,
-            help="With schedule: the paper's Definition 2 exactly as printed.",
-        ),
-    ] = False
-    target_laplacian: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="laplacian of the target alone.")
-    ] = None
-    target_accuracy: Annotated[
-        float | None, Option(group=RESEARCH, setting=True, help="accuracy of the target alone.")
-    ] = None
-    target_literal: Annotated[
-        bool, Option("--target-literal", group=RESEARCH, setting=True, help="literal of the target alone.")
-    ] = False
-    source_laplacian: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="laplacian of the source alone.")
-    ] = None
-    source_accuracy: Annotated[
-        float | None, Option(group=RESEARCH, setting=True, help="accuracy of the source alone.")
-    ] = None
-    source_literal: Annotated[
-        bool, Option("--source-literal", group=RESEARCH, setting=True, help="literal of the source alone.")
-    ] = False
+    accuracy: Annotated[float | None, setting("Convergence of the eigensolver.  [default: 1e-5]")] = None
+    literal: Annotated[bool, setting("With schedule: the paper's Definition 2 exactly as printed.", "--literal")] = (
+        False
+    )
+    target_laplacian: Annotated[str | None, setting("laplacian of the target alone.")] = None
+    target_accuracy: Annotated[float | None, setting("accuracy of the target alone.")] = None
+    target_literal: Annotated[bool, setting("literal of the target alone.", "--target-literal")] = False
+    source_laplacian: Annotated[str | None, setting("laplacian of the source alone.")] = None
+    source_accuracy: Annotated[float | None, setting("accuracy of the source alone.")] = None
+    source_literal: Annotated[bool, setting("literal of the source alone.", "--source-literal")] = False
     method: Annotated[
-        Method,
-        Option(group=RESEARCH, help="elastic maps landmarks exactly; hfm and paper compute functional maps."),
+        Method, Option(group=RESEARCH, help="elastic maps landmarks exactly; hfm and paper compute functional maps.")
     ] = Method.ELASTIC
     parameter: Annotated[
         tuple[str, ...],
-        Option(
-            group=RESEARCH,
-            setting=True,
-            metavar="NAME=VALUE",
-            help="A parameter of the method, such as search_vertices=6000; repeat it for more.",
-        ),
+        setting("A parameter of the method, such as search_vertices=6000; repeat it for more.", metavar="NAME=VALUE"),
     ] = ()
     symmetry: Annotated[
         bool,
@@ -153,43 +104,24 @@ class MatchRequest:
         ),
     ] = True
     target_symmetry: Annotated[
-        tuple[Path, ...],
-        Option(
-            group=RESEARCH, setting=True, help="--method paper or hfm: image of every control vertex of the target."
-        ),
+        tuple[Path, ...], setting("--method paper or hfm: image of every control vertex of the target.")
     ] = ()
-    source_symmetry: Annotated[
-        tuple[Path, ...],
-        Option(group=RESEARCH, setting=True, help="The same symmetry of the source; repeat both for more."),
-    ] = ()
+    source_symmetry: Annotated[tuple[Path, ...], setting("The same symmetry of the source; repeat both for more.")] = ()
     exchange_landmarks: Annotated[
         bool,
         Option("--exchange-landmarks", group=LANDMARKS, help="The landmark file was made for the other direction."),
     ] = False
     trust_landmarks: Annotated[
         bool,
-        Option(
-            "--trust-landmarks",
-            group=LANDMARKS,
-            help="Keep every landmark; by default, outliers are left out.",
-        ),
+        Option("--trust-landmarks", group=LANDMARKS, help="Keep every landmark; by default, outliers are left out."),
     ] = False
-    answer: Annotated[
-        int,
-        Option(
-            group=OUTPUT,
-            min=0,
-            help="Use another of the reported alignments: 1, 2, ...",
-        ),
-    ] = 0
+    answer: Annotated[int, Option(group=OUTPUT, min=0, help="Use another of the reported alignments: 1, 2, ...")] = 0
     target_points: Annotated[
-        Path | None,
-        Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks."),
+        Path | None, Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks.")
     ] = None
     source_points: Annotated[Path | None, Option(group=LANDMARKS, help="Named points of the source.")] = None
     curves: Annotated[
-        Path | None,
-        Option(group=LANDMARKS, help="JSON file of corresponding curves: eyelids, lips, hems."),
+        Path | None, Option(group=LANDMARKS, help="JSON file of corresponding curves: eyelids, lips, hems.")
     ] = None
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from cagemap.files import IMAGE_SUFFIXES, VALUE_SUFFIXES
 from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
+
+# Headings of `--help`.
+INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 
 @dataclass(frozen=True, init=False)
@@ -50,8 +54,22 @@ class Option:
         vars(self).update(names=names, help=help, min=min, max=max, metavar=metavar, group=group, setting=setting)
 
 
+def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
+    """A research option, said as ``--set NAME=VALUE``."""
+    return Option(*names, help=help, min=min, metavar=metavar, group=RESEARCH, setting=True)
+
+
 class Argument(Option):
     """A field of a request that is said without a name."""
+
+
+def options_in(request: type) -> Iterator[tuple[Field[Any], Any, list[Any], Option]]:
+    """Fields of a request that are options: the field, its type, all annotations, and the option among them."""
+    hints = get_type_hints(request, include_extras=True)
+    for field in fields(request):
+        if get_origin(hints[field.name]) is Annotated:
+            kind, *said = get_args(hints[field.name])
+            yield from ((field, kind, said, one) for one in said if type(one) is Option)
 
 
 @dataclass(frozen=True)
@@ -78,8 +96,6 @@ class NameOrFile:
 # What a mask's name ends in where it is a file.
 MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 
-# Headings of `--help`.
-INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 Space = Annotated[
     str, Option(help="Space of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
