@@ -17,7 +17,6 @@ from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
-    Baked,
     Prepared,
     SourceImage,
     bake_tiles,
@@ -45,7 +44,7 @@ from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.detail import Detail
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.texture import Filter
+from cagemap.transfer.texture import Filter, Pixels
 from cagemap.transfer.vectors import (
     Green,
     Space,
@@ -114,14 +113,6 @@ def _bake_map(
     return given
 
 
-def _baked(
-    bake: Callable[..., Baked], given: SourceImage, request: TransferRequest, prepared: Prepared, stages: Stages
-) -> Baked:
-    """Bake an image of the source into all tiles, by a bake whose own options are bound; returns the last."""
-    bound = partial(bake, prepared.transfer, given.texture, size=given.size, dtype=given.dtype)
-    return bake_tiles(request, prepared, bound, stages)
-
-
 def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
     """What the manifest notes of an image that was carried: its file, size baked, and word for the colour space."""
     return {"kind": kind, "image": path, "size": given.size, "color_space": given.first.color_space}
@@ -129,50 +120,50 @@ def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
 
 def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """A normal map, in tangent or object space."""
-    assert request.normal_map is not None
-    given = read_source_image(request, result, request.normal_map, 3)
-    prepared = prepare_bake(request, result, stages)
-    share = share_of_normals(given.first.pixels)
-    if share < FEWEST_NORMALS:
-        prepared.warnings.append(
-            f"{request.normal_map}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
-            "Colours go through --texture."
-        )
     bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
-    _baked(bake, given, request, prepared, stages)
-    entry = _entry("normal-map", request.normal_map, given)
-    return finish(request, prepared, {**entry, "space": request.space})
+    return _carry("normal-map", request.normal_map, 3, bake, {"space": request.space}, request, result, stages)
 
 
 def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Displacement along the normal."""
-    assert request.displacement is not None
-    given = read_source_image(request, result, request.displacement, 1)
-    prepared = prepare_bake(request, result, stages)
     bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
-    baked = _baked(bake, given, request, prepared, stages)
-    entry = _entry("displacement", request.displacement, given)
-    return _finish_displacement(request, prepared, entry, baked, "height")
+    return _carry("displacement", request.displacement, 1, bake, {}, request, result, stages)
 
 
 def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Vector displacement, in tangent or object space."""
-    assert request.vector_displacement is not None
-    given = read_source_image(request, result, request.vector_displacement, 3)
-    prepared = prepare_bake(request, result, stages)
     space = cast(Space, request.space)
     bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
-    baked = _baked(bake, given, request, prepared, stages)
-    entry = {**_entry("vector-displacement", request.vector_displacement, given), "space": request.space}
-    return _finish_displacement(request, prepared, entry, baked, "vector")
+    more = {"space": request.space}
+    return _carry("vector-displacement", request.vector_displacement, 3, bake, more, request, result, stages)
 
 
-def _finish_displacement(
-    request: TransferRequest, prepared: Prepared, entry: dict[str, Any], baked: Displacement, what: str
+def _carry(
+    kind: str,
+    path: Path | None,
+    channels: int,
+    bake: Callable[..., Pixels | Displacement],
+    more: dict[str, Any],
+    request: TransferRequest,
+    result: MatchResult,
+    stages: Stages,
 ) -> Outcome:
-    """Note a displacement, and say how its values are to be read."""
-    entry |= {"midlevel": baked.midlevel, "scale": baked.scale}
-    summary, warnings = finish(request, prepared, entry)
+    """Bake an image of the source into all tiles, by a bake whose own options are bound; note ``more`` beside it."""
+    assert path is not None
+    given = read_source_image(request, result, path, channels)
+    prepared = prepare_bake(request, result, stages)
+    if kind == "normal-map" and (share := share_of_normals(given.first.pixels)) < FEWEST_NORMALS:
+        prepared.warnings.append(
+            f"{path}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
+            "Colours go through --texture."
+        )
+    bound = partial(bake, prepared.transfer, given.texture, size=given.size, dtype=given.dtype)
+    baked = bake_tiles(request, prepared, bound, stages)
+    entry = _entry(kind, path, given) | more
+    if not isinstance(baked, Displacement):
+        return finish(request, prepared, entry)
+    summary, warnings = finish(request, prepared, entry | {"midlevel": baked.midlevel, "scale": baked.scale})
+    what = "height" if channels == 1 else "vector"
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 

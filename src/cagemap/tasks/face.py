@@ -28,6 +28,7 @@ from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.models import FaceRequest
+from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.rig_character import read_body
 
 # Share of a head's area on which the match is to be trusted: heads have 0.98 and more, a whole body 0.5.
@@ -87,7 +88,7 @@ def _require_paths(request: FaceRequest) -> None:
 
 
 def _names(words: str) -> tuple[str, ...]:
-    found = tuple(dict.fromkeys(word.strip() for word in words.split(",") if word.strip()))
+    found = tuple(dict.fromkeys(comma_words(words)))
     if not found:
         raise ParameterError("only: expected names of shapes with commas between them, such as jawOpen, got none")
     return found

@@ -58,24 +58,23 @@ class Inputs:
     Attributes
     ----------
     target, source : ControlMesh
-        As in their files; plain meshes made ready where all of both is matched.
-    notes : tuple of str
-        What the user is to know.
+        Of all parts.
     parts : tuple of PartInputs
-        What is matched of them; nothing where it is the whole of both.
+        Pairs of meshes that are matched, one by one.
+    named : bool
+        Whether parts were asked for; else the only one is the whole of both files.
     masks : (GivenMask or None, GivenMask or None)
         What counts of target and source.
-    repairs : tuple of dict
-        What was done to plain meshes, of every part, or of the whole.
+    notes : tuple of str
+        What the user is to know.
     """
 
     target: ControlMesh
     source: ControlMesh
-    landmarks: Landmarks
-    notes: tuple[str, ...] = ()
-    parts: tuple[PartInputs, ...] = ()
+    parts: tuple[PartInputs, ...]
+    named: bool
     masks: GivenMasks = (None, None)
-    repairs: tuple[dict[str, dict[str, float]], ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +109,9 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     side_bases(request)  # what is wrong with them is said before meshes are read
     started = time.perf_counter()
     stages("read")
+    optional = ("landmarks", "target_points", "source_points", "curves")
     files = {"target": request.target, "source": request.source}
-    given = {
-        "landmarks": request.landmarks,
-        "target_points": request.target_points,
-        "source_points": request.source_points,
-        "curves": request.curves,
-    }
-    files.update({name: path for name, path in given.items() if path is not None})
+    files |= {name: path for name in optional if (path := getattr(request, name)) is not None}
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
         files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
     files.update(mask_inputs(request.target_mask, request.source_mask))
@@ -185,14 +179,12 @@ def read_inputs(request: MatchRequest) -> Inputs:
     target, source = (one.mesh for one in welded)
     notes = (*notes, *(note for one in welded for note in one.notes))
     names = asked_parts(request.part, request.target_part, request.source_part)
-    if names == (None, None):
-        whole = ready_inputs(PartInputs(target, source, landmarks))
-        notes = (*notes, *whole.notes)
-        return Inputs(whole.target, whole.source, whole.landmarks, notes, masks=masks, repairs=(whole.repairs,))
-    chosen, left_alone = chosen_parts(target, source, landmarks, *names)
+    named = names != (None, None)
+    whole = PartInputs(target, source, landmarks)
+    chosen, left_alone = chosen_parts(target, source, landmarks, *names) if named else ((whole,), ())
     parts = tuple(ready_inputs(part) for part in chosen)
     notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
-    return Inputs(target, source, landmarks, notes, parts, masks, tuple(part.repairs for part in parts))
+    return Inputs(target, source, parts, named, masks, notes)
 
 
 def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
@@ -258,20 +250,17 @@ def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> Weld
 
 def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
     """Match the whole of both meshes, or every pair of parts, all at the same levels, as one result."""
-    if not inputs.parts:
-        return match_meshes(inputs, settings, stages)
-    results = []
-    for part in inputs.parts:
-        own = replace(inputs, target=part.target, source=part.source, landmarks=part.landmarks, parts=())
-        results.append(match_meshes(own, settings, stages))
+    results = [_match_part(part, inputs, settings, stages) for part in inputs.parts]
+    if not inputs.named:
+        return results[0]
     stages("merge parts")
     faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
     return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
 
 
-def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
+def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
     """Prepare both surfaces, match them, and say how."""
-    controls, config = (inputs.target, inputs.source), settings.config
+    controls, config = (part.target, part.source), settings.config
     for control, level in zip(controls, settings.levels, strict=True):
         require_size(control, level)
         _log.info("%s: level %d", control.name, level)
@@ -279,12 +268,13 @@ def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
     target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    found = match(target, source, inputs.landmarks, config, progress=stages)
+    found = match(target, source, part.landmarks, config, progress=stages)
+    repairs = [one.repairs for one in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         **settings.entries,
         "notes": list(inputs.notes),
-        "repairs": inputs.repairs[0] if len(inputs.repairs) == 1 else list(inputs.repairs),
+        "repairs": repairs[0] if len(repairs) == 1 else repairs,
         "peak_memory_bytes": peak_memory(),
     }
     return replace(found, timings=dict(stages.timings), provenance=provenance)

@@ -78,57 +78,35 @@ def _filled(config: Any, values: dict[str, Any]) -> Any:
 SIDES = ("target", "source")
 
 
-def basis_config(request: MatchRequest, level: int = MOST_LEVELS) -> BasisConfig:
-    """Parameters of the basis of a surface up to a level, where nothing else is asked for on one side."""
-    usual = default_basis(request.method, level)
-    schedule = usual.schedule if request.schedule is None else parse_schedule(request.schedule, "--set schedule")
-    if request.k is not None and request.schedule is None:
-        schedule = None
-    made = replace(
-        usual,
-        count=usual.count if request.k is None else request.k,
-        schedule=schedule,
-        accuracy=usual.accuracy if request.accuracy is None else request.accuracy,
-        literal=request.literal and schedule is not None,
-    )
-    return _with_vertices(with_laplacian(made, request.laplacian, "--set laplacian"), request)
+def basis_config(request: MatchRequest, level: int = MOST_LEVELS, side: str = "") -> BasisConfig:
+    """Parameters of the basis of a surface up to a level: those of both, and those of one side where it is given."""
+    basis, literal = default_basis(request.method, level), False
+    for before, option in dict.fromkeys(
+        (("", "--set "), (f"{side}_" * bool(side), f"--set {side}." if side else "--set "))
+    ):
+        k, schedule, accuracy, laplacian = (
+            getattr(request, before + name) for name in ("k", "schedule", "accuracy", "laplacian")
+        )
+        if k is not None:  # a number of functions, so no schedule that was known before holds
+            basis = replace(basis, count=k, schedule=None)
+        if schedule is not None:
+            basis = replace(basis, schedule=parse_schedule(schedule, f"{option}schedule"))
+        if accuracy is not None:
+            basis = replace(basis, accuracy=accuracy)
+        basis = with_laplacian(basis, laplacian, f"{option}laplacian")
+        literal |= getattr(request, f"{before}literal")
+    if side and literal and basis.schedule is None:
+        raise ParameterError(f"--set literal: expected a schedule of the {side} with it, as in Definition 2, got none")
+    # Other search levels (maybe above the usual one's) and schedules need the finest level's operators.
+    exact = basis.schedule is not None or any("search_vertices" in given for given in request.parameter)
+    return replace(basis, literal=literal and basis.schedule is not None, vertices=None if exact else basis.vertices)
 
 
 def side_bases(
     request: MatchRequest, levels: tuple[int, int] = (MOST_LEVELS, MOST_LEVELS)
 ) -> tuple[BasisConfig, BasisConfig]:
     """Parameters of the target's and the source's basis, whose finest levels are given."""
-    found = []
-    for side, level in zip(SIDES, levels, strict=True):
-        basis = basis_config(request, level)
-        k, schedule, accuracy, laplacian = (
-            getattr(request, f"{side}_{name}") for name in ("k", "schedule", "accuracy", "laplacian")
-        )
-        if k is not None:  # asked for on this side, so a schedule of both does not hold here
-            basis = replace(basis, schedule=None, literal=False)
-        own = basis.schedule if schedule is None else parse_schedule(schedule, f"--set {side}.schedule")
-        literal = bool(request.literal or getattr(request, f"{side}_literal"))
-        if literal and own is None:
-            raise ParameterError(
-                f"--set literal: expected a schedule of the {side} with it, as in Definition 2, got none"
-            )
-        basis = replace(
-            basis,
-            count=basis.count if k is None else k,
-            schedule=own,
-            accuracy=basis.accuracy if accuracy is None else accuracy,
-            literal=literal,
-        )
-        found.append(_with_vertices(with_laplacian(basis, laplacian, f"--set {side}.laplacian"), request))
-    return found[0], found[1]
-
-
-def _with_vertices(basis: BasisConfig, request: MatchRequest) -> BasisConfig:
-    """Who asks for other search levels or for a schedule gets the finest level's operators."""
-    usual = default_basis(request.method)
-    searched = any("search_vertices" in given for given in request.parameter)  # maybe a level above the usual one's
-    exact = searched or basis.schedule is not None
-    return replace(basis, vertices=None if exact else usual.vertices)
+    return basis_config(request, levels[0], SIDES[0]), basis_config(request, levels[1], SIDES[1])
 
 
 def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:

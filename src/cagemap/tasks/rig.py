@@ -32,6 +32,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
 from cagemap.tasks.masks import in_file, keep_base
 from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.requests.results import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
 from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, normalised, normalised_skin, pruned
@@ -246,7 +247,7 @@ def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> F
 def _chosen(
     request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
 ) -> FloatArray:
-    words = [word.strip() for word in str(request.only).split(",") if word.strip()]
+    words = comma_words(str(request.only))
     missing = [word for word in words if word not in names]
     if missing or not words:
         raise ParameterError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,7 @@ from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.models import RigRequest
+from cagemap.tasks.requests.options import comma_words
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
@@ -73,13 +74,13 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     stages("textures")
     keeps = request.keep_textures or of.mesh.face_materials is None
     dressed, document = _with_own_materials(carried, document, body_document, body=keeps)
-    baked, notes = dict[tuple[str, str], _Baked](), list[str]()
+    baked, notes = _Images(), list[str]()
     if not keeps:
         dressed, document, baked, notes = _textured(
             replace(carried, character=dressed), source, of, document, request.size
         )
     stages("write")
-    made = character_glb(dressed, document, {slot: png_bytes(one.image) for slot, one in baked.items()})
+    made = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
     _require_readable(made, dressed)
     if request.report is not None:
         stages("report")
@@ -164,9 +165,7 @@ def _in_one_square(mesh: ControlMesh) -> ControlMesh:
 
 
 def _names(words: str | None) -> list[str] | None:
-    if words is None:
-        return None
-    return [] if words == "none" else [word.strip() for word in words.split(",") if word.strip()]
+    return None if words is None else [] if words == "none" else comma_words(words)
 
 
 def _kinds(request: RigRequest) -> dict[str, Kind]:
@@ -192,17 +191,13 @@ def _with_own_materials(
     return replace(carried.character, parts=tuple(parts)), document
 
 
-@dataclass(frozen=True, eq=False)
-class _Baked:
-    """An image of the character's body, and the same in the layout of the body."""
-
-    given: Image
-    image: Image
+# An image of the character's body, and the same in the layout of the body; by material and slot.
+_Images = dict[tuple[str, str], tuple[Image, Image]]
 
 
 def _textured(
     carried: CarriedCharacter, source: Character, of: Part, document: Document, size: int | None
-) -> tuple[Character, Document, dict[tuple[str, str], _Baked], list[str]]:
+) -> tuple[Character, Document, _Images, list[str]]:
     """The character with its body's materials, the document with them, and their images in the body's layout."""
     result, (body, *others) = carried.result, carried.character.parts
     given = of.mesh
@@ -247,7 +242,7 @@ def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMes
     return np.asarray(found[nearest(face_centres(matched), face_centres(mesh))])
 
 
-def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> _Baked:
+def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> tuple[Image, Image]:
     image = read_material_image(document, found)
     source = result.source.control.with_uv_set(found.uv_set)
     assert source.uvs is not None
@@ -255,7 +250,7 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
     height, width = image.size if size is None else (size, size)
     pixels = image.pixels
     bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
-    return _Baked(image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=()))
+    return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())
 
 
 def _require_readable(document: Document, character: Character) -> None:
@@ -272,7 +267,7 @@ def _write_report(
     carried: CarriedCharacter,
     source: Character,
     of: Part,
-    baked: dict[tuple[str, str], _Baked],
+    baked: _Images,
     *,
     force: bool,
 ) -> None:
@@ -295,7 +290,7 @@ def _write_report(
         poses=tuple(_poses(source, made, (of, body), (rows[1], rows[0]))),
     )
     colors = next((one for (_, slot), one in baked.items() if slot == "baseColorTexture"), None)
-    pictures = (None, None) if colors is None else (colors.given.pixels, colors.image.pixels)
+    pictures = (None, None) if colors is None else (colors[0].pixels, colors[1].pixels)
     write_report(path, result, texture=pictures[0], baked=pictures[1], carried=shown, force=force)
 
 

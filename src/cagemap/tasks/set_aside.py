@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import Bodies
+from cagemap.tasks.carry_character import Bodies, nearest
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -70,13 +70,13 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
     moved = target.positions.copy()
     moved[vertices] = places
     laid = rest.with_positions(moved)
-    source_corners = _nearest(_corner_points(source), _corner_points(laid))
-    source_vertices = _nearest(source.positions, places)
+    source_corners = nearest(_corner_points(source), _corner_points(laid))
+    source_vertices = nearest(source.positions, places)
     # The vertex of a corner, not the nearest one: layers of cloth have vertices at one place.
     number = np.full(target.n_vertices, -1, dtype=np.int64)
     number[vertices] = np.arange(len(vertices))
     source_vertices[number[rest.face_indices]] = source.face_indices[source_corners]
-    source_faces = _nearest(face_centres(source), face_centres(laid)) if len(faces) else faces
+    source_faces = nearest(face_centres(source), face_centres(laid)) if len(faces) else faces
     return SetAside(vertices, corners, faces, source_vertices, source_corners, source_faces, places, turns)
 
 
@@ -130,7 +130,3 @@ def _corner_points(mesh: ControlMesh) -> FloatArray:
         return np.zeros((0, 3))
     corners, centres = mesh.positions[mesh.face_indices], face_centres(mesh)[mesh.corner_faces]
     return np.asarray(corners + _INWARD * (centres - corners))
-
-
-def _nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
-    return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)

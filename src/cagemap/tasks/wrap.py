@@ -63,29 +63,14 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
     """Write the RESULT to wrap with: of a match, or of a point map of the user's."""
     if request.map is not None:
-        given = MapRequest(
-            request.map,
-            target,
-            source,
-            result,
-            weld=request.weld,
-            target_weld=request.target_weld,
-            source_weld=request.source_weld,
-        )
-        return run_map(given, stages)
-    asked = MatchRequest(
-        target,
-        source,
-        request.landmarks,
-        result,
-        scheme=request.scheme,
-        target_scheme=request.target_scheme,
-        source_scheme=request.source_scheme,
-        weld=request.weld,
-        target_weld=request.target_weld,
-        source_weld=request.source_weld,
-    )
-    return run_match(asked, stages)
+        return run_map(MapRequest(request.map, target, source, result, **_said(request, "weld")), stages)
+    options = _said(request, "scheme", "weld")
+    return run_match(MatchRequest(target, source, request.landmarks, result, **options), stages)
+
+
+def _said(request: WrapRequest, *names: str) -> dict[str, Any]:
+    """Options of both meshes, and of each."""
+    return {field: getattr(request, field) for name in names for field in (name, f"target_{name}", f"source_{name}")}
 
 
 def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
@@ -115,15 +100,13 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError(
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
-    schemes = (request.scheme, request.target_scheme, request.source_scheme)
-    welds = (request.weld, request.target_weld, request.source_weld)
-    if not request.target and any((*schemes, *welds)):
+    if not request.target and any(_said(request, "scheme", "weld").values()):
         raise ParameterError(
             "--scheme, --weld: expected with --target and --source; a RESULT has its schemes and welded meshes already"
         )
     if (request.target_scheme or request.scheme) == "none":
         raise ParameterError(f"{request.target}: {NO_CAGE}")
-    if request.map is not None and (request.landmarks is not None or any(schemes)):
+    if request.map is not None and (request.landmarks is not None or any(_said(request, "scheme").values())):
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     bakes = wrap_bakes(request)
     bakes.check()

@@ -80,26 +80,10 @@ def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray
     return nodes.ravel(), values[first]
 
 
-@dataclass(frozen=True, eq=False)
-class CornerValues:
-    """Values of the source's face corners at the target's.
-
-    Attributes
-    ----------
-    weights : (c1, p2) csr_array
-        Weights of the source's nodes at every face corner of the target.
-    crossed : (m1,) bool
-        Target faces that a seam of the source crosses: their values cannot be right on both of its sides.
-    """
-
-    weights: sparse.csr_array
-    crossed: NDArray[np.bool_]
-
-
 def corner_weights(
     transfer: Transfer, target: Refinement, source: Refinement, nodes: IndexArray, count: int
-) -> CornerValues:
-    """Find the source nodes that every face corner of the target takes its value from.
+) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
+    """Weights (c1, p2) of source nodes at the target's face corners; (m1,) whether a seam of the source crosses a face.
 
     A corner takes its value from its own side of a seam: a walk from the centre of the refined triangle at the corner
     to the image of its vertex never crosses a seam.
@@ -121,7 +105,7 @@ def corner_weights(
     centres = locate_centers(transfer.mapped)
     points = transfer.mapped.mapped[control.face_indices]
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)
-    return CornerValues(linear.at(triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres))
+    return linear.at(triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres)
 
 
 def _crossed_faces(
@@ -167,8 +151,8 @@ def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> Car
     control = source.control
     if control.uvs is None or control.uv_indices is None:
         raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")
-    carried = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
-    uvs = carried.weights @ control.uvs
+    weights, crossed = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
+    uvs = weights @ control.uvs
     keys = np.column_stack([target.control.face_indices, np.rint(uvs / _SAME_UV)])
     _, first, indices = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return CarriedUvs(uvs[first], indices.ravel(), np.flatnonzero(carried.crossed))
+    return CarriedUvs(uvs[first], indices.ravel(), np.flatnonzero(crossed))

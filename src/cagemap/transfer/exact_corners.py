@@ -49,19 +49,8 @@ def lookup_matrix(places: FloatArray, height: int, width: int) -> sparse.csr_arr
     return sparse.csr_array((weights.ravel(), texels.ravel(), starts), shape=(len(places), height * width))
 
 
-@dataclass(frozen=True, eq=False)
-class LookupTargets:
-    """Values that lookups should have.
-
-    Attributes
-    ----------
-    values : (k, c) float64
-    weights : (k, c, c) float64
-        Weights of errors: B, one block a corner.
-    """
-
-    values: FloatArray
-    weights: FloatArray
+# Values (k, c) that lookups should have, and weights (k, c, c) of errors: B, one block a corner.
+LookupTargets = tuple[FloatArray, FloatArray]
 
 
 def make_lookups_exact(
@@ -90,19 +79,19 @@ def make_lookups_exact(
     shared, size = sparse.csr_array(lookups @ lookups.T), len(places) * channels
     for _ in range(_ROUNDS):
         read = np.asarray(lookups @ values)
-        wanted = targets(read)
+        wanted, weights_of = targets(read)
 
-        def weighted(errors: FloatArray, weights: FloatArray = wanted.weights) -> FloatArray:
+        def weighted(errors: FloatArray, weights: FloatArray = weights_of) -> FloatArray:
             return np.asarray(np.einsum("kab,kb->ka", weights, errors))
 
-        def transposed(answer: FloatArray, weights: FloatArray = wanted.weights) -> FloatArray:
+        def transposed(answer: FloatArray, weights: FloatArray = weights_of) -> FloatArray:
             return np.asarray(np.einsum("kab,ka->kb", weights, answer))
 
         def system(flat: FloatArray) -> FloatArray:
             answer = flat.reshape(-1, channels)
             return (weighted(shared @ transposed(answer)) + _TRACE * answer).ravel()
 
-        errors = weighted(wanted.values - read).ravel()
+        errors = weighted(wanted - read).ravel()
         operator = linalg.LinearOperator((size, size), matvec=system, dtype=np.float64)
         found, _ = linalg.cg(operator, errors, rtol=_ACCURACY, maxiter=_STEPS)
         values += lookups.T @ transposed(found.reshape(-1, channels))
@@ -143,7 +132,7 @@ class SurfaceTargets:
             self.slides[:, None, None], _TANGENTIAL_WEIGHT * np.eye(3) + (1.0 - _TANGENTIAL_WEIGHT) * across, np.eye(3)
         )
         values = np.einsum("kab,kb->ka", self.coordinates, offsets)
-        return LookupTargets(values, np.where(sound[:, None, None], weights @ back, 0.0))
+        return values, np.where(sound[:, None, None], weights @ back, 0.0)
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:

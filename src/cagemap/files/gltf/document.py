@@ -15,7 +15,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.fbx.read import fbx_as_glb
 from cagemap.files.gltf.draco import DRACO, without_draco
-from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, require_structure, resource
+from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, image_type, require_structure, resource
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes, whole_characters
 from cagemap.numerics.arrays import shown
@@ -136,7 +136,7 @@ def packed(document: Document) -> Document:
             data, suffix = image_bytes(document, number)
             views.append({"buffer": 0, "byteOffset": add(data), "byteLength": len(data)})
             kept = {name: value for name, value in entry.items() if name != "uri"}
-            entry = kept | {"bufferView": len(views) - 1, "mimeType": f"image/{suffix[1:].replace('jpg', 'jpeg')}"}
+            entry = kept | {"bufferView": len(views) - 1, "mimeType": image_type(suffix)}
         images.append(entry)
     asset = document.table(document.json, "asset", "glTF")
     extras = asset.get("extras", {})

@@ -131,6 +131,11 @@ def image_bytes(document: Document, number: object) -> tuple[bytes, str]:
     return data, suffix
 
 
+def image_type(suffix: str) -> str:
+    """Media type of an image by its suffix, such as ``.png``."""
+    return f"image/{suffix[1:].replace('jpg', 'jpeg')}"
+
+
 def image_suffix(data: bytes) -> str | None:
     """Suffix of an image's file by its first bytes; None for other data."""
     signatures = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"RIFF": ".webp"}

@@ -15,7 +15,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
-from cagemap.files.images.image import Image, read_image, write_image
+from cagemap.files.images.image import Image, image_of_bytes, write_image
 from cagemap.numerics.arrays import FloatArray
 
 _TRANSFORM = "KHR_texture_transform"
@@ -64,14 +64,7 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
     """The pixels of an image of a document."""
-    data, suffix = image_bytes(document, found.image)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"image{suffix}"
-        file.write_bytes(data)
-        try:
-            return read_image(file)
-        except FormatError as error:
-            raise FormatError(str(error).replace(str(file), f"{document.file}: images {found.image}")) from None
+    return image_of_bytes(*image_bytes(document, found.image), f"{document.file}: images {found.image}")
 
 
 def png_bytes(image: Image) -> bytes:

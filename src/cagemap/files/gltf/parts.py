@@ -26,6 +26,7 @@ from cagemap.files.gltf.nodes import (
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import turn_faces
 from cagemap.mesh.weld import weld_mesh
@@ -240,15 +241,5 @@ def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
     if mesh.uvs is None or mesh.uv_indices is None:
         return mesh
     sets = [UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets]
-    first, *others = (UvSet(one.name, *_merged(mesh.face_indices, one)) for one in sets)
+    first, *others = (UvSet(one.name, *merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in sets)
     return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))
-
-
-def _merged(vertices: IndexArray, uv_set: UvSet) -> tuple[FloatArray, IndexArray]:
-    uvs = uv_set.uvs[uv_set.uv_indices]
-    order = np.lexsort((uvs[:, 1], uvs[:, 0], vertices))
-    fresh = (np.diff(vertices[order]) != 0) | (np.diff(uvs[order], axis=0) != 0.0).any(axis=1)
-    numbers = np.concatenate([[0], np.cumsum(fresh)])
-    indices = np.empty(len(order), dtype=np.int64)
-    indices[order] = numbers
-    return uvs[order][np.concatenate([[True], fresh])], indices

@@ -8,7 +8,7 @@ from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.entries import Document, image_bytes, image_suffix
+from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
 from cagemap.files.gltf.nodes import distinct
 from cagemap.files.gltf.primitives import material_names
 
@@ -45,7 +45,7 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
         suffix = image_suffix(data)
         if suffix is None:
             raise FormatError(f"{document.file}: expected a PNG or JPEG image for {slot} of {name}, got other data.")
-        picture = {"bufferView": binary.view(data), "mimeType": f"image/{suffix[1:].replace('jpg', 'jpeg')}"}
+        picture = {"bufferView": binary.view(data), "mimeType": image_type(suffix)}
         texture = document.entry("textures", holder["index"], name) if "index" in holder else {}
         # Extensions of a texture name other images.
         texture = {key: value for key, value in texture.items() if key != "extensions"}
@@ -121,8 +121,7 @@ def _with_texture(binary: Binary, top: dict[str, Any], given: Document, number: 
     for holder in (entry, *entry.get("extensions", {}).values()):
         if holder.get("source") is not None:
             data, suffix = image_bytes(given, holder["source"])
-            kind = f"image/{suffix[1:].replace('jpg', 'jpeg')}"
-            top.setdefault("images", []).append({"bufferView": binary.view(data), "mimeType": kind})
+            top.setdefault("images", []).append({"bufferView": binary.view(data), "mimeType": image_type(suffix)})
             holder["source"] = len(top["images"]) - 1
     if entry.get("sampler") is not None:
         top.setdefault("samplers", []).append(given.entry("samplers", entry["sampler"]))

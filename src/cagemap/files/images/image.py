@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -98,6 +99,17 @@ def read_image(path: str | Path) -> Image:
         return _read(file)
     except UnicodeDecodeError as error:  # words in the file that OpenImageIO cannot hand on
         raise FormatError(f"{file}: the image is damaged: {error}. Export it again.") from error
+
+
+def image_of_bytes(data: bytes, suffix: str, name: str) -> Image:
+    """An image from the content of a file; messages have the name given."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"image{suffix}"
+        file.write_bytes(data)
+        try:
+            return read_image(file)
+        except FormatError as error:
+            raise FormatError(str(error).replace(str(file), name)) from None
 
 
 def _read(file: Path) -> Image:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import merged_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 logger = logging.getLogger(__name__)
@@ -66,15 +67,8 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     if not np.isfinite(values).all():
         _refuse(where, primvar, "got values that are not numbers")
     if interpolation == "faceVarying" and not primvar.IsIndexed():
-        return _joined(values[owners], control.face_indices)
+        return merged_corners(control.face_indices, values[owners])
     return values, numbers[owners]
-
-
-def _joined(values: FloatArray, vertices: IndexArray) -> tuple[FloatArray, IndexArray]:
-    """Pairs (c, 2) without those that are equal at the same vertex (c,), and the number of each."""
-    _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)
-    _, first, numbers = np.unique(vertices * len(values) + equal, return_index=True, return_inverse=True)
-    return values[first], numbers
 
 
 def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:

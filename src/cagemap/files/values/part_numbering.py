@@ -39,10 +39,6 @@ class FileRows:
     part: ControlMesh
     whole: ControlMesh
 
-    def __post_init__(self) -> None:
-        assert self.part.file_vertices is not None
-        assert self.part.file_faces is not None
-
     @property
     def vertices(self) -> IndexArray:
         """(n,) number in the file of every vertex of the part."""

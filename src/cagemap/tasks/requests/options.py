@@ -54,6 +54,11 @@ class Option:
         vars(self).update(names=names, help=help, min=min, max=max, metavar=metavar, group=group, setting=setting)
 
 
+def comma_words(text: str) -> list[str]:
+    """Words of an option with commas between them."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
 def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
     """A research option, said as ``--set NAME=VALUE``."""
     return Option(*names, help=help, min=min, metavar=metavar, group=RESEARCH, setting=True)
