@@ -29,18 +29,10 @@ POINTS = {
 
 @dataclass(frozen=True, eq=False)
 class FaceKit:
-    """A head with expressions.
+    """A head with expressions."""
 
-    Attributes
-    ----------
-    part : Part
-        In centimetres, Y up, facing +Z, with the shapes chosen; open at the neck.
-    points : dict of str to int
-        Vertices that landmarks may name.
-    """
-
-    part: Part = field(repr=False)
-    points: dict[str, int] = field(default_factory=lambda: dict(POINTS))
+    part: Part = field(repr=False)  # in centimetres, Y up, facing +Z, with the shapes chosen; open at the neck
+    points: dict[str, int] = field(default_factory=lambda: dict(POINTS))  # vertices that landmarks may name
 
     def vertices_of(self, names: tuple[str, ...]) -> list[int]:
         """Vertices of named points."""

@@ -92,27 +92,13 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What one array must be.
+    """What one array must be."""
 
-    Attributes
-    ----------
-    shape : tuple of str or int
-        A name stands for a size that is the same in all arrays of a file; "3|4" for either.
-    below : str
-        Name of the size that entries are indices into; empty for floats.
-    optional : bool
-        The array may be missing.
-    nan : bool
-        Unknown values are NaN and infinite ones are allowed.
-    share : bool
-        Values lie from 0 to 1.
-    """
-
-    shape: tuple[str | int, ...]
-    below: str = ""
-    optional: bool = False
-    nan: bool = False
-    share: bool = False
+    shape: tuple[str | int, ...]  # a name stands for a size that is the same in all arrays of a file; "3|4" for either
+    below: str = ""  # name of the size that entries are indices into; empty for floats
+    optional: bool = False  # the array may be missing
+    nan: bool = False  # unknown values are NaN and infinite ones are allowed
+    share: bool = False  # values lie from 0 to 1
 
 
 def check_arrays(

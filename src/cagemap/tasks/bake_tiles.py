@@ -65,22 +65,12 @@ class Prepared:
 
 @dataclass(frozen=True)
 class SourceImage:
-    """An image of the source, or its tiles.
-
-    Attributes
-    ----------
-    first : Image
-        Whose form (colour space, alpha) the result takes.
-    dtype : numpy.dtype
-        Number type to write.
-    size : int
-        Width and height to bake.
-    """
+    """An image of the source, or its tiles."""
 
     texture: Pixels | dict[int, Pixels]
-    first: Image
-    dtype: np.dtype[Any]
-    size: int
+    first: Image  # whose form (colour space, alpha) the result takes
+    dtype: np.dtype[Any]  # number type to write
+    size: int  # width and height to bake
 
 
 def inputs_of(request: TransferRequest) -> list[Path]:

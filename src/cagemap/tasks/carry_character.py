@@ -34,24 +34,14 @@ BODY_VERTICES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class CarriedCharacter:
-    """A character on another body, and what tells how it came about.
+    """A character on another body, and what tells how it came about."""
 
-    Attributes
-    ----------
-    character : Character
-        In the target's file units. Its first part is the target's body, named like the source's.
-    result : MatchResult
-        From the target's body to the source's.
-    rows : (n,) and (m,) int64
-        For every control vertex of the matched target and source, a vertex of the body's part as given.
-    passengers : tuple of Part
-        As on the source, in the order of the last parts of ``character``; pieces of the source's body that could not
-        be matched are among them.
-    """
-
-    character: Character
-    result: MatchResult = field(repr=False)
+    character: Character  # In the target's file units. Its first part is the target's body, named like the source's.
+    result: MatchResult = field(repr=False)  # from the target's body to the source's
+    # (n,) and (m,) for every control vertex of the matched target and source, a vertex of the body's part as given
     rows: tuple[IndexArray, IndexArray] = field(repr=False)
+    # as on the source, in the order of the last parts of ``character``; pieces of the source's body that could not be
+    # matched are among them
     passengers: tuple[Part, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
 

@@ -70,50 +70,28 @@ _COVERED = 0.99
 
 @dataclass(frozen=True, eq=False)
 class DetailTexture:
-    """A detailed mesh's own image, and where its triangles lie in it.
-
-    Attributes
-    ----------
-    first : Image
-        Whose form (number type, colour space) the result takes.
-    uvs : (p, 2) float64
-    uv_triangles : (t, 3) int64
-    filter : str
-        As `BakeOptions` has it.
-    """
+    """A detailed mesh's own image, and where its triangles lie in it."""
 
     texture: Pixels | dict[int, Pixels]
-    first: Image
-    uvs: FloatArray
-    uv_triangles: IndexArray
-    filter: Filter = "smooth"
+    first: Image  # whose form (number type, colour space) the result takes
+    uvs: FloatArray  # (p, 2)
+    uv_triangles: IndexArray  # (t, 3)
+    filter: Filter = "smooth"  # as `BakeOptions` has it
 
 
 @dataclass(frozen=True)
 class DetailBakes:
-    """What to bake from a detailed mesh, and where to.
-
-    Attributes
-    ----------
-    images : dict of kind -> Path
-    bits : int, optional
-        By default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion.
-    space, green
-        Of normals and vectors.
-    rays : int
-        Of ambient occlusion, a vertex of the detailed mesh.
-    texture : DetailTexture, optional
-        Of the detailed mesh, for the kind "texture".
-    """
+    """What to bake from a detailed mesh, and where to."""
 
     images: dict[Kind, Path]
     size: int
-    bits: int | None
+    bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
+    # `space`, `green`: of normals and vectors
     space: Space
     green: Green
-    rays: int
+    rays: int  # of ambient occlusion, a vertex of the detailed mesh
     force: bool
-    texture: DetailTexture | None = None
+    texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
 
     def channels(self, kind: Kind) -> int:
         """Channels of an image."""

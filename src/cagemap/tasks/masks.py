@@ -43,27 +43,13 @@ NOT = "not:"
 
 @dataclass(frozen=True, eq=False)
 class GivenMask:
-    """A mask as it was given, for a file's whole mesh.
+    """A mask as it was given, for a file's whole mesh."""
 
-    Attributes
-    ----------
-    vertices : (n_0,) float64 or None
-        Values at the file's control vertices.
-    faces : (m_0,) float64 or None
-        Values at the file's control faces.
-    image : array, or arrays by UDIM number, or None
-        Painted over the UVs.
-    inverted : bool
-        Everything but that.
-    edge : float
-        Width of its soft edge, see `cagemap.maps.mask_values.soft_edge`.
-    """
-
-    vertices: FloatArray | None = None
-    faces: FloatArray | None = None
-    image: Pixels | dict[int, Pixels] | None = None
-    inverted: bool = False
-    edge: float = 0.0
+    vertices: FloatArray | None = None  # (n_0,) values at the file's control vertices
+    faces: FloatArray | None = None  # (m_0,) values at the file's control faces
+    image: Pixels | dict[int, Pixels] | None = None  # painted over the UVs; several by UDIM number
+    inverted: bool = False  # everything but that
+    edge: float = 0.0  # width of its soft edge, see `cagemap.maps.mask_values.soft_edge`
 
     def on(self, refinement: Refinement, surface: TriangleSurface) -> FloatArray:
         """(n,) mask of the finest vertices of the file's mesh or of a part of it."""

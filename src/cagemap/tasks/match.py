@@ -53,53 +53,26 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a match works on, read and checked.
+    """What a match works on, read and checked."""
 
-    Attributes
-    ----------
-    target, source : ControlMesh
-        Of all parts.
-    parts : tuple of PartInputs
-        Pairs of meshes that are matched, one by one.
-    named : bool
-        Whether parts were asked for; else the only one is the whole of both files.
-    masks : (GivenMask or None, GivenMask or None)
-        What counts of target and source.
-    notes : tuple of str
-        What the user is to know.
-    """
-
+    # `target`, `source`: of all parts
     target: ControlMesh
     source: ControlMesh
-    parts: tuple[PartInputs, ...]
-    named: bool
-    masks: GivenMasks = (None, None)
-    notes: tuple[str, ...] = ()
+    parts: tuple[PartInputs, ...]  # pairs of meshes that are matched, one by one
+    named: bool  # whether parts were asked for; else the only one is the whole of both files
+    masks: GivenMasks = (None, None)  # what counts of target and source
+    notes: tuple[str, ...] = ()  # what the user is to know
 
 
 @dataclass(frozen=True, eq=False)
 class MatchSettings:
-    """How meshes are matched.
+    """How meshes are matched."""
 
-    Attributes
-    ----------
-    bases : (BasisConfig, BasisConfig)
-        Of target and source, like ``levels``.
-    levels : (int, int)
-        The finest ones.
-    config : MatchConfig
-        But for masks, which depend on the surfaces.
-    cache : Path or None
-        Folder of prepared surfaces.
-    entries : dict
-        For the manifest: parameters, inputs.
-    """
-
-    bases: tuple[BasisConfig, BasisConfig]
-    levels: tuple[int, int]
-    config: MatchConfig
-    cache: Path | None = None
-    entries: dict[str, Any] = field(default_factory=dict)
+    bases: tuple[BasisConfig, BasisConfig]  # of target and source, like ``levels``
+    levels: tuple[int, int]  # the finest ones
+    config: MatchConfig  # but for masks, which depend on the surfaces
+    cache: Path | None = None  # folder of prepared surfaces
+    entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
 
 
 def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:

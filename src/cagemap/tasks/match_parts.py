@@ -35,23 +35,13 @@ MATERIAL = "material"
 
 @dataclass(frozen=True)
 class PartInputs:
-    """Two meshes to be matched, whole or parts of their files.
-
-    Attributes
-    ----------
-    landmarks : Landmarks
-        Those that lie on both, in the meshes' own numbers.
-    notes : tuple of str
-        What was done to plain meshes.
-    repairs : dict
-        The same in numbers, for a manifest, by side.
-    """
+    """Two meshes to be matched, whole or parts of their files."""
 
     target: ControlMesh
     source: ControlMesh
-    landmarks: Landmarks
-    notes: tuple[str, ...] = ()
-    repairs: dict[str, dict[str, float]] = field(default_factory=dict)
+    landmarks: Landmarks  # those that lie on both, in the meshes' own numbers
+    notes: tuple[str, ...] = ()  # what was done to plain meshes
+    repairs: dict[str, dict[str, float]] = field(default_factory=dict)  # the same in numbers, for a manifest, by side
 
 
 def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:

@@ -30,28 +30,18 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SetAside:
-    """What of the target is not matched, and what of the source it goes to.
+    """What of the target is not matched, and what of the source it goes to."""
 
-    Attributes
-    ----------
-    vertices, corners, faces : (k,) int64
-        Of the target as given.
-    source_vertices, source_corners, source_faces : (k,) int64
-        The nearest ones of the source as given, of any piece.
-    places : (k, 3) float64
-        Of the vertices on the source, in its file's units.
-    turns : (k, 3, 3) float64
-        An offset at the source, as a row, times it is the offset of the vertex.
-    """
-
+    # `vertices`, `corners`, `faces`: (k,) of the target as given
     vertices: IndexArray
     corners: IndexArray
     faces: IndexArray
+    # `source_vertices`, `source_corners`, `source_faces`: (k,) the nearest ones of the source as given, of any piece
     source_vertices: IndexArray
     source_corners: IndexArray
     source_faces: IndexArray
-    places: FloatArray
-    turns: FloatArray
+    places: FloatArray  # (k, 3) of the vertices on the source, in its file's units
+    turns: FloatArray  # (k, 3, 3) an offset at the source, as a row, times it is the offset of the vertex
 
 
 def lay_set_aside(bodies: Bodies) -> SetAside:

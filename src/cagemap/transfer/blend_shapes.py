@@ -45,46 +45,23 @@ _CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
 @dataclass(frozen=True, eq=False)
 class ShapeCarrier:
-    """The linear system that carries shapes from one source to one target; prepare it once.
-
-    Attributes
-    ----------
-    samples : (s, n1) csr_array
-        Sampled target vertices from control vertices.
-    triangles : (t, 3) int64
-        Of the samples.
-    gradient : (3 t, s) csr_array
-        Gradients of functions on the samples' triangles.
-    areas, masses : (t,), (s,) float64
-    deforming : (r, 3) int64
-        Source vertices of the triangles whose deformation is carried.
-    images : (t,) int64
-        Row of ``deforming`` for every target triangle.
-    rotations : (t, 3, 3), vertex_rotations : (s, 3, 3) float64
-        Rotations Q from the target to the source.
-    ratio : float
-        Length on the target for a length of 1 on the source, both at unit area.
-    own : (n1, n2) csr_array
-        Weights of the source's control values at the target's control vertices.
-    ridge : (n1, n1) dia_array
-    matrix : (n1, n1) csc_array
-    """
+    """The linear system that carries shapes from one source to one target; prepare it once."""
 
     point_map: PointMap
     source: Refinement
-    samples: sparse.csr_array
-    triangles: IndexArray
-    gradient: sparse.csr_array
-    areas: FloatArray
-    masses: FloatArray
-    deforming: IndexArray
-    images: IndexArray
-    rotations: FloatArray
-    vertex_rotations: FloatArray
-    ratio: float
-    own: sparse.csr_array
-    ridge: sparse.dia_array
-    matrix: sparse.csc_array
+    samples: sparse.csr_array  # (s, n1) sampled target vertices from control vertices
+    triangles: IndexArray  # (t, 3) of the samples
+    gradient: sparse.csr_array  # (3 t, s) gradients of functions on the samples' triangles
+        areas: FloatArray  # (t,)
+    masses: FloatArray  # (s,)
+    deforming: IndexArray  # (r, 3) source vertices of the triangles whose deformation is carried
+    images: IndexArray  # (t,) row of ``deforming`` for every target triangle
+    rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
+    vertex_rotations: FloatArray  # (s, 3, 3)
+    ratio: float  # length on the target for a length of 1 on the source, both at unit area
+    own: sparse.csr_array  # (n1, n2) weights of the source's control values at the target's control vertices
+    ridge: sparse.dia_array  # (n1, n1)
+    matrix: sparse.csc_array  # (n1, n1)
     factors: Factorization
 
 

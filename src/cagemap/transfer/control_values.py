@@ -130,20 +130,11 @@ def _crossed_faces(
 
 @dataclass(frozen=True, eq=False)
 class CarriedUvs:
-    """The source's texture coordinates on the target's faces.
+    """The source's texture coordinates on the target's faces."""
 
-    Attributes
-    ----------
-    uvs : (p, 2) float64
-    uv_indices : (c1,) int64
-        Corners of one vertex with equal texture coordinates share them.
-    crossed : (k,) int64
-        Target faces over which a seam of the source runs.
-    """
-
-    uvs: FloatArray
-    uv_indices: IndexArray
-    crossed: IndexArray
+    uvs: FloatArray  # (p, 2)
+    uv_indices: IndexArray  # (c1,) corners of one vertex with equal texture coordinates share them
+    crossed: IndexArray  # (k,) target faces over which a seam of the source runs
 
 
 def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> CarriedUvs:

@@ -100,25 +100,15 @@ def make_lookups_exact(
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTargets:
-    """Lookup targets of a vector displacement: displaced corners lie on a surface.
-
-    Attributes
-    ----------
-    points, normals : (k, 3) float64
-        Of the corners, not displaced.
-    offsets : (k, 3) float64
-        Displacements of corners that may not slide.
-    slides : (k,) bool
-    coordinates : (k, 3, 3) float64
-        Linear maps from displacements to stored values.
-    """
+    """Lookup targets of a vector displacement: displaced corners lie on a surface."""
 
     surface: TriangleSurface
+    # `points`, `normals`: (k, 3) of the corners, not displaced
     points: FloatArray
     normals: FloatArray
-    offsets: FloatArray
-    slides: NDArray[np.bool_]
-    coordinates: FloatArray
+    offsets: FloatArray  # (k, 3) displacements of corners that may not slide
+    slides: NDArray[np.bool_]  # (k,)
+    coordinates: FloatArray  # (k, 3, 3) linear maps from displacements to stored values
 
     def __call__(self, read: FloatArray) -> LookupTargets:
         """Targets for the current lookups (k, 3)."""

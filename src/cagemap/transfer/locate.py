@@ -29,29 +29,16 @@ _EXTENSION = 2.0
 
 @dataclass(frozen=True, eq=False)
 class MappedSurface:
-    """The target's triangles, the images of their corners under T12, and the source as triangles to walk over.
+    """The target's triangles, the images of their corners under T12, and the source as triangles to walk over."""
 
-    Attributes
-    ----------
-    target_triangles : (t1, 3) int64
-    start_triangles : (n1,) int64
-        Source triangle of every target vertex.
-    whole : (t1,) int64
-        Source triangle that holds all corners of a target triangle, -1 where none does.
-    mapped : (n1, 3) float64
-        Source point of every target vertex, in space.
-    frames : (t2, 3, 3) float64
-        First corner, and the gradients of the barycentric coordinates of corners 1 and 2, of every source triangle.
-    neighbors : (t2, 3) int32
-        Source triangle across the edge opposite to every corner, -1 on the boundary.
-    """
-
-    target_triangles: IndexArray
-    start_triangles: IndexArray
-    whole: IndexArray
-    mapped: FloatArray
+    target_triangles: IndexArray  # (t1, 3)
+    start_triangles: IndexArray  # (n1,) source triangle of every target vertex
+    whole: IndexArray  # (t1,) source triangle that holds all corners of a target triangle, -1 where none does
+    mapped: FloatArray  # (n1, 3) source point of every target vertex, in space
+    # (t2, 3, 3) first corner, and the gradients of the barycentric coordinates of corners 1 and 2, of every source
+    # triangle
     frames: FloatArray
-    neighbors: NDArray[np.int32]
+    neighbors: NDArray[np.int32]  # (t2, 3) source triangle across the edge opposite to every corner, -1 on the boundary
 
 
 def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: PointMap) -> MappedSurface:
@@ -120,28 +107,15 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class TexelSamples:
-    """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``.
+    """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``."""
 
-    Attributes
-    ----------
-    target_triangle : (k,) int32
-        Target triangle of every texel.
-    cells : (k,) int64, and width, top : int
-        The texels, as ``(row - top) * width + column``.
-    first : (k + 1,) int64
-    triangle : (s,) int64
-        Source triangle of every sample.
-    barycentric : (s, 3) float64
-        Not negative, rows sum to 1.
-    """
-
-    target_triangle: NDArray[np.int32]
-    cells: IndexArray
+    target_triangle: NDArray[np.int32]  # (k,) target triangle of every texel
+    cells: IndexArray  # (k,) the texels, as ``(row - top) * width + column``
     width: int
     top: int
-    first: IndexArray
-    triangle: IndexArray
-    barycentric: FloatArray
+    first: IndexArray  # (k + 1,)
+    triangle: IndexArray  # (s,) source triangle of every sample
+    barycentric: FloatArray  # (s, 3) not negative, rows sum to 1
 
     def part(self, texels: IndexArray) -> TexelSamples:
         """Those of some texels, given by their place among these."""

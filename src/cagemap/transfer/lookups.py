@@ -31,18 +31,11 @@ _BAND_TEXELS = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Lookups:
-    """Mip levels and samples of target triangles.
-
-    Attributes
-    ----------
-    counts : (t1, 2) int32
-        Samples along x and y in a raster cell.
-    crisp : (t1,) bool
-        Whether a texel spans at most one of the source, so that its centre alone is sampled.
-    """
+    """Mip levels and samples of target triangles."""
 
     mips: MipMaps
-    counts: NDArray[np.int32]
+    counts: NDArray[np.int32]  # (t1, 2) samples along x and y in a raster cell
+    # (t1,) whether a texel spans at most one of the source, so that its centre alone is sampled
     crisp: NDArray[np.bool_]
 
 

@@ -34,24 +34,12 @@ Coverage = NDArray[np.float32] | NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class MipMaps:
-    """A texture and the halvings of it that some target triangles read.
+    """A texture and the halvings of it that some target triangles read."""
 
-    Attributes
-    ----------
-    levels : dict of int to Texture
-        By how often it was halved; only those that are read, and the texture itself.
-    of_triangle : (t1,) int64
-        Level for every target triangle.
-    smooth : dict of int to SmoothTile
-        Where the texture itself is looked up smoothly, by tile.
-    nearest : bool
-        Whether its texels are labels, which have nothing between them.
-    """
-
-    levels: dict[int, Texture]
-    of_triangle: NDArray[np.int64]
-    smooth: dict[int, SmoothTile]
-    nearest: bool = False
+    levels: dict[int, Texture]  # by how often it was halved; only those that are read, and the texture itself
+    of_triangle: NDArray[np.int64]  # (t1,) level for every target triangle
+    smooth: dict[int, SmoothTile]  # where the texture itself is looked up smoothly, by tile
+    nearest: bool = False  # whether its texels are labels, which have nothing between them
 
     @classmethod
     def build(

@@ -22,25 +22,15 @@ _MIN_COSINE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class NormalHits:
-    """Points of the detail on the normals of source points; lengths at unit area of the source.
+    """Points of the detail on the normals of source points; lengths at unit area of the source."""
 
-    Attributes
-    ----------
-    points, normals : (s, 3) float64
-        Of the source.
-    foot : SurfacePoints
-        Intersection of the normal with the detail; the nearest point with an agreeing normal where there is none.
-    heights : (s,) float64
-        Signed distance of ``foot`` along the normal.
-    near : (s,) bool
-        Whether the detail is closer than `MAX_DETAIL_DISTANCE`.
-    """
-
+    # `points`, `normals`: (s, 3) of the source
     points: FloatArray
     normals: FloatArray
+    # intersection of the normal with the detail; the nearest point with an agreeing normal where there is none
     foot: SurfacePoints
-    heights: FloatArray
-    near: NDArray[np.bool_]
+    heights: FloatArray  # (s,) signed distance of ``foot`` along the normal
+    near: NDArray[np.bool_]  # (s,) whether the detail is closer than `MAX_DETAIL_DISTANCE`
 
 
 def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> NormalHits:

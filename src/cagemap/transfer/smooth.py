@@ -39,17 +39,10 @@ def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
 
 @dataclass(frozen=True, eq=False)
 class SmoothTile:
-    """Where a tile is looked up smoothly, and the range of its channels.
+    """Where a tile is looked up smoothly, and the range of its channels."""
 
-    Attributes
-    ----------
-    cells : (h, w) bool
-        Where all six by six texels are covered, see `smooth_cells`, and not all equal.
-    lowest, highest : (c,) float64
-        Range of every channel, to which values are limited.
-    """
-
-    cells: NDArray[np.bool_]
+    cells: NDArray[np.bool_]  # (h, w) where all six by six texels are covered, see `smooth_cells`, and not all equal
+    # `lowest`, `highest`: (c,) range of every channel, to which values are limited
     lowest: FloatArray
     highest: FloatArray
 

@@ -20,26 +20,13 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 @dataclass(frozen=True, eq=False)
 class TangentFrames:
-    """Frames at triangle corners.
+    """Frames at triangle corners."""
 
-    Attributes
-    ----------
-    vertex_normals : (n, 3) float64
-        Unit length.
-    triangles : (t, 3) int64
-    tangents : (g, 3) float64
-        Unit length, of groups of corners.
-    groups : (t, 3) int64
-        Group of every corner.
-    signs : (t,) float64
-        1, or -1 where the layout is mirrored.
-    """
-
-    vertex_normals: FloatArray
-    triangles: IndexArray
-    tangents: FloatArray
-    groups: IndexArray
-    signs: FloatArray
+    vertex_normals: FloatArray  # (n, 3) unit length
+    triangles: IndexArray  # (t, 3)
+    tangents: FloatArray  # (g, 3) unit length, of groups of corners
+    groups: IndexArray  # (t, 3) group of every corner
+    signs: FloatArray  # (t,) 1, or -1 where the layout is mirrored
 
     def normals_at(self, triangle: IndexArray, barycentric: FloatArray) -> FloatArray:
         """(k, 3) interpolated normals at points, not of unit length."""

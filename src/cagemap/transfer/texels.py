@@ -26,28 +26,16 @@ GUTTER_RADIUS = float(np.sqrt(2.0))
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows.
+    """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows."""
 
-    Attributes
-    ----------
-    corners : (t, 3, 2) float64
-        Texel coordinates of the triangles' corners.
-    height, width : int
-        Size of the raster.
-    band_rows : int
-        Rows in a band; the last may have fewer.
-    gutter : float
-        How far islands are extended beyond their border, in texels.
-    band_triangles, border_triangles, border_corners : tuples of arrays, one entry a band
-        Triangles that touch the band, and the border edges that come near it: an edge is a triangle and the corner
-        it starts from. Ascending.
-    """
-
-    corners: FloatArray
+    corners: FloatArray  # (t, 3, 2) texel coordinates of the triangles' corners
+    # `height`, `width`: size of the raster
     height: int
     width: int
-    band_rows: int
-    gutter: float
+    band_rows: int  # rows in a band; the last may have fewer
+    gutter: float  # how far islands are extended beyond their border, in texels
+    # `band_triangles`, `border_triangles`, `border_corners`: Triangles that touch the band, and the border edges that
+    # come near it: an edge is a triangle and the corner it starts from. Ascending.
     band_triangles: tuple[IndexArray, ...]
     border_triangles: tuple[IndexArray, ...]
     border_corners: tuple[IndexArray, ...]

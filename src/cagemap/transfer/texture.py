@@ -41,26 +41,15 @@ _HALVES = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float64
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The source's texture, laid on its triangles.
+    """The source's texture, laid on its triangles."""
 
-    Attributes
-    ----------
-    tiles : dict of int -> (h, w, c) array
-        Pixels by UDIM number, row 0 at the top; a plain image has the single key 0. Sizes may differ, channels and
-        number type not.
-    uvs : (p, 2) float64
-    uv_triangles : (t2, 3) int64
-    triangle_tiles : (t2,) int64
-        Tile that each triangle lies in, by its centre; all 0 for a plain image.
-    repeat : bool
-        Whether points outside a plain image wrap around (else they are clamped to its edge).
-    """
-
+    # (h, w, c) pixels by UDIM number, row 0 at the top; a plain image has the single key 0. Sizes
+    # may differ, channels and number type not.
     tiles: dict[int, Pixels]
-    uvs: FloatArray
-    uv_triangles: IndexArray
-    triangle_tiles: IndexArray
-    repeat: bool
+    uvs: FloatArray  # (p, 2)
+    uv_triangles: IndexArray  # (t2, 3)
+    triangle_tiles: IndexArray  # (t2,) tile that each triangle lies in, by its centre; all 0 for a plain image
+    repeat: bool  # whether points outside a plain image wrap around (else they are clamped to its edge)
 
     @property
     def channels(self) -> int:

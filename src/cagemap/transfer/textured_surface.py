@@ -14,31 +14,15 @@ from cagemap.subdivision import Level, triangles
 
 @dataclass(frozen=True, eq=False)
 class TexturedSurface:
-    """The triangles of one level of a refinement, in the numbering that point maps use.
+    """The triangles of one level of a refinement, in the numbering that point maps use."""
 
-    Attributes
-    ----------
-    positions : (n, 3) float64
-    triangles : (t, 3) int64
-        Vertices of every triangle.
-    uvs : (p, 2) float64 or None
-        Texture coordinates, v up.
-    uv_triangles : (t, 3) int64 or None
-        UV of every triangle corner.
-    triangle_faces : (t,) int64
-        Refined face that each triangle is a part of.
-    face_parents : (m,) int64
-        Control face that each refined face came from.
-    holes : (t,) bool or None
-        Triangles that shape the surface but are no part of it: nothing is baked there.
-    """
-
-    positions: FloatArray
-    triangles: IndexArray
-    uvs: FloatArray | None
-    uv_triangles: IndexArray | None
-    triangle_faces: IndexArray
-    face_parents: IndexArray
+    positions: FloatArray  # (n, 3)
+    triangles: IndexArray  # (t, 3) vertices of every triangle
+    uvs: FloatArray | None  # (p, 2) texture coordinates, v up
+    uv_triangles: IndexArray | None  # (t, 3) UV of every triangle corner
+    triangle_faces: IndexArray  # (t,) refined face that each triangle is a part of
+    face_parents: IndexArray  # (m,) control face that each refined face came from
+    # (t,) triangles that shape the surface but are no part of it: nothing is baked there
     holes: NDArray[np.bool_] | None = None
 
     @classmethod

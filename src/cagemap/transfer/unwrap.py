@@ -107,7 +107,7 @@ def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
 
 
 def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) -> tuple[FloatArray, IndexArray]:
-    """UVs (p, 2) and the UV of every corner (c,); polygons that no chart keeps whole and convex find a place in order."""
+    """UVs (p, 2) and the UV of every corner (c,); polygons that no chart keeps whole are placed one by one."""
     corner_uvs, chart = _whole_polygons(control, charts)
     _loosen_overlaps(control, charts.uvs, corner_uvs, chart)
     uvs = [charts.uvs]

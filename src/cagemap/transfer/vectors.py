@@ -224,18 +224,11 @@ def bake_vectors(
 
 @dataclass(frozen=True, eq=False)
 class VectorPullback:
-    """Rotates vectors of the source to the target.
-
-    Attributes
-    ----------
-    frames : TangentFrames or None
-        Of the target; None leaves vectors in object space.
-    normals, source_normals : (n, 3) float64
-        Of the vertices of target and source.
-    """
+    """Rotates vectors of the source to the target."""
 
     transfer: Transfer
-    frames: TangentFrames | None
+    frames: TangentFrames | None  # of the target; None leaves vectors in object space
+    # `normals`, `source_normals`: (n, 3) of the vertices of target and source
     normals: FloatArray
     source_normals: FloatArray
 

@@ -21,31 +21,17 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh in its own space.
+    """A mesh in its own space."""
 
-    Attributes
-    ----------
-    control : ControlMesh
-        Vertices are the control points of the file; ``material_names`` has a word for each material slot.
-    weights : (n, j) csr_array or None
-    bones : tuple of int
-        ``typed_id`` of the node of each joint.
-    inverse_bind : (j, 4, 4) float64
-        From the mesh's space to each joint's, for points as rows.
-    shapes : dict of str to (n, 3) float64
-    channels : tuple
-        The blend channel of each shape.
-    normals : (c, 3) float64 or None
-        Of the face corners.
-    """
-
+    # vertices are the control points of the file; ``material_names`` has a word for each material slot
     control: ControlMesh
-    weights: sparse.csr_array | None = field(default=None, repr=False)
-    bones: tuple[int, ...] = ()
+    weights: sparse.csr_array | None = field(default=None, repr=False)  # (n, j)
+    bones: tuple[int, ...] = ()  # ``typed_id`` of the node of each joint
+    # (j, 4, 4) from the mesh's space to each joint's, for points as rows
     inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
-    shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)
-    channels: tuple[Any, ...] = ()
-    normals: FloatArray | None = field(default=None, repr=False)
+    shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name
+    channels: tuple[Any, ...] = ()  # the blend channel of each shape
+    normals: FloatArray | None = field(default=None, repr=False)  # (c, 3) of the face corners
 
 
 def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:

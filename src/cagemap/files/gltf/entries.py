@@ -25,21 +25,11 @@ _LARGEST = 1e100  # of numbers that are squared and multiplied
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file.
+    """A glTF file."""
 
-    Attributes
-    ----------
-    json : dict
-        As in the file.
-    buffers : tuple of bytes
-        One for each entry of the JSON's ``buffers``.
-    file : Path
-        Where it was read, for messages; images beside it are found from here.
-    """
-
-    json: dict[str, Any]
-    buffers: tuple[bytes, ...] = field(repr=False)
-    file: Path
+    json: dict[str, Any]  # as in the file
+    buffers: tuple[bytes, ...] = field(repr=False)  # one for each entry of the JSON's ``buffers``
+    file: Path  # where it was read, for messages; images beside it are found from here
 
     def refuse(self, where: str, problem: str, remedy: str = REMEDY) -> NoReturn:
         """Raise a FormatError that names the file and the place."""

@@ -24,24 +24,14 @@ _WEBP = "EXT_texture_webp"
 
 @dataclass(frozen=True, eq=False)
 class MaterialImage:
-    """The texture in one slot of a material.
+    """The texture in one slot of a material."""
 
-    Attributes
-    ----------
-    material, slot : str
-        Such as "body" and "baseColorTexture".
-    image : int
-        Its number in the document.
-    uv_set : str
-        Name of the UV set that it belongs to.
-    transform : (3, 3) float64
-        Texture coordinates (u, v, 1), v down, times it are those of the image.
-    """
-
+    # `material`, `slot`: such as "body" and "baseColorTexture"
     material: str
     slot: str
-    image: int
-    uv_set: str
+    image: int  # its number in the document
+    uv_set: str  # name of the UV set that it belongs to
+    # (3, 3) texture coordinates (u, v, 1), v down, times it are those of the image
     transform: FloatArray = field(repr=False)
 
     @property

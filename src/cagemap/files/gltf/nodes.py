@@ -19,28 +19,15 @@ _REST = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """All nodes of a document.
+    """All nodes of a document."""
 
-    Attributes
-    ----------
-    order : tuple of int
-        All nodes, parents before their children.
-    in_scene : frozenset of int
-        Those of the scene that is shown.
-    parents : (n,) int64
-        -1 for a root.
-    local, world : (n, 4, 4) float64
-        From a node's space to its parent's, and to the world.
-    names : tuple of str
-        Different ones; nodes without a name have one of their number.
-    """
-
-    order: tuple[int, ...]
-    in_scene: frozenset[int]
-    parents: IndexArray = field(repr=False)
+    order: tuple[int, ...]  # all nodes, parents before their children
+    in_scene: frozenset[int]  # those of the scene that is shown
+    parents: IndexArray = field(repr=False)  # (n,) -1 for a root
+    # `local`, `world`: (n, 4, 4) from a node's space to its parent's, and to the world
     local: FloatArray = field(repr=False)
     world: FloatArray = field(repr=False)
-    names: tuple[str, ...] = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)  # different ones; nodes without a name have one of their number
 
 
 def read_nodes(document: Document) -> Nodes:
@@ -161,38 +148,21 @@ _SAME_TRANSFORM = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """One skin of a document.
+    """One skin of a document."""
 
-    Attributes
-    ----------
-    nodes : (k,) int64
-        Its joints.
-    inverse_bind : (k, 4, 4) float64
-        From the mesh's stored positions to each joint's space.
-    to_world : (4, 4) float64
-        From the stored positions to the world, in the bind pose.
-    """
-
-    nodes: IndexArray
-    inverse_bind: FloatArray = field(repr=False)
-    to_world: FloatArray = field(repr=False)
+    nodes: IndexArray  # (k,) its joints
+    inverse_bind: FloatArray = field(repr=False)  # (k, 4, 4) from the mesh's stored positions to each joint's space
+    to_world: FloatArray = field(repr=False)  # (4, 4) from the stored positions to the world, in the bind pose
 
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """All joints of a document.
-
-    Attributes
-    ----------
-    joint_of : (n,) int64
-        Joint that each node is, -1 where it is none.
-    above : (n, 4, 4) float64
-        From the space in which a joint's own translation, rotation and scale are stated to that of ``Rig.local``: what
-        lies between it and its parent in the rig.
-    """
+    """All joints of a document."""
 
     rig: Rig
-    joint_of: IndexArray = field(repr=False)
+    joint_of: IndexArray = field(repr=False)  # (n,) joint that each node is, -1 where it is none
+    # (n, 4, 4) from the space in which a joint's own translation, rotation and scale are stated to that of
+    # ``Rig.local``: what lies between it and its parent in the rig
     above: FloatArray = field(repr=False)
 
 

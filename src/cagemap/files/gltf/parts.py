@@ -38,22 +38,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class ReadPart:
-    """A mesh node.
-
-    Attributes
-    ----------
-    node : int
-        Its number in the document.
-    stored : int
-        Vertices in the file.
-    notes : tuple of str
-        What was welded.
-    """
+    """A mesh node."""
 
     part: Part
-    node: int
-    stored: int
-    notes: tuple[str, ...] = field(repr=False)
+    node: int  # its number in the document
+    stored: int  # vertices in the file
+    notes: tuple[str, ...] = field(repr=False)  # what was welded
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,24 +27,14 @@ _MOST_SETS = 8
 
 @dataclass(frozen=True, eq=False)
 class VertexArrays:
-    """A mesh as stored: vertices split at seams, in the mesh's own space.
+    """A mesh as stored: vertices split at seams, in the mesh's own space."""
 
-    Attributes
-    ----------
-    control : ControlMesh
-        Triangles, or polygons, with materials, UV sets and colours.
-    joints : (n, q) int64
-        Numbers in the skin's list of joints; no columns where a mesh has none.
-    weights : (n, q) float64
-    shapes : dict of str to (n, 3) float64
-    normals : (n, 3) float64 or None
-    """
-
-    control: ControlMesh
+    control: ControlMesh  # triangles, or polygons, with materials, UV sets and colours
+    # (n, q) numbers in the skin's list of joints; no columns where a mesh has none
     joints: IndexArray = field(repr=False)
-    weights: FloatArray = field(repr=False)
-    shapes: dict[str, FloatArray] = field(repr=False)
-    normals: FloatArray | None = field(default=None, repr=False)
+    weights: FloatArray = field(repr=False)  # (n, q)
+    shapes: dict[str, FloatArray] = field(repr=False)  # offsets (n, 3) by name
+    normals: FloatArray | None = field(default=None, repr=False)  # (n, 3)
 
 
 def material_names(document: Document) -> tuple[str, ...]:

@@ -95,42 +95,21 @@ def skeleton_of(rig: Rig) -> Skeleton:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a glTF or FBX file holds.
+    """What a glTF or FBX file holds."""
 
-    Attributes
-    ----------
-    body : str
-        The mesh that `cagemap.character.roles.body_of` finds.
-    passengers : tuple of str
-        All other meshes.
-    vertices, stored : int
-        Vertices after welding, and in the file.
-    influences : int
-        Joints that move a vertex, at most.
-    humanoid : int
-        Joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_names`.
-    textures : tuple of str
-        Material, slot and format.
-    animations : tuple of (str, float)
-        Name and seconds.
-    extensions : tuple of str
-        Those that are kept as they are.
-    welded : tuple of str
-        What was welded, a line for each mesh.
-    """
-
-    body: str
-    passengers: tuple[str, ...]
+    body: str  # the mesh that `cagemap.character.roles.body_of` finds
+    passengers: tuple[str, ...]  # all other meshes
+    # `vertices`, `stored`: vertices after welding, and in the file
     vertices: int
     stored: int
     joints: int
-    influences: int
-    humanoid: int
+    influences: int  # joints that move a vertex, at most
+    humanoid: int  # joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_names`
     shapes: tuple[str, ...]
-    textures: tuple[str, ...]
-    animations: tuple[tuple[str, float], ...]
-    extensions: tuple[str, ...]
-    welded: tuple[str, ...]
+    textures: tuple[str, ...]  # material, slot and format
+    animations: tuple[tuple[str, float], ...]  # name and seconds
+    extensions: tuple[str, ...]  # those that are kept as they are
+    welded: tuple[str, ...]  # what was welded, a line for each mesh
 
     @property
     def is_character(self) -> bool:

@@ -32,25 +32,14 @@ _MARKUPS_SCHEMA = (
 
 @dataclass(frozen=True)
 class PointForm:
-    """One form.
+    """One form."""
 
-    Attributes
-    ----------
-    ending : str
-        Of the names of its files.
-    title : str
-        What people call it.
-    names, curves : bool
-        Whether it can carry them.
-    text : callable
-        Content of a file for points of a mesh.
-    """
-
-    ending: str
-    title: str
+    ending: str  # of the names of its files
+    title: str  # what people call it
+    # `names`, `curves`: whether it can carry them
     names: bool
     curves: bool
-    text: Callable[[NamedPoints, ControlMesh], str]
+    text: Callable[[NamedPoints, ControlMesh], str]  # content of a file for points of a mesh
 
     def lost(self, points: NamedPoints) -> tuple[str, ...]:
         """What of some points it cannot carry, in sentences."""

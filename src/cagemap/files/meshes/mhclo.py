@@ -20,27 +20,13 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """A mesh bound to a base mesh.
+    """A mesh bound to a base mesh."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) int64
-        Base vertices that each vertex follows.
-    weights : (n, 3) float64
-        Rows sum to 1; may be negative.
-    offsets : (n, 3) float64
-        Added, scaled axis by axis.
-    scales : (3, 2) int64
-        Two base vertices for each axis, whose distance along it scales the offsets.
-    lengths : (3,) float64
-        That distance in the base mesh at rest.
-    """
-
-    vertices: IndexArray
-    weights: FloatArray
-    offsets: FloatArray
-    scales: IndexArray
-    lengths: FloatArray
+    vertices: IndexArray  # (n, 3) base vertices that each vertex follows
+    weights: FloatArray  # (n, 3) rows sum to 1; may be negative
+    offsets: FloatArray  # (n, 3) added, scaled axis by axis
+    scales: IndexArray  # (3, 2) two base vertices for each axis, whose distance along it scales the offsets
+    lengths: FloatArray  # (3,) that distance in the base mesh at rest
 
     def positions(self, base: FloatArray) -> FloatArray:
         """(n, 3) where the mesh goes for base positions (n2, 3): what MakeHuman and MPFB do with the file."""

@@ -56,27 +56,15 @@ _STAND_INS = ("guide", "proxy")
 
 @dataclass(frozen=True, eq=False)
 class UsdMesh:
-    """One mesh prim.
+    """One mesh prim."""
 
-    Attributes
-    ----------
-    path : str
-        Of the prim.
-    control : ControlMesh
-        In the prim's own space.
-    attributes : dict of str to array
-        Other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column
-        for each joint, blend shapes as ``blendShape:NAME``.
-    to_world : (4, 4) float64
-        Positions as rows, 1 appended, times this are in world space.
-    of_corners : frozenset of str
-        Names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex.
-    """
-
-    path: str
-    control: ControlMesh
+    path: str  # of the prim
+    control: ControlMesh  # in the prim's own space
+    # other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column for
+    # each joint, blend shapes as ``blendShape:NAME``
     attributes: dict[str, Any]
-    to_world: FloatArray
+    to_world: FloatArray  # (4, 4) positions as rows, 1 appended, times this are in world space
+    # names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex
     of_corners: frozenset[str] = frozenset()
 
 

@@ -35,29 +35,17 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class UsdResults:
-    """What came over from the source, to be said about a mesh prim.
+    """What came over from the source, to be said about a mesh prim."""
 
-    Attributes
-    ----------
-    textures : dict of str to str
-        Image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to
-        the layer.
-    attributes : dict of str to array
-        Values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
-        skinning and blend shapes.
-    points : (n, 3) float64 or None
-        New places of the vertices.
-    uvs : (name, values, indices) or None
-        A new UV set.
-    skeleton : Skeleton or None
-        That the weights are of; in the order of their columns.
-    """
-
+    # image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to the
+    # layer
     textures: Mapping[str, str] = field(default_factory=dict)
+    # values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
+    # skinning and blend shapes
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    points: FloatArray | None = None
-    uvs: tuple[str, FloatArray, IndexArray] | None = None
-    skeleton: Skeleton | None = None
+    points: FloatArray | None = None  # (n, 3) new places of the vertices
+    uvs: tuple[str, FloatArray, IndexArray] | None = None  # (name, values, indices) a new UV set
+    skeleton: Skeleton | None = None  # that the weights are of; in the order of their columns
 
     def turned_round(self, mesh: ControlMesh) -> UsdResults:
         """The same for a mesh whose faces were run through the other way when it was read."""

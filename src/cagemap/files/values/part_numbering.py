@@ -25,19 +25,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
-    """How the rows of a file's mesh and those of a part of it go together.
+    """How the rows of a file's mesh and those of a part of it go together."""
 
-    Attributes
-    ----------
-    part : ControlMesh
-        With ``file_vertices`` and ``file_faces``, ``file_copies`` where it was welded; its order may be another than
-        the file's.
-    whole : ControlMesh
-        The file's mesh.
-    """
-
+    # with ``file_vertices`` and ``file_faces``, ``file_copies`` where it was welded; its order may be another than the
+    # file's
     part: ControlMesh
-    whole: ControlMesh
+    whole: ControlMesh  # the file's mesh
 
     @property
     def vertices(self) -> IndexArray:

@@ -42,25 +42,15 @@ _NOT = "not:"
 
 @dataclass(frozen=True)
 class CommandOption:
-    """One option of a command.
+    """One option of a command."""
 
-    Attributes
-    ----------
-    command, name : str
-        Name of the request's field.
-    flag : str
-        How it is typed; of a switch that is on by default, what turns it off.
-    help : str
-        As the command line explains it.
-    kind : str
-        "several" are some of ``choices``; "name or file" is a file where it ends in one of ``suffixes``; "output" names
-        a file to write, and is asked for with True.
-    """
-
+    # `command`, `name`: name of the request's field
     command: str
     name: str
-    flag: str
-    help: str
+    flag: str  # how it is typed; of a switch that is on by default, what turns it off
+    help: str  # as the command line explains it
+    # "several" are some of ``choices``; "name or file" is a file where it ends in one of ``suffixes``; "output" names a
+    # file to write, and is asked for with True
     kind: Kind
     default: Value = None
     choices: tuple[str, ...] = ()

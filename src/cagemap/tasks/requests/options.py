@@ -17,28 +17,16 @@ INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 @dataclass(frozen=True, init=False)
 class Option:
-    """How a field of a request is said.
+    """How a field of a request is said."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As typed; a switch may have ``--on/--off``. None: ``--`` and the field's name.
-    min, max : float or None
-        Least and largest value.
-    metavar : str or None
-        What help calls the value.
-    group : str or None
-        Heading of `--help` that it stands under.
-    setting : bool
-        Said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # As typed; a switch may have ``--on/--off``. None: ``--`` and the field's name.
     help: str
+    # `min`, `max`: least and largest value
     min: float | None
     max: float | None
-    metavar: str | None
-    group: str | None
+    metavar: str | None  # what help calls the value
+    group: str | None  # heading of `--help` that it stands under
+    # said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before
     setting: bool
 
     def __init__(

@@ -19,24 +19,12 @@ _PARAMETERS, _METHOD = "parameter", "method"
 
 @dataclass(frozen=True)
 class Setting:
-    """One research option.
+    """One research option."""
 
-    Attributes
-    ----------
-    name : str
-        As said after ``--set``, such as "target.schedule".
-    field : str
-        Of the request.
-    kind : type
-        Without its bounds, which are the option's.
-    option : Option
-        Its words; its names are those that it had as an option of its own.
-    """
-
-    name: str
-    field: str
-    kind: Any
-    option: Option
+    name: str  # as said after ``--set``, such as "target.schedule"
+    field: str  # of the request
+    kind: Any  # without its bounds, which are the option's
+    option: Option  # its words; its names are those that it had as an option of its own
 
 
 def settings_of(request: type) -> dict[str, Setting]:
