@@ -101,12 +101,8 @@ def atomic_path(
     points to is written and the link stays.
     FormatError: see `require_replaceable`; also if the disk is full, or ``verify`` says no.
 
-    Parameters
-    ----------
-    owned : callable
-        Whether an existing file may be replaced without ``force``.
-    verify : callable
-        Whether the temporary file holds all that was to be written. For libraries that report no full disk.
+    ``owned``: whether an existing file may be replaced without ``force``. ``verify``: whether the temporary file holds
+    all that was to be written. For libraries that report no full disk.
     """
     check = partial(require_replaceable, final, force=force, owned=owned)
     check()
@@ -157,12 +153,8 @@ def atomic_folder(
     A folder that is not there appears whole. In one that is there files are replaced one by one, in the order of
     ``names``, and all others are left alone.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The files that the block writes; the last one says that the others are there.
-    force, owned
-        See `atomic_path`.
+    ``names``: the files that the block writes; the last one says that the others are there. ``force``, ``owned``: see
+    `atomic_path`.
     """
     require_own_folder(final, names, force=force, owned=owned)
     target = _real(final)

@@ -47,10 +47,7 @@ class FaceKit:
 def read_face_kit(only: tuple[str, ...] | None = None) -> FaceKit:
     """Read the head and its shapes.
 
-    Parameters
-    ----------
-    only : tuple of str, optional
-        ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
+    ``only``: ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
     """
     with resources.as_file(resources.files("cagemap.character.face")) as folder, np.load(folder / "face.npz") as kept:
         given = {name: kept[name] for name in kept.files}

@@ -34,10 +34,7 @@ def write_npz(
 
     `numpy.savez` would do the same, but for arrays named ``file`` or ``allow_pickle``.
 
-    Parameters
-    ----------
-    later : callable, optional
-        Makes more arrays, while those are written.
+    ``later``: makes more arrays, while those are written.
     """
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
     with zipfile.ZipFile(path, "w", method) as archive, ThreadPool(1) as aside:
@@ -106,14 +103,7 @@ def check_arrays(
 ) -> dict[str, NDArray[Any]]:
     """Arrays that are what their specs say, as int64 or float64 and read-only; others are left out.
 
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    sizes : dict of str to int
-        Sizes known beforehand; those found are added.
-    remedy : str
-        Last sentence of every message.
+    ``sizes``: sizes known beforehand; those found are added. ``remedy``: last sentence of every message.
     """
     missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
     if missing:

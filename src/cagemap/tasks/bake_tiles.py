@@ -185,14 +185,8 @@ def bake_tiles(
 
     What is masked is the base image, or gets alpha.
 
-    Parameters
-    ----------
-    request : TransferRequest
-        Its output is the image to write, or a pattern for several tiles.
-    bake : callable
-        ``options``, which say the tile -> what was baked.
-    name : str
-        Of the map, to be shown.
+    ``request``: its output is the image to write, or a pattern for several tiles. ``bake``: ``options``, which say the
+    tile -> what was baked. ``name``: of the map, to be shown.
     """
     return write_tiles(
         request.output,
@@ -217,16 +211,8 @@ def write_tiles(
 ) -> Baked:
     """The loop of `bake_tiles`, for any layout.
 
-    Parameters
-    ----------
-    output : Path
-        Image to write, or a pattern for several tiles.
-    tiles : list of int
-        UDIM numbers; [0] for a layout in the unit square.
-    bake, stages, name
-        As in `bake_tiles`.
-    finished : callable
-        What is written of an image that was baked.
+    ``tiles``: UDIM numbers; [0] for a layout in the unit square. ``bake``, ``stages``, ``name``: as in `bake_tiles`.
+    ``finished``: what is written of an image that was baked.
     """
     with ThreadPool(1) as aside:
         written: list[Future[None]] = []

@@ -59,23 +59,12 @@ def carry_character(
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
 
-    Parameters
-    ----------
-    target : Character
-        With a body among its parts; the other parts stay, and get the weights of the body's nearest vertices. Its rig
-        and animations are replaced; of shapes with the same name its own stay.
-    source : Character
-        With a body among its parts; all other parts are passengers.
-    landmarks : Landmarks, optional
-        Between the two bodies.
-    bodies : (str or None, str or None)
-        Names of the target's and of the source's body; by default `body_of` finds them.
-    passengers : sequence of str, optional
-        Names of those to carry. Default: all whose role (`role`) no other part of the target has.
-    kinds : mapping of str to kind, optional
-        See `carry_passengers`.
-    influences : int, optional
-        Joints that may move a vertex of the body; None for all.
+    ``target``: with a body among its parts; the other parts stay, and get the weights of the body's nearest vertices.
+    Its rig and animations are replaced; of shapes with the same name its own stay. ``source``: with a body among its
+    parts; all other parts are passengers. ``landmarks``: between the two bodies. ``bodies``: (str or None, str or
+    None), names of the target's and of the source's body; by default `body_of` finds them. ``passengers``: names of
+    those to carry. Default: all whose role (`role`) no other part of the target has. ``kinds``: see `carry_passengers`.
+    ``influences``: joints that may move a vertex of the body; None for all.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])

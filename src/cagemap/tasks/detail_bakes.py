@@ -154,14 +154,8 @@ def bake_detail(
 ) -> list[str]:
     """Bake and write all images; returns a line about each.
 
-    Parameters
-    ----------
-    colors : (n, 3) float64 or None
-        At the detail's vertices, where colours are asked for.
-    units : str
-        Whose units lengths are in, as the reader is told.
-    finished : callable
-        Of every kind, what is written of an image that was baked.
+    ``colors``: (n, 3) or None, at the detail's vertices, where colours are asked for. ``units``: whose units lengths
+    are in, as the reader is told. ``finished``: of every kind, what is written of an image that was baked.
     """
     lines = []
     for kind, path in bakes.images.items():

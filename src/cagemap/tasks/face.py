@@ -148,14 +148,7 @@ def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: 
 
     mouthClose corrects jawOpen and is shown with it.
 
-    Parameters
-    ----------
-    head : Part
-        What the camera shows.
-
-    Returns
-    -------
-    (h, w, 3) uint8
+    ``head``: what the camera shows. Returns (h, w, 3) uint8.
     """
     meshes = [part.mesh for part in character.parts]
     starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])

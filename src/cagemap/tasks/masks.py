@@ -132,12 +132,8 @@ def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
 def with_masks(result: MatchResult, options: MaskOptions, folder: Path) -> MatchResult:
     """The same result with more left out of it: what counts is the product of its own masks and the given ones.
 
-    Parameters
-    ----------
-    options : MaskOptions
-        In the words and numbers of the files that were matched.
-    folder : Path
-        Of the RESULT, where the files are looked up.
+    ``options``: in the words and numbers of the files that were matched. ``folder``: of the RESULT, where the files are
+    looked up.
     """
     if options == MaskOptions():
         return result
@@ -168,17 +164,9 @@ def _matched_file(result: MatchResult, side: str, folder: Path, *, given: bool) 
 def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Path, option: str) -> GivenMask:
     """Read what a mask option says about a file's mesh.
 
-    Parameters
-    ----------
-    text : str
-        A file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's primvar,
-        or names of objects, groups, materials or components; after ``not:`` all but that.
-    edge : float or None
-        Width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
-    control : ControlMesh
-        The file's whole mesh.
-    option : str
-        For messages.
+    ``text``: a file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's
+    primvar, or names of objects, groups, materials or components; after ``not:`` all but that. ``edge``: width of the
+    soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
     """
     inverted = text.startswith(NOT)
     name = text.removeprefix(NOT)
@@ -231,14 +219,7 @@ def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
 def keep_base(
     request: TransferRequest, result: MatchResult, carried: Attributes, rows: FileRows | None
 ) -> tuple[Attributes, list[str]]:
-    """Carried values over the target's own ones outside the masks; and what is to be said where there are none.
-
-    Parameters
-    ----------
-    carried : dict of str to array
-    rows : FileRows or None
-        Of the target's file.
-    """
+    """Carried values over the target's own ones outside the masks; and what is to be said where there are none."""
     if not result.masks.any:
         return carried, []
     base = base_of(request)

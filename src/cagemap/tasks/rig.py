@@ -212,15 +212,7 @@ def with_choice(
 ) -> FloatArray:
     """Carried weights (n, j), made symmetric if asked; joints that are not chosen keep the target's own weights.
 
-    Parameters
-    ----------
-    control : ControlMesh
-        The target's.
-    carried : (n, j) float64
-    names : sequence of str
-        Of the joints; empty where the weights have none.
-    rows : FileRows or None
-        Of the target's file.
+    ``carried``: (n, j). ``names``: of the joints; empty where the weights have none.
     """
     for option, asked in (("--mirror", request.mirror), ("--only", request.only is not None)):
         if asked and not names:

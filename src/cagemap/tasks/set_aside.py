@@ -73,12 +73,7 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
 def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) -> Transfer:
     """What bakes need of the pieces set aside: they go to the closest points of the source's faces as they are.
 
-    Parameters
-    ----------
-    aside : SetAside
-        With faces.
-    target, source : ControlMesh
-        As given, with texture coordinates.
+    ``aside``: with faces.
     """
     rest = keep_faces(target, aside.faces)
     laid = target.positions.copy()

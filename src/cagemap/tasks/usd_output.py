@@ -25,17 +25,7 @@ _KEPT = ", and what earlier commands wrote there"
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
-    """Write results for the target of a RESULT folder; returns a line for the terminal.
-
-    Parameters
-    ----------
-    layer : path
-        USD file to write.
-    folder : path
-        The RESULT folder.
-    result : MatchResult
-        What it holds.
-    """
+    """Write results for the target of a RESULT folder; returns a line for the terminal."""
     control = result.target.control
     original = input_file(folder, result.manifest, "target")
     if original is None or original.suffix.lower() not in USD_SUFFIXES:

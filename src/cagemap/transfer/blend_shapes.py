@@ -52,7 +52,7 @@ class ShapeCarrier:
     samples: sparse.csr_array  # (s, n1) sampled target vertices from control vertices
     triangles: IndexArray  # (t, 3) of the samples
     gradient: sparse.csr_array  # (3 t, s) gradients of functions on the samples' triangles
-        areas: FloatArray  # (t,)
+    areas: FloatArray  # (t,)
     masses: FloatArray  # (s,)
     deforming: IndexArray  # (r, 3) source vertices of the triangles whose deformation is carried
     images: IndexArray  # (t,) row of ``deforming`` for every target triangle
@@ -68,10 +68,7 @@ class ShapeCarrier:
 def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
     """Prepare to carry shapes from a source to a target.
 
-    Parameters
-    ----------
-    target, source : Refinement
-        Up to the levels of the map.
+    ``target``, ``source``: up to the levels of the map.
     """
     level = min(max(target.coarsest_level(_SAMPLES), 1), target.n_levels)
     triangles = level_triangles(target, level)
@@ -158,15 +155,8 @@ def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArra
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     """Displacement of the target's control vertices from that of the source's.
 
-    Parameters
-    ----------
-    displacement : (n2, 3) float64
-        Of the source's control vertices, in its file units.
-
-    Returns
-    -------
-    (n1, 3) float64
-        In the target's file units.
+    ``displacement``: (n2, 3), of the source's control vertices, in its file units. Returns (n1, 3), in the target's
+    file units.
     """
     expected = (carrier.source.control.n_vertices, 3)
     if np.shape(displacement) != expected or not np.isfinite(displacement).all():
@@ -209,10 +199,7 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     into contact get the gap of the source's shape. Points in contact at rest keep their gap, but for its change in the
     source: where the source does not move, nothing moves.
 
-    Parameters
-    ----------
-    moved : (n, 3) float64
-        Displacement of the source's finest vertices at unit area.
+    ``moved``: (n, 3), displacement of the source's finest vertices at unit area.
     """
     given, count = carrier.point_map.source, len(carrier.masses)
     images = carrier.point_map.images.at(slice(count))

@@ -44,17 +44,8 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     """Values combined with weights; of integers and booleans (labels) the one with the largest weight.
 
-    Parameters
-    ----------
-    weights : (n1, n2) csr_array
-        Rows not negative, with at least one entry.
-    values : (n2,) or (n2, q) array
-        A row of several integers is one label.
-
-    Returns
-    -------
-    (n1,) or (n1, q) array
-        Of the same kind. Where two labels weigh the same, the smaller one.
+    ``weights``: (n1, n2), rows not negative, with at least one entry. ``values``: (n2,) or (n2, q), a row of several
+    integers is one label. Returns (n1,) or (n1, q), of the same kind. Where two labels weigh the same, the smaller one.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:
@@ -70,10 +61,7 @@ def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
 def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray, NDArray[Any]]:
     """Node of every face corner (c,), and the nodes' values (p, ...): corners of one vertex with one value share it.
 
-    Parameters
-    ----------
-    values : (c,) or (c, q) array
-        At the face corners, face by face.
+    ``values``: (c,) or (c, q), at the face corners, face by face.
     """
     keys = np.column_stack([control.face_indices, values.reshape(len(values), -1)])
     _, first, nodes = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -88,15 +76,8 @@ def corner_weights(
     A corner takes its value from its own side of a seam: a walk from the centre of the refined triangle at the corner
     to the image of its vertex never crosses a seam.
 
-    Parameters
-    ----------
-    target, source : Refinement
-        Up to the levels of the transfer.
-    nodes : (c2,) int64
-        Node of every corner of the source's control faces; faces that do not share nodes along an edge have a seam
-        there.
-    count : int
-        Number of nodes.
+    ``target``, ``source``: up to the levels of the transfer. ``nodes``: (c2,), node of every corner of the source's
+    control faces; faces that do not share nodes along an edge have a seam there. ``count``: number of nodes.
     """
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)

@@ -24,13 +24,8 @@ LARGEST_SIDE = int(np.iinfo(np.int16).max)
 def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None, threads: int = 1) -> None:
     """Give texels that are not covered, in place, the value of the nearest covered one.
 
-    Parameters
-    ----------
-    image : (h, w, c) array
-        Any number type; contiguous; sides up to 32767.
-    covered : (h, w) bool
-    distance : int, optional
-        How far to fill, in texels; the whole background by default.
+    ``image``: (h, w, c), any number type; contiguous; sides up to 32767. ``covered``: (h, w). ``distance``: how far to
+    fill, in texels; the whole background by default.
     """
     height, width = covered.shape
     if not covered.any():

@@ -58,13 +58,8 @@ def make_lookups_exact(
 ) -> None:
     """Change an image of floats, in place and as little as possible, so that its lookups are exact.
 
-    Parameters
-    ----------
-    image : (h, w, c) float32
-    places : (k, 2) float64
-        Texel coordinates.
-    targets : callable
-        From the current lookups (k, c) to their targets; called once a round.
+    ``image``: (h, w, c). ``places``: (k, 2), texel coordinates. ``targets``: from the current lookups (k, c) to their
+    targets; called once a round.
     """
     if not len(places):
         return
@@ -128,14 +123,8 @@ class SurfaceTargets:
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
     """Corners of the target's layout in a tile as samples: their UVs and their images on the source.
 
-    Returns
-    -------
-    uvs : (k, 2) float64
-        In the tile's unit square.
-    triangle : (k,) int64
-        A target triangle that has the corner.
-    inside : (k, 3) float64
-        Barycentric coordinates there.
+    Returns ``uvs`` (k, 2), in the tile's unit square; ``triangle`` (k,), a target triangle that has the corner;
+    ``inside`` (k, 3), barycentric coordinates there.
     """
     target = transfer.target
     uvs, uv_triangles = target.layout()

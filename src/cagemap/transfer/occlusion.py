@@ -21,10 +21,7 @@ _GOLDEN = 0.618033988749895
 def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
     """(n,) visible share of the cosine-weighted hemisphere over every vertex, from 0 to 1.
 
-    Parameters
-    ----------
-    rays : int
-        Over each vertex; the same places of the sky in every run.
+    ``rays``: over each vertex; the same places of the sky in every run.
     """
     if rays < 1:
         raise ParameterError(f"occlusion: expected 1 ray or more, got {rays}")

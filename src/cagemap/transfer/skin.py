@@ -28,23 +28,11 @@ def carry_skin(
 ) -> FloatArray:
     """Skinning weights of the target's control vertices from those of the source's.
 
-    Parameters
-    ----------
-    weights : (n1, n2) csr_array
-        Convex, see `control_weights`.
-    skin : (n2, j) float64
-        Weight of each joint at the source's control vertices; rows as `normalised_skin` takes them.
-    net : ElasticGraph
-        Of the target's control mesh.
-    trusted : (n1,) bool
-        Where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex.
-    influences : int, optional
-        How many joints may move a vertex; the smallest weights are left out. None for all.
-
-    Returns
-    -------
-    (n1, j) float64
-        Rows sum to 1, unless the source's rows around have none.
+    ``weights``: (n1, n2), convex, see `control_weights`. ``skin``: (n2, j), weight of each joint at the source's
+    control vertices; rows as `normalised_skin` takes them. ``net``: of the target's control mesh. ``trusted``: (n1,),
+    where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex. ``influences``: how many
+    joints may move a vertex; the smallest weights are left out. None for all. Returns (n1, j), rows sum to 1, unless
+    the source's rows around have none.
     """
     skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
@@ -58,17 +46,8 @@ def carry_skin(
 def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
     """Skinning weights with rows that sum to 1, and a note if rows were scaled.
 
-    Parameters
-    ----------
-    skin : (n, j) float64
-        Not negative; a row sums to 0 (no joint) or to 1, give or take a tenth.
-
-    Returns
-    -------
-    (n, j) float64
-        Rows that sum to 1 or 0 already are as they were.
-    str
-        Empty where nothing was scaled.
+    ``skin``: (n, j), not negative; a row sums to 0 (no joint) or to 1, give or take a tenth. Returns (n, j), rows that
+    sum to 1 or 0 already are as they were; a note, empty where nothing was scaled.
     """
     skin = np.asarray(skin, dtype=np.float64)
     sums = skin.sum(axis=1)
@@ -128,12 +107,8 @@ def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
 def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
     """Weights (n, j): carried ones of chosen joints; the mesh's own of the others, scaled to a sum of 1.
 
-    Parameters
-    ----------
-    carried, own : (n, j) float64
-        Rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet.
-    chosen : (q,) int64
-        Columns. Rows whose own weights are all of chosen joints take all carried ones.
+    ``carried``, ``own``: (n, j), rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet. ``chosen``:
+    (q,), columns. Rows whose own weights are all of chosen joints take all carried ones.
     """
     if carried.shape != own.shape:
         raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
@@ -153,13 +128,8 @@ def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> F
 def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
     """Mean of skinning weights (n, j) and of their mirror image.
 
-    Parameters
-    ----------
-    skin : (n, j) float64
-    vertices : (n,) int64
-        Vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`.
-    joints : (j,) int64
-        Joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
+    ``skin``: (n, j). ``vertices``: (n,), vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`. ``joints``:
+    (j,), joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
     """
     return 0.5 * (skin + skin[vertices][:, joints])
 
@@ -178,17 +148,8 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, F
     Every joint is moved by the affine map that fits the surface around it best (moving least squares, Schaefer et al.
     2006), from images on the source to vertices of the target. Affine deformations are reproduced exactly.
 
-    Parameters
-    ----------
-    joints : (j, 3) float64
-        In the source's file units.
-
-    Returns
-    -------
-    places : (j, 3) float64
-        In the target's file units.
-    rotations : (j, 3, 3) float64
-        Rotation of each map: a direction of the source as a row vector, times it, is that of the target.
+    ``joints``: (j, 3), in the source's file units. Returns ``places`` (j, 3), in the target's file units; ``rotations``
+    (j, 3, 3), rotation of each map: a direction of the source as a row vector, times it, is that of the target.
     """
     source = point_map.images.positions
     target = point_map.target.positions

@@ -57,13 +57,8 @@ def lay_out(
 ) -> Layout:
     """Bring a layout to texel coordinates and sort it into bands.
 
-    Parameters
-    ----------
-    corner_uvs : (t, 3, 2) float64
-    neighbors : (t, 3) int32
-        Triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's border.
-    gutter : float
-        How far to extend islands beyond their border, in texels.
+    ``corner_uvs``: (t, 3, 2). ``neighbors``: (t, 3), triangle across the edge opposite to every corner *in the UV
+    layout*, -1 at an island's border. ``gutter``: how far to extend islands beyond their border, in texels.
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
     triangle, opposite = np.nonzero(neighbors < 0)

@@ -74,13 +74,9 @@ def lay_texture(
 ) -> Texture:
     """Check a texture and lay it on the triangles of the source.
 
-    Parameters
-    ----------
-    texture : (h, w) or (h, w, c) array, or such arrays by UDIM number
-    uvs : (p, 2) float64
-    uv_triangles : (t2, 3) int64
-    wrap : "repeat" or "clamp"
-        How a plain image continues outside the unit square. Renderers and material libraries repeat it.
+    ``texture``: (h, w) or (h, w, c), or such by UDIM number. ``uvs``: (p, 2). ``uv_triangles``: (t2, 3). ``wrap``:
+    "repeat" or "clamp", how a plain image continues outside the unit square. Renderers and material libraries repeat
+    it.
     """
     if wrap not in ("repeat", "clamp"):
         raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
@@ -107,9 +103,7 @@ def tile_cells(corners: FloatArray) -> FloatArray:
 
     A triangle that crosses a border by rounding only belongs to the tile of its other corners.
 
-    Parameters
-    ----------
-    corners : (t, 3, 2) float64
+    ``corners``: (t, 3, 2).
     """
     cells = np.floor(corners.mean(axis=1))
     cells = cells - (corners.max(axis=1) - cells <= OVERHANG)
@@ -144,12 +138,8 @@ def look_up(
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 
-    Parameters
-    ----------
-    smooth : dict of int to SmoothTile, optional
-        Where to look up smoothly, by tile; bilinear elsewhere.
-    nearest : bool
-        Take the texel that contains the point: for labels.
+    ``smooth``: where to look up smoothly, by tile; bilinear elsewhere. ``nearest``: take the texel that contains the
+    point: for labels.
     """
     result = np.zeros((len(samples.first) - 1, texture.channels))
     # A band of texels uses few tiles of a large set: the others are skipped.

@@ -102,21 +102,10 @@ def bake_vector_displacement(
 ) -> Displacement:
     """Bake the source's vector displacement into the target's layout; lengths grow with the surfaces.
 
-    Parameters
-    ----------
-    texture : (h, w, 3) array, or such arrays by UDIM number
-        Vector = (value - midlevel) * scale, in the source's units; in tangent space the channels are tangent, normal,
-        bitangent.
-    size : int or (height, width)
-    midlevel : float, optional
-        By default 0.5 for integers and 0 for floats.
-    dtype, options
-        As in `bake_texture`.
-
-    Returns
-    -------
-    Displacement
-        With three channels. As with heights, floats get new values and integers a new scale.
+    ``texture``: (h, w, 3), or such by UDIM number, vector = (value - midlevel) * scale, in the source's units; in
+    tangent space the channels are tangent, normal, bitangent. ``midlevel``: by default 0.5 for integers and 0 for
+    floats. ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As with heights, floats get new
+    values and integers a new scale.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -195,20 +184,10 @@ def bake_vectors(
 ) -> Pixels:
     """Bake vectors of the source: rotated to the target sample by sample, and averaged in its frame.
 
-    Parameters
-    ----------
-    counts : (t1, 2) int32
-        Samples in a texel, as `run_bake` takes them.
-    vectors_at : callable
-        Samples, each a texel of its own -> (s, 3) vectors of the source in object space.
-    encode : callable
-        Vectors (k, 3) in the channels' order -> their values.
-    space : "tangent" or "object"
-        Of the target, for the result.
-    order : list of int
-        Which channels hold tangent, bitangent and normal.
-    crisp : (t1,) bool, optional
-        As `run_bake` takes it.
+    ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them. ``vectors_at``: samples, each a texel of its own
+    -> (s, 3) vectors of the source in object space. ``encode``: vectors (k, 3) in the channels' order -> their values.
+    ``space``: "tangent" or "object", of the target, for the result. ``order``: which channels hold tangent, bitangent
+    and normal. ``crisp``: (t1,), as `run_bake` takes it.
     """
     pull_back = VectorPullback.of(transfer, space)
 
@@ -303,10 +282,7 @@ def looks_like_normal_map(pixels: Pixels) -> bool:
 
     Every colour counts once: a large even background does not decide. Black and transparent texels do not count.
 
-    Parameters
-    ----------
-    pixels : (h, w, c) array
-        Integers stand for 0 to 1.
+    ``pixels``: (h, w, c), integers stand for 0 to 1.
     """
     normals = _normals(pixels)
     if not len(normals):
@@ -318,10 +294,7 @@ def looks_like_normal_map(pixels: Pixels) -> bool:
 def share_of_normals(pixels: Pixels) -> float:
     """Share of the colours that are unit vectors of any direction; 1 where nothing is painted.
 
-    Parameters
-    ----------
-    pixels : (h, w, c) array
-        Integers stand for 0 to 1.
+    ``pixels``: (h, w, c), integers stand for 0 to 1.
     """
     normals = _normals(pixels)
     return float(_unit(normals).mean()) if len(normals) else 1.0

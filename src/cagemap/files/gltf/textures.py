@@ -87,15 +87,8 @@ _OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", "EXT_texture_webp")
 def with_materials_of(document: Document, given: Document, names: Sequence[str]) -> tuple[Document, dict[str, str]]:
     """A document with materials of another one.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of materials of ``given``, as `cagemap.files.gltf.primitives.material_names` has them.
-
-    Returns
-    -------
-    dict of str to str
-        The name that each has there: another one where the document has a material of that name.
+    ``names``: of materials of ``given``, as `cagemap.files.gltf.primitives.material_names` has them. Returns the name
+    that each has there: another one where the document has a material of that name.
     """
     binary, top = Binary(document), json.loads(json.dumps(document.json))
     known = material_names(given)

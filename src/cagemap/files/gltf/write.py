@@ -34,10 +34,8 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
 
     Positions are single precision in the mesh's own unit. Creases have no place in it.
 
-    Parameters
-    ----------
-    to_metres : (4, 4) float64, optional
-        From the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of its node.
+    ``to_metres``: (4, 4), from the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of
+    its node.
     """
     write_whole(path, _packed(mesh, to_metres), force=force)
 
@@ -82,12 +80,8 @@ def character_glb(
     no parts of the character are emptied; materials, textures, cameras, lights, extensions (VRM) and animations of
     other things stay.
 
-    Parameters
-    ----------
-    character : Character
-        Positions and bind pose in metres, Y up, as read.
-    images : dict of (material, slot) to bytes, optional
-        PNG or JPEG files for textures, such as ``("body", "baseColorTexture")``. The slot keeps its other settings.
+    ``character``: positions and bind pose in metres, Y up, as read. ``images``: PNG or JPEG files for textures, such as
+    ``("body", "baseColorTexture")``. The slot keeps its other settings.
     """
     scene = None if materials_from is None else read_scene(materials_from)
     made = _Made(scene)

@@ -286,10 +286,7 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
 def read_texture(path: str | Path) -> Image | dict[int, Image]:
     """Read a texture: one image, or with ``<UDIM>`` in the file's name the tiles found beside each other.
 
-    Returns
-    -------
-    Image, or dict of int -> Image
-        By UDIM number.
+    Tiles are by UDIM number.
     """
     found = tile_files(path)
     if UDIM_MARK not in with_udim_mark(Path(path)).name:

@@ -74,10 +74,7 @@ def point_form(path: str | Path) -> PointForm:
 def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, force: bool = False) -> None:
     """Write named points in the form that the file's name asks for.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-        Other programs' points are places in space: those of its vertices, or, for Wrap, of its triangles.
+    ``mesh``: other programs' points are places in space: those of its vertices, or, for Wrap, of its triangles.
     """
     form = point_form(path)
     if points.curves and not form.curves:

@@ -37,12 +37,8 @@ FORMS = (
 def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoints:
     """Read the named points of one mesh.
 
-    Parameters
-    ----------
-    path : path
-        A .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
-    mesh : ControlMesh, optional
-        Wrap's points are triangles of it, with coordinates; other forms do not ask.
+    ``path``: a .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
+    ``mesh``: Wrap's points are triangles of it, with coordinates; other forms do not ask.
     """
     file = Path(path)
     name = file.name.lower()

@@ -126,12 +126,7 @@ def curves_from_arrays(
 ) -> Curves:
     """Undo `curves_to_arrays`.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the curves.
-    vertices : (int, int)
-        Number of control vertices of target and source.
+    ``vertices``: (int, int), number of control vertices of target and source.
     """
     if not names:
         return Curves.none()

@@ -116,12 +116,7 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
     Groups, objects, normals, names, materials, comments and the number of every vertex and face stay. Material
     libraries are named relative to the new file.
 
-    Parameters
-    ----------
-    original : path
-        The file that ``laid_out`` was read from.
-    laid_out : ControlMesh
-        With texture coordinates.
+    ``original``: the file that ``laid_out`` was read from. ``laid_out``: with texture coordinates.
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:
@@ -146,10 +141,7 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     Groups, objects, texture coordinates, materials, creases, comments and the number of every vertex and face stay.
     Normals go: they were those of the old shape. What follows a position on its line (a colour) stays.
 
-    Parameters
-    ----------
-    original : path
-        The file that ``moved`` was read from.
+    ``original``: the file that ``moved`` was read from.
     """
     file, kept = Path(path), Path(original)
     known = read_obj(kept)

@@ -231,12 +231,8 @@ def stored_confidence(
 ) -> Confidence | None:
     """The verdict on an answer; no longer sure where a sign is beyond the bound of now, or none was written.
 
-    Parameters
-    ----------
-    controls : int
-        Control vertices n_0 of the target.
-    others : (r, n_0, 3) float64
-        Where the other answers put them, in the file's lengths.
+    ``controls``: control vertices n_0 of the target. ``others``: (r, n_0, 3), where the other answers put them, in the
+    file's lengths.
     """
     if record is None:
         return None

@@ -53,16 +53,8 @@ Prepare = Callable[..., Surface]
 def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig = MAP_BASIS) -> str:
     """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    control : ControlMesh
-        All its arrays count, its name does not.
-    level : int
-        The finest level.
-    scheme : CatmullClark or Loop, optional
-        Default: the mesh's default scheme.
-    config : BasisConfig
-        Default: what `cagemap.pipeline.prepare_surface` makes.
+    ``control``: all its arrays count, its name does not. ``scheme``: default: the mesh's default scheme. ``config``:
+    default: what `cagemap.pipeline.prepare_surface` makes.
 
     Notes
     -----
@@ -119,16 +111,7 @@ def prepared(
     A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced.
     Nothing is stored where preparing fails.
 
-    Parameters
-    ----------
-    folder : path
-        Created if it does not exist.
-    level : int
-        The finest level.
-    progress : callable
-        Called with the name of each stage.
-    prepare : callable
-        What makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
+    ``prepare``: what makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
     """
     key = surface_key(control, level, default_scheme(control), config)
     place = _usable_folder(Path(folder)) / (key + SUFFIX)

@@ -18,19 +18,9 @@ _SHAPES, _SHAPE_TARGETS = "skel:blendShapes", "skel:blendShapeTargets"
 def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: bool) -> bool:
     """Add to a new layer what cagemap wrote to its file before; of two values of one name the new one counts.
 
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        The new one, with its final sublayers.
-    file : path
-        Where it will be written. A file that cagemap did not write adds nothing.
-    prim_paths : sequence of str
-        The meshes that the results are about.
-
-    Returns
-    -------
-    bool
-        Whether there was something to add.
+    ``layer``: the new one, with its final sublayers. ``file``: where it will be written. A file that cagemap did not
+    write adds nothing. ``prim_paths``: the meshes that the results are about. Returns whether there was something to
+    add.
     """
     pxr = usd_modules()
     try:

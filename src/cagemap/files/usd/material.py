@@ -56,14 +56,8 @@ def unbound_maps(roles: Iterable[str]) -> list[str]:
 def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: str) -> None:
     """Make a material of some images and bind it to a mesh, those of `preview_inputs`.
 
-    Parameters
-    ----------
-    stage, prim
-        The mesh's prim, on the layer that is written.
-    textures : dict of str to str
-        Image by what it is for; paths relative to the layer, ``<UDIM>`` for a set.
-    uv_name : str
-        Primvar of the texture coordinates.
+    ``stage``, ``prim``: the mesh's prim, on the layer that is written. ``textures``: image by what it is for; paths
+    relative to the layer, ``<UDIM>`` for a set. ``uv_name``: primvar of the texture coordinates.
     """
     from pxr import Sdf, Tf, UsdShade
 

@@ -19,10 +19,7 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
 
     Paths of a package to its own entries are left out.
 
-    Parameters
-    ----------
-    name : str
-        Of the file; its ending says how it is read.
+    ``name``: of the file; its ending says how it is read.
     """
     pxr = usd_modules()
     with tempfile.TemporaryDirectory() as folder:

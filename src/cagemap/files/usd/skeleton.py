@@ -18,15 +18,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton | None:
     """The skeleton that a mesh of a USD file is bound to, as it was bound, in the space of what `read_usd` gives.
 
-    Parameters
-    ----------
-    control : ControlMesh, optional
-        Says which mesh, where the file has several.
-
-    Returns
-    -------
-    Skeleton or None
-        None where the mesh is bound to none.
+    ``control``: says which mesh, where the file has several. None where the mesh is bound to none.
     """
     meshes = read_usd_meshes(path)
     chosen = one_mesh(path, meshes, control)
@@ -69,14 +61,7 @@ def _parents(joints: list[str]) -> IndexArray:
 def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
     """Define a skeleton beside a mesh, in its `SkelRoot`, and bind the mesh to it; joints are in the order of weights.
 
-    Parameters
-    ----------
-    prim : Usd.Prim
-        The mesh.
-    skeleton : Skeleton
-        In the mesh's own space.
-    to_root : (4, 4) float64
-        From there to the space of the topmost prim.
+    ``skeleton``: in the mesh's own space. ``to_root``: (4, 4), from there to the space of the topmost prim.
     """
     pxr = usd_modules()
     top = prim.GetPath().GetPrefixes()[0]

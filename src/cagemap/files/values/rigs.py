@@ -35,10 +35,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to, a
     glTF file the joints of all its skins.
 
-    Parameters
-    ----------
-    control : ControlMesh, optional
-        The mesh that it moves, which says which one where a USD file has several.
+    ``control``: the mesh that it moves, which says which one where a USD file has several.
     """
     file = Path(path)
     if file.suffix.lower() in SCENE_SUFFIXES:
@@ -94,13 +91,8 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
 def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:
     """Read shapes of a cage as displacements (n, 3) by name.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
-        and glTF files.
-    rows : FileRows, optional
-        Of a cage that is a part of a file: shapes of the whole file are taken at the part.
+    ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
+    and glTF files. ``rows``: of a cage that is a part of a file: shapes of the whole file are taken at the part.
     """
     files: list[Path] = []
     for path in paths:

@@ -61,10 +61,7 @@ def moved_options(request: type) -> dict[str, str]:
 def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     """Fields of a request from what was said after ``--set``; of one name the last counts.
 
-    Parameters
-    ----------
-    words : sequence of str
-        ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
+    ``words``: ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
     """
     if not words:
         return {}
