@@ -37,7 +37,7 @@ from cagemap.transfer.exact_corners import (
     lookup_matrix,
     make_lookups_exact,
 )
-from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 
 from command_line import Run

@@ -21,7 +21,7 @@ from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer.normal_rays import intersect_normals
+from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from cagemap.wrap.counterpart import counterpart
 from cagemap.wrap.fit import fit_net

@@ -33,7 +33,7 @@ def _read_transfer(
     texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
 ) -> TransferRequest:
     """The request of a command line, where an image may have a name and kinds of bakes are listed with commas."""
-    from cagemap.tasks.texture_maps import texture_and_maps
+    from cagemap.tasks.requests.results import texture_and_maps
 
     image, maps = texture_and_maps(texture)
     whole, named = texture_and_maps(bases, "--base")

@@ -25,6 +25,7 @@ from cagemap.files.images.image import (
     texture_files,
     texture_pixels,
     udim_path,
+    with_udim_mark,
     write_image,
 )
 from cagemap.files.meshes.formats import write_mesh
@@ -310,3 +311,14 @@ def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: d
     why = "was not found, or has changed since the match" if original is None else "is no OBJ"
     why = why if whole else "was matched in part, mended or welded"
     return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]
+
+
+def map_path(output: Path, name: str) -> Path:
+    """Image of one of several maps: its name comes before the tile number and the suffix."""
+    output = with_udim_mark(output)
+    if not name:
+        return output
+    stem, dot, rest = output.name.partition(UDIM_MARK) if UDIM_MARK in output.name else (output.stem, "", output.suffix)
+    if dot:
+        return output.with_name(f"{stem.rstrip('._')}_{name}.{UDIM_MARK}{rest}")
+    return output.with_name(f"{stem}_{name}{rest}")

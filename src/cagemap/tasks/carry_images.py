@@ -22,6 +22,7 @@ from cagemap.tasks.bake_tiles import (
     bake_tiles,
     base_size,
     finish,
+    map_path,
     masking,
     prepare_bake,
     read_source_image,
@@ -39,7 +40,6 @@ from cagemap.tasks.detail_bakes import (
 )
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.results import TransferRequest
-from cagemap.tasks.texture_maps import map_path
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.detail import Detail

@@ -45,7 +45,7 @@ from cagemap.transfer.detail import (
     detailed_share,
 )
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texture import Filter, Pixels
 from cagemap.transfer.vectors import Green, Space
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer

@@ -13,7 +13,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_skeleton
-from cagemap.files.meshes.mhclo import bind, write_mhclo
+from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
@@ -192,10 +192,7 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
         write_map(request.output, point_map, force=request.force)
         return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
     control, source = result.target.control, result.source
-    face_of_triangle = np.repeat(
-        source.refinement.finest.face_parents, len(result.source_triangles) // len(source.faces)
-    )
-    fitting = bind(control.positions, source.control, face_of_triangle[result.triangle[: control.n_vertices]])
+    fitting = bind_on(control.positions, source, result.triangle[: control.n_vertices])
     write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)
     apart = float(np.linalg.norm(fitting.offsets, axis=1).mean()) * point_map.source.scale
     warnings = []

@@ -39,9 +39,8 @@ from cagemap.tasks.carry_images import (
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import MaskOptions, in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
-from cagemap.tasks.texture_maps import require_map_names
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS

@@ -12,7 +12,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
-from cagemap.files.meshes.mhclo import bind, write_mhclo
+from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
@@ -159,15 +159,8 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     note_output("wrap", folder, request)
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
-        faces = result.source.refinement.finest.face_parents
-        per_face = len(result.source_triangles) // len(faces)
-        own = wrapped.closest.triangle[: wrapped.mesh.n_vertices] // per_face
-        write_mhclo(
-            request.mhclo,
-            bind(wrapped.mesh.positions, result.source.control, faces[own]),
-            request.output,
-            force=request.force,
-        )
+        places, own = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
+        write_mhclo(request.mhclo, bind_on(places, result.source, own), request.output, force=request.force)
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     more, outside = bake_wrapped(request, result, wrapped, detail, stages)
     if more and not np.allclose(space, np.eye(4)):

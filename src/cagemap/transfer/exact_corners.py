@@ -26,7 +26,7 @@ from cagemap.surface.surface_points import nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.normal_rays import MAX_DETAIL_DISTANCE
+from cagemap.transfer.rays import MAX_DETAIL_DISTANCE
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
 # Weight of the change of texels against the error of lookups.

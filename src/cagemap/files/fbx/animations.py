@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import ufbx
 
-from cagemap.files.fbx.held import get, held, items
+from cagemap.files.fbx.meshes import get, held, items
 from cagemap.files.gltf.binary import Binary
 from cagemap.numerics.arrays import FloatArray
 

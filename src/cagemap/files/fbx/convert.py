@@ -14,9 +14,8 @@ import ufbx
 
 from cagemap.errors import FormatError
 from cagemap.files.fbx.animations import animation_entry
-from cagemap.files.fbx.held import get, held, items
 from cagemap.files.fbx.materials import Materials
-from cagemap.files.fbx.meshes import FbxMesh, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.meshes import FbxMesh, get, held, items, read_fbx_mesh, row_matrix
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
@@ -64,7 +63,7 @@ def main() -> None:
         status = REFUSED
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(status)  # without freeing anything, see `cagemap.files.fbx.held`
+    os._exit(status)  # without freeing anything, see `cagemap.files.fbx.meshes`
 
 
 def _note(text: str) -> None:

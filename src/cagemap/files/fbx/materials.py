@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.fbx.held import get, held, items
+from cagemap.files.fbx.meshes import get, held, items
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import image_suffix
 from cagemap.numerics.arrays import FloatArray

@@ -57,12 +57,9 @@ def _object(one: ReadPart) -> ControlMesh:
 
 def gltf_weights(path: str | Path) -> FloatArray:
     """Weights (n, j) of the joints of `gltf_skeleton`, at the vertices of `read_gltf`; 0 for meshes without a skin."""
-    scene = read_scene(read_document(path))
-    if scene.joints is None:
-        raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
-    count = len(scene.joints.rig.names)
+    scene, rig = _rigged(path)
     tables = [
-        np.zeros((one.part.mesh.n_vertices, count)) if one.part.weights is None else one.part.weights.toarray()
+        np.zeros((one.part.mesh.n_vertices, len(rig.names))) if one.part.weights is None else one.part.weights.toarray()
         for one in scene.parts
     ]
     return np.concatenate(tables)
@@ -80,10 +77,14 @@ def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
 
 def gltf_skeleton(path: str | Path) -> Skeleton:
     """Joints of all skins in the bind pose."""
+    return skeleton_of(_rigged(path)[1])
+
+
+def _rigged(path: str | Path) -> tuple[Scene, Rig]:
     scene = read_scene(read_document(path))
     if scene.joints is None:
         raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
-    return skeleton_of(scene.joints.rig)
+    return scene, scene.joints.rig
 
 
 def skeleton_of(rig: Rig) -> Skeleton:

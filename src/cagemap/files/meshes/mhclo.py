@@ -13,6 +13,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.ownership import mark
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.spectral import Surface
 from cagemap.transfer.locate import triangle_frames
 
 _AXES = "xyz"
@@ -33,6 +34,13 @@ class Binding:
         ends = base[self.scales, np.arange(3)[:, None]]
         factors = np.abs(ends[:, 0] - ends[:, 1]) / self.lengths
         return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
+
+
+def bind_on(positions: FloatArray, base: Surface, triangle: IndexArray) -> Binding:
+    """Bind a mesh to the control vertices of a surface, each vertex to the face that a finest triangle (n,) is of."""
+    finest = base.refinement.finest
+    per_face = len(base.finest_triangles.triangles) // finest.n_faces
+    return bind(positions, base.control, finest.face_parents[triangle // per_face])
 
 
 def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:

@@ -41,15 +41,15 @@ class MatchRequest:
     target: Annotated[
         Path,
         Option(
-            "--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."
+            ("--target", "-t"), group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."
         ),
     ]
     source: Annotated[
         Path,
-        Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
+        Option(("--source", "-s"), group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
     ]
     landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
-    output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="RESULT folder to write.")]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="RESULT folder to write.")]
     level: Annotated[
         int | None,
         Option(group=INPUT, min=1, help="Subdivision level of both surfaces.  [default: chosen by --vertices]"),
@@ -61,7 +61,7 @@ class MatchRequest:
         ),
     ] = None
     k: Annotated[
-        int | None, Option("-k", group=RESEARCH, min=3, help="Basis functions of each surface.  [default: 100]")
+        int | None, Option(("-k",), group=RESEARCH, min=3, help="Basis functions of each surface.  [default: 100]")
     ] = None
     schedule: Annotated[
         str | None, setting("Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.")
@@ -98,7 +98,7 @@ class MatchRequest:
     symmetry: Annotated[
         bool,
         Option(
-            "--symmetry/--no-symmetry",
+            ("--symmetry/--no-symmetry",),
             group=RESEARCH,
             help="--method paper: use mirror symmetry where both meshes have it.",
         ),
@@ -109,11 +109,11 @@ class MatchRequest:
     source_symmetry: Annotated[tuple[Path, ...], setting("The same symmetry of the source; repeat both for more.")] = ()
     exchange_landmarks: Annotated[
         bool,
-        Option("--exchange-landmarks", group=LANDMARKS, help="The landmark file was made for the other direction."),
+        Option(("--exchange-landmarks",), group=LANDMARKS, help="The landmark file was made for the other direction."),
     ] = False
     trust_landmarks: Annotated[
         bool,
-        Option("--trust-landmarks", group=LANDMARKS, help="Keep every landmark; by default, outliers are left out."),
+        Option(("--trust-landmarks",), group=LANDMARKS, help="Keep every landmark; by default, outliers are left out."),
     ] = False
     answer: Annotated[int, Option(group=OUTPUT, min=0, help="Use another of the reported alignments: 1, 2, ...")] = 0
     target_points: Annotated[
@@ -161,9 +161,9 @@ class MapRequest:
     """What the user asked for, as said on the command line."""
 
     map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
-    target: Annotated[Path, Option("--target", "-t", help="Mesh that the map starts from; it receives.")]
-    source: Annotated[Path, Option("--source", "-s", help="Mesh that the map goes to; it gives.")]
-    output: Annotated[Path, Option("-o", "--output", help="RESULT folder to write.")]
+    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]
+    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that the map goes to; it gives.")]
+    output: Annotated[Path, Option(("-o", "--output"), help="RESULT folder to write.")]
     level: Annotated[int | None, Option(min=1, help="Level of both surfaces.  [default: about 50000 vertices]")] = None
     weld: WeldOption = None
     target_weld: TargetWeldOption = None
@@ -188,7 +188,7 @@ class RunRequest:
     workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
         None
     )
-    dry_run: Annotated[bool, Option("--dry-run", help="Only list the tasks and estimate their time.")] = False
+    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list the tasks and estimate their time.")] = False
     task: Annotated[
         str | None,
         Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),
@@ -204,8 +204,8 @@ class RunRequest:
 class StudioRequest:
     """What the user asked for, as said on the command line."""
 
-    target: Annotated[Path | None, Option("--target", "-t", help="Control mesh that receives.")] = None
-    source: Annotated[Path | None, Option("--source", "-s", help="Control mesh that gives.")] = None
+    target: Annotated[Path | None, Option(("--target", "-t"), help="Control mesh that receives.")] = None
+    source: Annotated[Path | None, Option(("--source", "-s"), help="Control mesh that gives.")] = None
     landmarks: Annotated[Path | None, Option(help="Landmark file to open and save.")] = None
     texture: Annotated[Path | None, Option(help="Image over the source's UVs.")] = None
     result: Annotated[Path | None, Option(help="RESULT folder to write; without models, the one to open.")] = None
@@ -213,7 +213,7 @@ class StudioRequest:
     host: Annotated[str, Option(help="Address to serve; other machines need the printed token.")] = "127.0.0.1"
     port: Annotated[int, Option(min=0, max=65535, help="Port; if it is in use, the next free one.")] = 8765
     vertices: Annotated[int, Option(min=1, help="About this many displayed vertices per model.")] = 25_000
-    no_browser: Annotated[bool, Option("--no-browser", help="Do not open the page.")] = False
+    no_browser: Annotated[bool, Option(("--no-browser",), help="Do not open the page.")] = False
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None
     source_scheme: SourceSchemeOption = None

@@ -26,7 +26,9 @@ class FunctionsRequest:
     """What the user asked for, as said on the command line."""
 
     mesh: MeshFile
-    output: Annotated[Path, Option("-o", "--output", help="Arrays, .npz, .npy or .csv; or the mesh in colours, .ply.")]
+    output: Annotated[
+        Path, Option(("-o", "--output"), help="Arrays, .npz, .npy or .csv; or the mesh in colours, .ply.")
+    ]
     kinds: Annotated[
         str,
         Option(
@@ -34,17 +36,18 @@ class FunctionsRequest:
         ),
     ] = "eigenfunctions"
     level: Annotated[
-        int | None, Option("--level", "-l", min=1, help="Finest level of the surface.  [default: about 50000 vertices]")
+        int | None,
+        Option(("--level", "-l"), min=1, help="Finest level of the surface.  [default: about 50000 vertices]"),
     ] = None
     at: Annotated[
         int | None, Option(min=0, help="Level at whose vertices the functions are given.  [default: the finest]")
     ] = None
-    k: Annotated[int, Option("-k", min=1, help="Basis functions.")] = 100
+    k: Annotated[int, Option(("-k",), min=1, help="Basis functions.")] = 100
     schedule: Annotated[str | None, Option(help="Basis functions per level, such as 100,50,50,50; replaces -k.")] = None
     laplacian: Annotated[str, Option(help="mean, alexa-wardetzky[:LAMBDA] or de-goes-butts-desbrun[:LAMBDA].")] = "mean"
     accuracy: Annotated[float, Option(help="Convergence of the eigensolver.")] = 1e-5
     literal: Annotated[
-        bool, Option("--literal", help="With --schedule: the paper's Definition 2 exactly as printed.")
+        bool, Option(("--literal",), help="With --schedule: the paper's Definition 2 exactly as printed.")
     ] = False
     heat: Annotated[int, Option(min=1, help="Heat signatures or kernels: diffusion times.")] = 10
     wave: Annotated[int, Option(min=1, help="Wave signatures or kernels: energies.")] = 20
@@ -67,8 +70,10 @@ class RigRequest:
     """What the user asked for."""
 
     body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
-    like: Annotated[Path, Option("--like", group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm or .fbx.")]
-    output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
+    like: Annotated[
+        Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm or .fbx.")
+    ]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
     landmarks: Annotated[
         Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
     ] = None
@@ -88,7 +93,7 @@ class RigRequest:
     cloth: Annotated[str | None, Option(group=INPUT, help="Passengers that follow the skin: mask,belt.")] = None
     influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints per vertex; 0 for all.")] = 4
     keep_textures: Annotated[
-        bool, Option("--keep-textures", group=OUTPUT, help="BODY keeps its own materials and textures.")
+        bool, Option(("--keep-textures",), group=OUTPUT, help="BODY keeps its own materials and textures.")
     ] = False
     size: Annotated[
         int | None,
@@ -105,7 +110,7 @@ class FaceRequest:
     """What the user asked for."""
 
     head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
-    output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
     part: Annotated[str | None, Option(group=INPUT, help="Part of HEAD that has the face.  [default: the largest]")] = (
         None
     )

@@ -15,31 +15,18 @@ from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, Uv
 INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class Option:
     """How a field of a request is said."""
 
-    names: tuple[str, ...]  # As typed; a switch may have ``--on/--off``. None: ``--`` and the field's name.
-    help: str
-    # `min`, `max`: least and largest value
-    min: float | None
-    max: float | None
-    metavar: str | None  # what help calls the value
-    group: str | None  # heading of `--help` that it stands under
-    # said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before
-    setting: bool
-
-    def __init__(
-        self,
-        *names: str,
-        help: str = "",
-        min: float | None = None,
-        max: float | None = None,
-        metavar: str | None = None,
-        group: str | None = None,
-        setting: bool = False,
-    ) -> None:
-        vars(self).update(names=names, help=help, min=min, max=max, metavar=metavar, group=group, setting=setting)
+    names: tuple[str, ...] = ()  # as typed; a switch may have ``--on/--off``. None: ``--`` and the field's name
+    help: str = ""
+    min: float | None = None  # least and largest value
+    max: float | None = None
+    metavar: str | None = None  # what help calls the value
+    group: str | None = None  # heading of `--help` that it stands under
+    # Said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before.
+    setting: bool = False
 
 
 def comma_words(text: str) -> list[str]:
@@ -49,7 +36,7 @@ def comma_words(text: str) -> list[str]:
 
 def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
     """A research option, said as ``--set NAME=VALUE``."""
-    return Option(*names, help=help, min=min, metavar=metavar, group=RESEARCH, setting=True)
+    return Option(names, help, min=min, metavar=metavar, group=RESEARCH, setting=True)
 
 
 class Argument(Option):
@@ -99,7 +86,7 @@ MeshFile = Annotated[
 ]
 Force = Annotated[
     bool,
-    Option("--force", group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
+    Option(("--force",), group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
 ]
 ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
 

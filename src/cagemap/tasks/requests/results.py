@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
+from cagemap.errors import ParameterError
 from cagemap.tasks.requests.options import (
     Argument,
     Force,
@@ -35,7 +37,7 @@ class TransferRequest:
     result: ResultFolder
     output: Annotated[
         Path,
-        Option("-o", "--output", help="Image, values or mesh to write."),
+        Option(("-o", "--output"), help="Image, values or mesh to write."),
     ]
     texture: Annotated[
         Path | None,
@@ -51,7 +53,7 @@ class TransferRequest:
     space: Space = "tangent"
     green: Green = "up"
     as_color: Annotated[
-        bool, Option("--as-color", help="Texture: treat an image that looks like a normal map as colours.")
+        bool, Option(("--as-color",), help="Texture: treat an image that looks like a normal map as colours.")
     ] = False
     filter: Annotated[
         str,
@@ -62,7 +64,7 @@ class TransferRequest:
         Path | None,
         Option(help="Values at the source's control vertices, faces or corners."),
     ] = None
-    material_colors: Annotated[bool, Option("--material-colors", help="Bake the source's material colours.")] = False
+    material_colors: Annotated[bool, Option(("--material-colors",), help="Bake the source's material colours.")] = False
     bake: Annotated[
         tuple[str, ...],
         Option(help="Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture."),
@@ -77,7 +79,7 @@ class TransferRequest:
     detail_texture: Annotated[Path | None, Option(help="Image of the detailed mesh, for --bake texture.")] = None
     rays: Annotated[int, Option(min=1, help="Rays per vertex, for --bake ao.")] = 128
     source_uvs: Annotated[
-        bool, Option("--source-uvs", help="Give the target the source's UVs; -o is the mesh to write.")
+        bool, Option(("--source-uvs",), help="Give the target the source's UVs; -o is the mesh to write.")
     ] = False
     weights: Annotated[
         Path | None, Option(help="Skinning weights of the source, a column per joint: .csv, .npz, glTF.")
@@ -85,7 +87,7 @@ class TransferRequest:
     influences: Annotated[int, Option(min=0, help="Weights: most joints per vertex; 0 for all.")] = 4
     only: Annotated[str | None, Option(help="Weights: only these joints, with commas; --base has the others.")] = None
     mirror: Annotated[
-        bool, Option("--mirror", help="Weights: make left and right symmetric, by the joints' names.")
+        bool, Option(("--mirror",), help="Weights: make left and right symmetric, by the joints' names.")
     ] = False
     joints: Annotated[
         Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights, names the columns.")
@@ -96,12 +98,12 @@ class TransferRequest:
     passenger: Annotated[Path | None, Option(help="Mesh on the source to carry: clothes, eyes, hair, a prop.")] = None
     kind: Annotated[
         str | None,
-        Option("--as", help="Passenger: cloth, rigid or similarity.  [default: chosen for each piece]"),
+        Option(("--as",), help="Passenger: cloth, rigid or similarity.  [default: chosen for each piece]"),
         OneOf(("cloth", "rigid", "similarity")),
     ] = None
     write_map: Annotated[
         bool,
-        Option("--write-map", help="Write the map itself, for other programs."),
+        Option(("--write-map",), help="Write the map itself, for other programs."),
     ] = False
     level: Annotated[
         int | None,
@@ -124,7 +126,7 @@ class TransferRequest:
     bases: Annotated[
         tuple[tuple[str, Path], ...],
         Option(
-            "--base",
+            ("--base",),
             help="The target's own image or values outside the masks; [NAME=]IMAGE.  [default: transparent]",
         ),
     ] = ()
@@ -133,9 +135,34 @@ class TransferRequest:
     mask_edge: MaskEdgeOption = None
     unwrap: Annotated[
         bool,
-        Option("--unwrap", help="Make UVs where the target has none; writes that mesh too."),
+        Option(("--unwrap",), help="Make UVs where the target has none; writes that mesh too."),
     ] = False
     force: Force = False
+
+
+def texture_and_maps(
+    given: Sequence[str], option: str = "--texture"
+) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
+    """Tell a single image from the named maps of a material: ``albedo=skin.png``."""
+    named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
+    if len(given) == 1 and (not named or Path(given[0]).exists()):
+        return Path(given[0]), ()
+    if not given:
+        return None, ()
+    require_map_names(named if len(named) == len(given) else [("", Path(text)) for text in given], option)
+    return None, tuple(named)
+
+
+def require_map_names(maps: Sequence[tuple[str, Path]], option: str = "--texture") -> None:
+    """Refuse several images that their names do not tell apart."""
+    names = [name for name, _ in maps]
+    if not all(names) or len({name.casefold() for name in names}) != len(names):
+        given = ", ".join(f"{name}={path}" if name else str(path) for name, path in maps)
+        raise ParameterError(
+            f"{option}: expected one image, or several as NAME=IMAGE with a name of its own each, got {given}."
+        )
+    if any(not name.replace("_", "").replace("-", "").isalnum() for name in names):
+        raise ParameterError(f"{option}: expected names of letters, digits, - and _, since files are named by them.")
 
 
 def base_of(request: TransferRequest, name: str = "") -> Path | None:
@@ -150,12 +177,12 @@ class WrapRequest:
 
     results: Annotated[tuple[Path, ...], Argument(metavar="[RESULT]...", help="Folder that `cagemap match` wrote.")]
     output: Annotated[
-        Path, Option("-o", "--output", help="Mesh to write: .obj, .ply, .off, .usd; a folder with --blend-shapes.")
+        Path, Option(("-o", "--output"), help="Mesh to write: .obj, .ply, .off, .usd; a folder with --blend-shapes.")
     ]
     target: Annotated[
-        Path | None, Option("--target", "-t", help="Instead of RESULT: cage to match first, then to wrap.")
+        Path | None, Option(("--target", "-t"), help="Instead of RESULT: cage to match first, then to wrap.")
     ] = None
-    source: Annotated[Path | None, Option("--source", "-s", help="With --target: mesh to wrap it onto.")] = None
+    source: Annotated[Path | None, Option(("--source", "-s"), help="With --target: mesh to wrap it onto.")] = None
     landmarks: Annotated[Path | None, Option(help="JSON file of pairs of corresponding points.")] = None
     map: Annotated[
         Path | None,
@@ -176,9 +203,9 @@ class WrapRequest:
     target_mask: TargetMaskOption = None
     source_mask: SourceMaskOption = None
     mask_edge: MaskEdgeOption = None
-    symmetric: Annotated[bool, Option("--symmetric", help="Keep a mirror symmetric cage symmetric.")] = False
+    symmetric: Annotated[bool, Option(("--symmetric",), help="Keep a mirror symmetric cage symmetric.")] = False
     blend_shapes: Annotated[
-        bool, Option("--blend-shapes", help="Write a folder: the cage at rest, and each RESULT's mesh.")
+        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, and each RESULT's mesh.")
     ] = False
     displacement: Annotated[
         Path | None, Option(help="Image to write: missing detail, as heights along the normal.")
@@ -214,7 +241,7 @@ class ReportRequest:
     """What the user asked for; without a texture the last one that was baked is shown, if its files are there."""
 
     result: ResultFolder
-    output: Annotated[Path, Option("-o", "--output", help="HTML file to write.")] = Path("report.html")
+    output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")
     texture: Annotated[Path | None, Option(help="Source texture to show.  [default: that of the last transfer]")] = None
     force: Force = False
     level: Annotated[
