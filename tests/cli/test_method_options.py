@@ -9,7 +9,7 @@ import pytest
 from examples import shapes
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.landmarks.points import read_symmetry
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh.mirrors import mirror_symmetries

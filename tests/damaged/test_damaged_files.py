@@ -24,8 +24,7 @@ from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
 from cagemap.files.images.image import read_image, read_image_form, write_image
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
-from cagemap.files.landmarks.points import read_points
-from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.landmarks.points import read_points, read_symmetry
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.ply import write_ply
 from cagemap.files.ownership import mark

@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
-from cagemap.files.usd.material import unbound_maps
+from cagemap.files.usd.results import unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import (

@@ -16,8 +16,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.files.landmarks.points import read_points
-from cagemap.files.landmarks.symmetry import symmetry_on
+from cagemap.files.landmarks.points import read_points, symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
 from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
 from cagemap.files.result.manifest import MANIFEST, assurance, landmark_messages, peak_memory, stated_inputs

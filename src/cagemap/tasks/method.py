@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.landmarks.points import read_symmetry
 from cagemap.maps.pair import SymmetryPair
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.operators import LAPLACIANS

@@ -26,7 +26,6 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.subdivision import Level
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import (
     MappedSurface,
     TexelSamples,
@@ -34,7 +33,7 @@ from cagemap.transfer.locate import (
     map_surface,
 )
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
+from cagemap.transfer.texels import GUTTER_RADIUS, LARGEST_SIDE, Layout, TriangleImage, dilate, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 

@@ -12,7 +12,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.libraries import library
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer.tangents import plane_basis
+from cagemap.transfer.textured_surface import plane_basis
 
 # Detail further from the source than this, in units of sqrt(area), is ignored.
 MAX_DETAIL_DISTANCE = 0.1

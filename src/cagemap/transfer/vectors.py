@@ -21,8 +21,8 @@ from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, 
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.tangents import TangentFrames, plane_basis, tangent_frames
 from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
+from cagemap.transfer.textured_surface import TangentFrames, plane_basis, tangent_frames
 
 Space = Literal["tangent", "object"]
 Green = Literal["up", "down"]

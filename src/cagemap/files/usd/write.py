@@ -17,10 +17,9 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd.earlier_results import add_earlier
-from cagemap.files.usd.material import bind_textures
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
 from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
+from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.mesh import ControlMesh
