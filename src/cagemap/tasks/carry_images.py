@@ -185,15 +185,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     """Normals, displacement, ambient occlusion and colours of a detailed mesh, or of the source itself."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
-    bakes = DetailBakes(
-        images,
-        request.size or base_size(request, kinds[0]) or DEFAULT_SIZE,
-        request.bits,
-        cast(Space, request.space),
-        cast(Green, request.green),
-        request.rays,
-        request.force,
-    )
+    bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
     mesh = None if request.detail is None else read_mesh(request.detail)
     if mesh is not None and request.detail_texture is not None:
         bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, cast(Filter, request.filter)))

@@ -32,7 +32,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import WrapRequest
+from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
     Detail,
@@ -86,11 +86,7 @@ class DetailBakes:
     images: dict[Kind, Path]
     size: int
     bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
-    # `space`, `green`: of normals and vectors
-    space: Space
-    green: Green
-    rays: int  # of ambient occlusion, a vertex of the detailed mesh
-    force: bool
+    request: TransferRequest | WrapRequest  # whose space, green, rays and force hold
     texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
 
     def channels(self, kind: Kind) -> int:
@@ -157,26 +153,21 @@ def bake_detail(
     ``colors``: (n, 3) or None, at the detail's vertices, where colours are asked for. ``units``: whose units lengths
     are in, as the reader is told. ``finished``: of every kind, what is written of an image that was baked.
     """
-    lines = []
+    lines, request = [], bakes.request
     for kind, path in bakes.images.items():
         dtype, scale = bakes.dtype(kind), 1.0
-        values = None
         if kind == "ao":
             stages("ambient occlusion")
-            values = ambient_occlusion(detail.surface, bakes.rays)
-        elif kind == "colors":
-            values = colors
         elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
             stages(f"range of {kind}")
-            scale = _range(_baker(bakes, kind, transfer, detail, None, np.dtype(np.float32), 1.0), tiles)
-        bake = _baker(bakes, kind, transfer, detail, values, dtype, scale)
-        write_tiles(path, tiles, bake, stages, finished(kind), force=bakes.force, name=kind)
-        middle = 0.5 if dtype.kind == "u" else 0.0
-        meaning = f"(value - {middle:g}) * {scale:.6g} in {units} units"
+            scale = _range(_baker(bakes, kind, transfer, detail, colors, np.dtype(np.float32), 1.0), tiles)
+        bake = _baker(bakes, kind, transfer, detail, colors, dtype, scale)
+        write_tiles(path, tiles, bake, stages, finished(kind), force=request.force, name=kind)
+        meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
         says: dict[Kind, str] = {
-            "normal": f"normals in {bakes.space} space, green {bakes.green}",
+            "normal": f"normals in {request.space} space, green {request.green}",
             "displacement": f"height along the normal = {meaning}",
-            "vector-displacement": f"offset in {bakes.space} space = {meaning}",
+            "vector-displacement": f"offset in {request.space} space = {meaning}",
             "ao": "ambient occlusion",
             "colors": "colours",
             "texture": "the detailed mesh's texture",
@@ -190,14 +181,14 @@ def _baker(
     kind: Kind,
     transfer: Transfer,
     detail: Detail,
-    values: FloatArray | None,
+    colors: FloatArray | None,
     dtype: np.dtype[Any],
     scale: float,
 ) -> Callable[..., Pixels | Image | Displacement]:
     """The bake of one kind of image, for the ``options`` of any tile."""
-    size, space = bakes.size, bakes.space
-    if kind == "texture" and bakes.texture is not None:
-        own = bakes.texture
+    size, own = bakes.size, bakes.texture
+    space, green = cast(Space, bakes.request.space), cast(Green, bakes.request.green)
+    if kind == "texture" and own is not None:
 
         def bake(*, options: BakeOptions) -> Image:
             read = replace(options, filter=own.filter)
@@ -207,10 +198,12 @@ def _baker(
             return replace(own.first, pixels=pixels)
 
         return bake
-    if values is not None:
+    if kind in ("ao", "colors"):
+        values = ambient_occlusion(detail.surface, bakes.request.rays) if kind == "ao" else colors
+        assert values is not None
         return partial(bake_detail_values, transfer, detail, values, size=size, dtype=dtype)
     if kind == "normal":
-        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=bakes.green, dtype=dtype)
+        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=green, dtype=dtype)
     if kind == "displacement":
         return partial(bake_detail_heights, transfer, detail, size=size, scale=scale, dtype=dtype)
     return partial(bake_detail_vectors, transfer, detail, size=size, space=space, scale=scale, dtype=dtype)
@@ -237,15 +230,8 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
         "colors": request.colors,
         "texture": request.baked if request.detail_texture is not None else None,
     }
-    return DetailBakes(
-        {kind: path for kind, path in images.items() if path is not None},
-        request.size or DEFAULT_SIZE,
-        None,
-        cast(Space, request.space),
-        cast(Green, request.green),
-        request.rays,
-        request.force,
-    )
+    given = {kind: path for kind, path in images.items() if path is not None}
+    return DetailBakes(given, request.size or DEFAULT_SIZE, None, request)
 
 
 def outputs_beside(request: WrapRequest) -> list[Path]:

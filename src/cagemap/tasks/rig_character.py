@@ -88,7 +88,9 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         write_document(request.output, made, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
-    return _summary(request, dressed), [*carried.notes, *notes, *_doubts(carried.result)]
+    found = carried.result.confidence
+    doubt = [] if found is None or found.verdict == SURE else [_DOUBT]
+    return _summary(request, dressed), [*carried.notes, *notes, *doubt]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -308,10 +310,6 @@ def _poses(
             for body, rig, animation, own in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
         yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
-
-
-def _doubts(result: MatchResult) -> list[str]:
-    return [] if result.confidence is None or result.confidence.verdict == SURE else [_DOUBT]
 
 
 def _summary(request: RigRequest, character: Character) -> str:

@@ -201,11 +201,6 @@ _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 51
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
-def accessor_count(document: Document, number: object, where: str) -> int:
-    """Number of elements of an accessor, as stated."""
-    return document.whole(document.entry("accessors", number, where).get("count"), f"accessors {number}: count", 1)
-
-
 def read_accessor(
     document: Document, number: object, where: str, shapes: tuple[str, ...], count: int | None = None
 ) -> NDArray[Any]:
@@ -220,7 +215,7 @@ def read_accessor(
     shape = entry.get("type")
     if shape not in shapes:
         document.refuse(place, f"expected {' or '.join(shapes)}, got {shown(shape)}")
-    stated = accessor_count(document, number, where)
+    stated = document.whole(entry.get("count"), f"accessors {number}: count", 1)
     if count is not None and stated != count:
         document.refuse(place, f"expected {count} elements, got {stated}")
     dtype, columns = _component(document, entry, place), _SHAPES[str(shape)]

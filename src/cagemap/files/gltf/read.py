@@ -76,8 +76,11 @@ def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
 
 
 def gltf_skeleton(path: str | Path) -> Skeleton:
-    """Joints of all skins in the bind pose."""
-    return skeleton_of(_rigged(path)[1])
+    """Joints of all skins in the bind pose; tails lie where the children are."""
+    rig = _rigged(path)[1]
+    parents = tuple(rig.names[parent] if parent >= 0 else "" for parent in rig.parents)
+    axes = rig.bind[:, :3, :3] / np.linalg.norm(rig.bind[:, :3, :3], axis=2, keepdims=True)
+    return Skeleton(rig.names, parents, rig.heads, tails_of(rig.heads, rig.parents), axes)
 
 
 def _rigged(path: str | Path) -> tuple[Scene, Rig]:
@@ -85,13 +88,6 @@ def _rigged(path: str | Path) -> tuple[Scene, Rig]:
     if scene.joints is None:
         raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
     return scene, scene.joints.rig
-
-
-def skeleton_of(rig: Rig) -> Skeleton:
-    """The joints of a rig in the bind pose; tails lie where the children are."""
-    parents = tuple(rig.names[parent] if parent >= 0 else "" for parent in rig.parents)
-    axes = rig.bind[:, :3, :3] / np.linalg.norm(rig.bind[:, :3, :3], axis=2, keepdims=True)
-    return Skeleton(rig.names, parents, rig.heads, tails_of(rig.heads, rig.parents), axes)
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,8 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
     arrays |= curves_to_arrays(result.curves)
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
-        write_npz(temporary / ARRAYS, arrays, lambda: _spectral_arrays(result))
+        names = _SPECTRAL_ARRAYS if result.has_spectral else ()
+        write_npz(temporary / ARRAYS, arrays, lambda: {name: getattr(result.spectral, name) for name in names})
         seal(temporary / ARRAYS)
         manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
         # The manifest comes last: a folder with one is complete, whoever copies it.
@@ -128,11 +129,6 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
 def _numbers(indices: IndexArray) -> NDArray[np.int32]:
     """Numbers of finest vertices and triangles as files hold them: they are below 2^31."""
     return indices.astype(np.int32)
-
-
-def _spectral_arrays(result: MatchResult) -> dict[str, Any]:
-    """The functional map and its eigenvalues, where both surfaces are prepared."""
-    return {name: getattr(result.spectral, name) for name in _SPECTRAL_ARRAYS} if result.has_spectral else {}
 
 
 def check_result_folder(folder: str | Path, *, force: bool = False) -> None:

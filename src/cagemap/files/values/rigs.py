@@ -111,10 +111,13 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
 
 
 def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
+    arrays = None
     if file.suffix.lower() == ".npz":
-        return _read_offsets(file, rest, rows)
-    if file.suffix.lower() in SCENE_SUFFIXES:
-        return {name: _checked_offsets(file, name, a, rest) for name, a in to_part(gltf_shapes(file), rows).items()}
+        arrays = read_npz(file, "Write it again, with one array (vertices, 3) for each shape.")
+    elif file.suffix.lower() in SCENE_SUFFIXES:
+        arrays = dict(gltf_shapes(file))
+    if arrays is not None:
+        return {name: _checked_offsets(file, name, array, rest) for name, array in to_part(arrays, rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}
     own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
@@ -138,11 +141,6 @@ def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray
             "Export it from the same cage, with vertices in their order."
         )
     return mesh.positions - rest.positions
-
-
-def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
-    arrays = to_part(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
-    return {name: _checked_offsets(file, name, array, rest) for name, array in arrays.items()}
 
 
 def _checked_offsets(file: Path, name: str, array: NDArray[Any], rest: ControlMesh) -> FloatArray:
