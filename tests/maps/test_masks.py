@@ -32,7 +32,7 @@ from cagemap.report import draw_gallery
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.import_map import run_map
-from cagemap.tasks.masks import MaskOptions, mask_file, read_mask, read_masks
+from cagemap.tasks.masks import mask_file, read_mask, read_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MapRequest
@@ -202,7 +202,7 @@ def test_options_name_parts_files_and_images(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such file"):
         read(str(tmp_path / "missing.npz"))
     with pytest.raises(ParameterError, match="--mask-edge"):
-        read_masks(MaskOptions(edge=0.1), (mesh, mesh), (here, here))
+        read_masks(TransferRequest(here, here, mask_edge=0.1), (mesh, mesh), (here, here))
 
 
 @pytest.fixture(scope="module")

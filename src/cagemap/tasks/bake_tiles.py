@@ -92,7 +92,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.result / MANIFEST,
         request.result / ARRAYS,
         *(file for path in given for file in texture_files(path)),
-        *mask_inputs(request.target_mask, request.source_mask).values(),
+        *mask_inputs(request).values(),
     ]
 
 

@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 
 from cagemap.files.values.attributes import Attributes
 from cagemap.files.values.part_numbering import FileRows, to_file
-from cagemap.tasks.requests.results import TransferRequest, base_of
+from cagemap.tasks.requests.match import MapRequest, MatchRequest
+from cagemap.tasks.requests.results import TransferRequest, WrapRequest, base_of
 
 # Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
 DEFAULT_EDGE = 0.02
@@ -74,13 +75,8 @@ class GivenMask:
 GivenMasks = tuple[GivenMask | None, GivenMask | None]
 
 
-@dataclass(frozen=True)
-class MaskOptions:
-    """What the command line says about masks."""
-
-    target: str | None = None
-    source: str | None = None
-    edge: float | None = None
+# Requests with masks of both models.
+Masked = MatchRequest | MapRequest | TransferRequest | WrapRequest
 
 
 def mask_file(text: str | None) -> Path | None:
@@ -92,30 +88,26 @@ def mask_file(text: str | None) -> Path | None:
     return path if suffix in MASK_FILES else None
 
 
-def mask_files(text: str | None) -> list[Path]:
-    """All files of a mask: an image's tiles, or one."""
-    path = mask_file(text)
-    if path is None:
-        return []
-    from cagemap.files.images.image import texture_files
+def mask_inputs(request: Masked) -> dict[str, Path]:
+    """Files of both masks, an image's tiles too, by the names that a manifest has for them."""
+    found: dict[str, Path] = {}
+    for side, text in (("target", request.target_mask), ("source", request.source_mask)):
+        path = mask_file(text)
+        if path is not None:
+            from cagemap.files.images.image import texture_files
 
-    return texture_files(path)
-
-
-def mask_inputs(target: str | None, source: str | None) -> dict[str, Path]:
-    """Files of both masks, by the names that a manifest has for them."""
-    sides = (("target", target), ("source", source))
-    return {f"{side}_mask_{i}": path for side, text in sides for i, path in enumerate(mask_files(text))}
+            found |= {f"{side}_mask_{i}": file for i, file in enumerate(texture_files(path))}
+    return found
 
 
-def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
+def read_masks(request: Masked, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
     """Masks of the target's and the source's whole files."""
-    texts = {"--target-mask": options.target, "--source-mask": options.source}
+    texts = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
     target, source = (
-        None if text is None else read_mask(text, options.edge, control, file, option)
+        None if text is None else read_mask(text, request.mask_edge, control, file, option)
         for (option, text), control, file in zip(texts.items(), controls, files, strict=True)
     )
-    if options.edge is not None and target is None and source is None:
+    if request.mask_edge is not None and target is None and source is None:
         raise ParameterError("--mask-edge: expected --target-mask or --source-mask beside it, got neither")
     return target, source
 
@@ -129,17 +121,16 @@ def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
     return Masks(target, source)
 
 
-def with_masks(result: MatchResult, options: MaskOptions, folder: Path) -> MatchResult:
-    """The same result with more left out of it: what counts is the product of its own masks and the given ones.
+def with_masks(result: MatchResult, request: Masked, folder: Path) -> MatchResult:
+    """The same result with more left out of it: what counts is the product of its own masks and the request's.
 
-    ``options``: in the words and numbers of the files that were matched. ``folder``: of the RESULT, where the files are
-    looked up.
+    Masks are in the words and numbers of the files that were matched, which are looked up from ``folder``, the RESULT.
     """
-    if options == MaskOptions():
+    asked = {"target": request.target_mask, "source": request.source_mask}
+    if (*asked.values(), request.mask_edge) == (None, None, None):
         return result
-    asked = {"target": options.target, "source": options.source}
     whole = [_matched_file(result, side, folder, given=text is not None) for side, text in asked.items()]
-    given = read_masks(options, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
+    given = read_masks(request, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
     more = masks_on(given, (result.target, result.source))
     both = zip((result.masks.target, result.masks.source), (more.target, more.source), strict=True)
     masks = Masks(*(one if two is None else two if one is None else one * two for one, two in both))

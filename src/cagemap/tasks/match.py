@@ -30,7 +30,7 @@ from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
-from cagemap.tasks.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
+from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
 from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import (
@@ -86,7 +86,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     files |= {name: path for name in optional if (path := getattr(request, name)) is not None}
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
         files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
-    files.update(mask_inputs(request.target_mask, request.source_mask))
+    files.update(mask_inputs(request))
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stated = stated_inputs(files, request.output)
@@ -143,8 +143,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
     target, source = (read_control(path, request, side) for side, path in zip(SIDES, files, strict=True))
     landmarks, notes = read_given_landmarks(request, target, source)
     notes += unit_notes(request.target, request.source)
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    masks = read_masks(options, (target, source), files)
+    masks = read_masks(request, (target, source), files)
     welded = [weld_control(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
     check_landmarks(landmarks, target, source)
     landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in welded))

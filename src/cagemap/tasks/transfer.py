@@ -37,7 +37,7 @@ from cagemap.tasks.carry_images import (
     carry_vector_displacement,
 )
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masks import MaskOptions, in_file, keep_base, with_masks
+from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.results import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
@@ -101,9 +101,8 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
         check_usd_path(request.usd)
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    summary, warnings = carry(request, with_masks(result, options, request.result), stages)
-    if result.shared is not None and options.target is None:
+    summary, warnings = carry(request, with_masks(result, request, request.result), stages)
+    if result.shared is not None and request.target_mask is None:
         warnings = [*warnings, *unshared_warnings(result.shared.target_share, 1.0)]
     return summary, warnings
 

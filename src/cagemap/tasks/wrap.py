@@ -30,7 +30,7 @@ from cagemap.numerics.threads import one_blas_thread
 from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masks import MaskOptions, mask_inputs, with_masks
+from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.match import MapRequest
@@ -77,17 +77,9 @@ def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stage
     """Carry the source's texture into the target's layout as well, if that was asked for."""
     if request.texture is None or request.baked is None:
         return summary, warnings
-    carry = TransferRequest(
-        request.results[0],
-        request.baked,
-        texture=request.texture,
-        size=request.size,
-        target_mask=request.target_mask,
-        source_mask=request.source_mask,
-        mask_edge=request.mask_edge,
-        force=request.force,
-    )
-    more, others = carry_one(carry, stages)
+    names = ("texture", "size", "target_mask", "source_mask", "mask_edge", "force")
+    options = {name: getattr(request, name) for name in names}
+    more, others = carry_one(TransferRequest(request.results[0], request.baked, **options), stages)
     return f"{summary}\n{more}", warnings + others
 
 
@@ -126,7 +118,7 @@ def _check_request(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
     inputs += [path for path in named if path is not None]
-    inputs += [*textures_read(request), *mask_inputs(request.target_mask, request.source_mask).values()]
+    inputs += [*textures_read(request), *mask_inputs(request).values()]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
@@ -139,8 +131,7 @@ def _check_request(request: WrapRequest) -> None:
 def _run(request: WrapRequest, stages: Stages) -> Outcome:
     config = WrapConfig(level=request.fit_level, fairness=request.fairness)
     stages("read result")
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    results = [with_masks(read_result(folder), options, folder) for folder in request.results]
+    results = [with_masks(read_result(folder), request, folder) for folder in request.results]
     if not results:
         raise ParameterError("expected a RESULT folder of `cagemap match`, or --target and --source")
     if len({mesh_hash(result.target.control) for result in results}) > 1:
