@@ -50,9 +50,8 @@ from cagemap.tasks.match import MatchRequest, read_control, run_match, weld_cont
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import SIDES, side_bases, side_levels
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN, run_request
 from cagemap.tasks.requests.match import MapRequest, RunRequest
-from cagemap.tasks.run_request import run_request
 
 
 class Ticker:

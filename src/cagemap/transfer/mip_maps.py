@@ -18,8 +18,7 @@ from scipy import sparse
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.smooth import SmoothTile, channel_range
-from cagemap.transfer.texture import Pixels, Texture, look_up
+from cagemap.transfer.texture import Pixels, SmoothTile, Texture, channel_range, look_up
 
 _LOBES = 3
 # Where covered texels have less than this share of the kernel, means replace it: negative lobes would amplify.

@@ -27,7 +27,6 @@ from cagemap.files.meshes.arrays import (
 )
 from cagemap.files.npz import ArraySpec, check_arrays, lie_in_triangles, read_npz, write_npz
 from cagemap.files.ownership import is_own, seal, stated_checksum
-from cagemap.files.result.level_maps import level_arrays, level_entries, read_level_maps
 from cagemap.files.result.manifest import (
     MANIFEST,
     REMEDY,
@@ -39,6 +38,7 @@ from cagemap.files.result.manifest import (
     stored_quality,
     written_with,
 )
+from cagemap.files.result.maps import level_arrays, level_entries, read_level_maps
 from cagemap.files.schema import ResultRecord, SideRecord, checked_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap

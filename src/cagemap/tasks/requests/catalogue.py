@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
 from enum import StrEnum
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin
@@ -13,6 +14,7 @@ from typing import Any, Literal, Union, cast, get_args, get_origin
 from pydantic import TypeAdapter
 
 from cagemap.errors import ParameterError
+from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
 from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
@@ -105,6 +107,13 @@ def request_of(options: Options, command: str, values: Mapping[str, Value]) -> R
             options[command, name].require(value)
     request: Request = _validator(COMMANDS[command]).validate_python(dict(values))
     return request
+
+
+def run_request(request: Request, stages: Stages) -> Outcome:
+    """Do a request of `COMMANDS`; returns a summary and warnings."""
+    command = next(name for name, kind in COMMANDS.items() if isinstance(request, kind))
+    run: Callable[[Request, Stages], Outcome] = getattr(import_module(f"cagemap.tasks.{command}"), f"run_{command}")
+    return run(request, stages)
 
 
 @cache
