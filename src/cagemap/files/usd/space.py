@@ -15,13 +15,13 @@ from cagemap.numerics.arrays import FloatArray
 _Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StageSpace:
     """Lengths and directions of a USD file, and (4, 4) the transform of its mesh for rows, where it has only one."""
 
     up_axis: str
     meters_per_unit: float
-    to_world: FloatArray = field(default_factory=lambda: np.eye(4), compare=False, repr=False)
+    to_world: FloatArray = field(default_factory=lambda: np.eye(4), repr=False)
 
     def __str__(self) -> str:
         return f"{self.meters_per_unit:g} m a unit, {self.up_axis} up"
@@ -48,7 +48,9 @@ def unit_notes(*files: Path) -> tuple[str, ...]:
     if not all(map(_is_usd, files)):
         return ()
     (target, here), (source, there) = ((file.name, stage_units(file)) for file in files)
-    return () if here == there else (f"{target} has {here}, {source} {there}: results are in the target's own",)
+    if (here.up_axis, here.meters_per_unit) == (there.up_axis, there.meters_per_unit):
+        return ()
+    return (f"{target} has {here}, {source} {there}: results are in the target's own",)
 
 
 def to_standard(path: Path) -> FloatArray:
