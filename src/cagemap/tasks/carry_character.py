@@ -182,6 +182,11 @@ def _following(part: Part, body: Part, taken: set[str]) -> Part:
     return replace(part, name=name, weights=body.weights[nearest(body.mesh.positions, part.mesh.positions)])
 
 
+def with_part(character: Character, part: Part, made: Part) -> Character:
+    """A character with another part in the place of one."""
+    return replace(character, parts=tuple(made if one is part else one for one in character.parts))
+
+
 def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
     """(m,) number of the nearest of some places (n, 3) for others (m, 3)."""
     return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)

@@ -39,7 +39,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
+from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest, with_part
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.models import RigRequest
 from cagemap.tasks.requests.options import comma_words
@@ -56,7 +56,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     document = read_document(request.like)
     source = character_of(document)
     body_document, target = read_body(request.body)
-    to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
+    to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
     laid_out = to.mesh if of.mesh.uvs is None or request.keep_textures else _in_one_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
@@ -117,7 +117,8 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
     return None, Character((Part(path.stem, read_mesh(path)),))
 
 
-def _body(character: Character, name: str | None, path: Path) -> Part:
+def body_in(character: Character, name: str | None, path: Path) -> Part:
+    """The body of a file's character; messages name the file."""
     try:
         return body_of(character.parts, name)
     except ParameterError as error:
@@ -127,7 +128,7 @@ def _body(character: Character, name: str | None, path: Path) -> Part:
 def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Character, Part]:
     """A character with another mesh of a part, and that part."""
     made = replace(part, mesh=mesh)
-    return replace(character, parts=tuple(made if one is part else one for one in character.parts)), made
+    return with_part(character, part, made), made
 
 
 def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
