@@ -19,7 +19,7 @@ from benchmarks.public.sets import SETS, SetError
 from benchmarks.verdicts import table
 from cagemap.errors import CagemapError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.code_version import code_version
+from cagemap.files.result.manifest import code_version
 
 KEY = ("set", "target", "source", "landmarks", "scheme", "vertices", "points")
 UNREADABLE = (CagemapError, SetError, OSError)

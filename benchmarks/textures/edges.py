@@ -18,8 +18,7 @@ import cagemap
 from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer import BakeOptions
 from cagemap.transfer.baking import make_canvas
-from cagemap.transfer.dilation import dilate
-from cagemap.transfer.texels import rasterize_band
+from cagemap.transfer.texels import dilate, rasterize_band
 
 Image = NDArray[np.float64]
 # Texels of a level that a point at a border may lie from it.

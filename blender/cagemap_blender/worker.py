@@ -37,11 +37,11 @@ from cagemap.pipeline import choose_level, match, prepare_surfaces, update_match
 from cagemap.surface.closest_points import closest_points
 from cagemap.tasks.carry_arrays import carry_shapes, carry_values, carry_weights
 from cagemap.tasks.carry_character import Bodies
-from cagemap.tasks.match_plain import ready_mesh
+from cagemap.tasks.match_parts import ready_mesh
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.set_aside import SetAside, lay_set_aside, piece_transfer
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, pull_back_faces, target_tiles, transfer_of
-from cagemap.transfer.skeleton import carry_joints
+from cagemap.transfer.skin import carry_joints
 from cagemap.transfer.vectors import bake_normal_map
 from cagemap.wrap import wrap
 

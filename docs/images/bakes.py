@@ -14,7 +14,7 @@ from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangles import vertex_normals
 from cagemap.transfer import transfer_of
 from cagemap.transfer.detail import bake_detail_heights, bake_detail_normals, bake_detail_values, detail_over
-from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.rays import ambient_occlusion
 
 WIDTH, HEIGHT, TEXELS = 400, 480, 1024
 

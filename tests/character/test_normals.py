@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.normals import move_vertices
 from cagemap.character.values import Character, Part
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 

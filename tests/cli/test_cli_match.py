@@ -15,12 +15,13 @@ from cagemap.example import ExamplePair
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.result.folder import file_hash, read_result
+from cagemap.files.result.folder import read_result
+from cagemap.files.result.manifest import file_hash
 from cagemap.files.result.surface_store import prepared
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_surface, prepare_surfaces
-from cagemap.tasks.basis_options import basis_config
 from cagemap.tasks.match import MatchRequest, match_config, read_inputs
+from cagemap.tasks.method import basis_config
 
 from command_line import MATCH, Run
 

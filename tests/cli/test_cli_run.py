@@ -17,9 +17,9 @@ from cagemap.cli.app import app
 from cagemap.errors import FormatError, ParameterError
 from cagemap.example import ExamplePair
 from cagemap.files.atomic import write_whole
-from cagemap.files.code_version import code_version
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
+from cagemap.files.result.manifest import code_version
 from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
 from cagemap.jobs.farm import farm_steps
 from cagemap.jobs.page import PairRow

@@ -9,16 +9,15 @@ import pytest
 from examples import shapes
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.landmarks.points import read_symmetry
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.operators import AlexaWardetzky, build_operators
 from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 from cagemap.spectral import BasisConfig, hierarchical_basis
-from cagemap.tasks.basis_options import require_level_or_vertices, side_bases, side_levels
 from cagemap.tasks.match import MatchRequest, match_config, run_match
-from cagemap.tasks.method import used_parameters, with_parameters
+from cagemap.tasks.method import require_level_or_vertices, side_bases, side_levels, used_parameters, with_parameters
 from cagemap.tasks.progress import Stages
 
 

@@ -10,11 +10,11 @@ import pytest
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
-from cagemap.files.result.folder import file_hash, read_result, write_result
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.files.result.manifest import file_hash
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.texture_maps import texture_and_maps
+from cagemap.tasks.requests.results import TransferRequest, texture_and_maps
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result, textured_cube
@@ -24,8 +24,8 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Usd, UsdShade
 from test_usd import complaints
 
-from cagemap.files.usd.material import MATERIAL
 from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.results import MATERIAL
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 

@@ -24,12 +24,12 @@ from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
 from cagemap.files.images.image import read_image, read_image_form, write_image
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
-from cagemap.files.landmarks.points import read_points
-from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.landmarks.points import read_points, read_symmetry
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.ply import write_ply
 from cagemap.files.ownership import mark
-from cagemap.files.result.folder import ARRAYS, MANIFEST, read_result, write_result
+from cagemap.files.result.folder import ARRAYS, read_result, write_result
+from cagemap.files.result.manifest import MANIFEST
 from cagemap.files.result.maps import read_images, write_map
 from cagemap.files.result.surface_store import load_surface, prepared, save_surface
 from cagemap.files.values.attributes import read_attributes, write_attributes
@@ -51,7 +51,7 @@ from cagemap.studio.opening import result_files
 from cagemap.tasks.masks import read_mask
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.run_job import cycle_notes
 from cagemap.tasks.transfer import run_transfer
 

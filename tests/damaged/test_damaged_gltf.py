@@ -14,11 +14,12 @@ import pytest
 from test_damaged_files import mutated_bytes, mutated_entries, outcome
 
 from cagemap.errors import FormatError
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, humanoid_bones
-from cagemap.files.gltf.contents import contents_of
-from cagemap.files.gltf.document import Document, glb_bytes, read_document, write_document
+from cagemap.files.gltf.document import glb_bytes, read_document, write_document
+from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.read import contents_of
+from cagemap.files.gltf.write import character_glb
 from cagemap.mesh.checks import check_mesh
 from cagemap.tasks.mesh_commands import check_files
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.files.gltf.document import Document
+from cagemap.files.gltf.entries import Document
 
 _KINDS = {"f4": 5126, "u1": 5121, "i1": 5120, "u2": 5123, "i2": 5122, "u4": 5125}
 _SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cagemap.files.code_version import code_version
+from cagemap.files.result.manifest import code_version
 
 
 def test_it_changes_with_any_python_file_and_with_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cagemap.files.values.colors import as_shares
+from cagemap.files.meshes.colors import as_shares
 
 
 @pytest.mark.parametrize(

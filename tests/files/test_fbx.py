@@ -16,10 +16,11 @@ from cagemap.character.values import Character, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.fbx import read as fbx_read
 from cagemap.files.gltf.character import character_of, read_character
-from cagemap.files.gltf.document import image_bytes, read_document
+from cagemap.files.gltf.document import read_document
+from cagemap.files.gltf.entries import image_bytes
 from cagemap.files.gltf.material_images import material_images
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton
 from cagemap.mesh import Plain

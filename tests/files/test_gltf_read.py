@@ -16,9 +16,9 @@ from examples.shapes import creature, cube
 
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
-from cagemap.files.gltf.accessors import read_accessor
 from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
-from cagemap.files.gltf.document import Document, glb_bytes, read_document
+from cagemap.files.gltf.document import glb_bytes, read_document
+from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.meshes.formats import read_mesh, write_mesh

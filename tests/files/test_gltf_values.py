@@ -12,7 +12,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.files.values.rigs import read_shapes, read_skeleton

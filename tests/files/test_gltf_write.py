@@ -15,9 +15,10 @@ from examples.shapes import cube, icosahedron
 
 from cagemap.character.values import Character
 from cagemap.errors import FormatError
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, read_character
-from cagemap.files.gltf.document import Document, image_bytes, read_document, write_document
+from cagemap.files.gltf.document import read_document, write_document
+from cagemap.files.gltf.entries import Document, image_bytes
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh

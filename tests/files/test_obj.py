@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes.formats import check_mesh_path, read_mesh, write_mesh
-from cagemap.files.meshes.obj import read_obj, write_obj
+from cagemap.files.meshes.obj import read_obj
+from cagemap.files.meshes.obj_write import write_obj
 from cagemap.mesh import ControlMesh
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

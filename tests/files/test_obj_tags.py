@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import FormatError
-from cagemap.files.meshes.obj import read_obj, write_obj
+from cagemap.files.meshes.obj import read_obj
+from cagemap.files.meshes.obj_write import write_obj
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
 
 # A cube as OpenSubdiv's shape files have it: tags are 0-based, faces 1-based.

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.result.folder import file_hash, write_result
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import file_hash
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 
@@ -27,10 +28,10 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 from test_usd import complaints
 
+from cagemap.files.usd.prims import local_to_world, moved
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
-from cagemap.files.usd.transforms import local_to_world, moved
 from cagemap.files.usd.write import UsdResults, write_usd
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
@@ -156,7 +157,7 @@ def test_mutated_rigs_are_refused_by_name(tmp_path: Path) -> None:
         first, last = places[rng.integers(len(places))] if number % 3 else sorted(rng.integers(len(text), size=2))
         broken = tmp_path / f"broken_{number}.usda"  # USD keeps what it has read by name
         broken.write_text(text[:first] + words[rng.integers(len(words))] + text[last:], encoding="utf-8")
-        for read in (read_skeleton, read_attributes, lambda file: to_standard(file, read_usd(file))):
+        for read in (read_skeleton, read_attributes, lambda file: (read_usd(file), to_standard(file))):
             try:
                 read(broken)
             except FormatError:
@@ -271,6 +272,4 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     world = moved(mesh.control.positions, mesh.to_world)
     upright = 0.01 * np.column_stack([world[:, 0], world[:, 2], -world[:, 1]])
     np.testing.assert_allclose(upright, source, atol=2e-3)
-    np.testing.assert_allclose(
-        between_spaces(folder / "large.usda", mesh.control, folder / "x.obj", mesh.control), np.eye(4)
-    )
+    np.testing.assert_allclose(between_spaces(folder / "large.usda", folder / "x.obj"), np.eye(4))

@@ -17,7 +17,8 @@ from cagemap.example import example_pair
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.result.folder import read_manifest, write_result
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import read_manifest
 from cagemap.jobs import Plan, plan_job, read_job, spanning_tree
 from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
 from cagemap.jobs.detours import add_detours

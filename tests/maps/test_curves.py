@@ -36,8 +36,7 @@ from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
-from cagemap.tasks.match_parts import PartInputs
-from cagemap.tasks.match_plain import ready_inputs
+from cagemap.tasks.match_parts import PartInputs, ready_inputs
 
 LENGTH = 6
 # Heights that the rings of the source's bar stand at instead of 0 to 6: a slide along a bar that looks the same.

@@ -17,7 +17,7 @@ from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem, level_graph
 from cagemap.example import example_pair
-from cagemap.files.result.folder import landmark_messages
+from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check, other_answers
 from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles

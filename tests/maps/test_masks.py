@@ -17,7 +17,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.meshes.obj import write_obj
+from cagemap.files.meshes.obj_write import write_obj
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import read_attributes, write_attributes
@@ -31,11 +31,11 @@ from cagemap.report import draw_gallery
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.import_map import run_map
-from cagemap.tasks.masks import MaskOptions, mask_file, read_mask, read_masks
+from cagemap.tasks.masks import mask_file, read_mask, read_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer
@@ -201,7 +201,7 @@ def test_options_name_parts_files_and_images(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such file"):
         read(str(tmp_path / "missing.npz"))
     with pytest.raises(ParameterError, match="--mask-edge"):
-        read_masks(MaskOptions(edge=0.1), (mesh, mesh), (here, here))
+        read_masks(TransferRequest(here, here, mask_edge=0.1), (mesh, mesh), (here, here))
 
 
 @pytest.fixture(scope="module")

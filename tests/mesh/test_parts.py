@@ -12,19 +12,19 @@ from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, t
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
-from cagemap.files.meshes.obj import write_obj
+from cagemap.files.meshes.obj_write import write_obj
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import connected_parts, extract, find_part, join_meshes, list_parts, material_pieces, pair_parts
 from cagemap.subdivision import refine
-from cagemap.tasks.basis_options import side_levels
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.tasks.match_parts import asked_parts, chosen_parts
 from cagemap.tasks.mesh_commands import check_files
+from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 

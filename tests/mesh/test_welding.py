@@ -14,7 +14,7 @@ from examples.shapes import creature, cube, grid
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
-from cagemap.files.landmarks.symmetry import symmetry_on
+from cagemap.files.landmarks.points import symmetry_on
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.values.part_numbering import FileRows

@@ -13,7 +13,8 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.npz import write_npz
-from cagemap.files.result.folder import ARRAYS, MANIFEST, note_transfer, read_result
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, note_transfer
 from cagemap.files.result.maps import read_images
 from cagemap.paper.levels import LevelMap, recover_points
 from cagemap.pipeline import MatchConfig, pair_of
@@ -21,8 +22,8 @@ from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import ReportRequest, run_report
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result

@@ -22,7 +22,8 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.npz import write_npz
 from cagemap.files.ownership import is_own
-from cagemap.files.result.folder import MANIFEST, file_hash, read_result, write_result
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.files.result.manifest import MANIFEST, file_hash
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
@@ -31,9 +32,7 @@ from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.mesh_commands import refine_file
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
-from cagemap.tasks.requests.report import ReportRequest
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
 from cagemap.tasks.suggest import run_suggest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap

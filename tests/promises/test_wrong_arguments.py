@@ -37,7 +37,7 @@ from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.numerics.kinds import _expected, kinds_checked
 from cagemap.operators.laplacian import named_laplacian
-from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.rays import ambient_occlusion
 from cagemap.wrap.config import WrapConfig
 
 from example_result import identity_result

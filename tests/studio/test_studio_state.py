@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.result.folder import file_hash, write_result
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import file_hash
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place

@@ -13,9 +13,9 @@ from scipy import sparse
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.files.face_kit import ABSENT, read_face_kit
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import read_character
 from cagemap.files.gltf.document import write_document
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.carry_character import body_shapes, match_bodies

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh

@@ -37,7 +37,7 @@ from cagemap.transfer.exact_corners import (
     lookup_matrix,
     make_lookups_exact,
 )
-from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 
 from command_line import Run
@@ -50,7 +50,7 @@ PLAIN = BakeOptions(supersample=1)
 def to(wanted: np.ndarray) -> Callable[[np.ndarray], LookupTargets]:
     """Lookups are to read these values (k, c), all channels alike."""
     k, c = wanted.shape
-    return lambda _: LookupTargets(wanted, np.broadcast_to(np.eye(c), (k, c, c)))
+    return lambda _: (wanted, np.broadcast_to(np.eye(c), (k, c, c)))
 
 
 def waves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -72,9 +72,9 @@ def test_identity_gives_every_kind_of_value_back(shape, level: int) -> None:
     # Every corner with a value of its own: all edges are seams, and no face has one inside.
     corners = rng.random((len(control.face_indices), 2))
     nodes, node_values = corner_nodes(control, corners)
-    carried = corner_weights(transfer, *both, nodes, len(node_values))
-    np.testing.assert_allclose(combine(carried.weights, node_values), corners, rtol=0, atol=1e-9)
-    assert not carried.crossed.any()
+    weights, crossed = corner_weights(transfer, *both, nodes, len(node_values))
+    np.testing.assert_allclose(combine(weights, node_values), corners, rtol=0, atol=1e-9)
+    assert not crossed.any()
 
 
 @pytest.mark.parametrize("shape", SHAPES)

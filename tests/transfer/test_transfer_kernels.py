@@ -12,12 +12,10 @@ from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.transfer.dilation import dilate
 from cagemap.transfer.locate import TexelSamples, locate_samples, map_surface, target_barycentric
 from cagemap.transfer.lookups import plan_samples
-from cagemap.transfer.smooth import SmoothTile, smooth_cells
-from cagemap.transfer.texels import lay_out, rasterize_band
-from cagemap.transfer.texture import lay_texture, look_up
+from cagemap.transfer.texels import dilate, lay_out, rasterize_band
+from cagemap.transfer.texture import SmoothTile, lay_texture, look_up, smooth_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.unwrap import unwrap
 

@@ -28,8 +28,7 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
-from cagemap.transfer.skeleton import carry_joints
-from cagemap.transfer.skin import carry_skin, chosen_joints, filled_in, mirrored_skin, normalised_skin
+from cagemap.transfer.skin import carry_joints, carry_skin, chosen_joints, filled_in, mirrored_skin, normalised_skin
 
 from command_line import Run
 from example_result import identity_result, textured_cube

@@ -12,8 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.subdivision import Level, refine
 from cagemap.transfer import BakeOptions, prepare_transfer
-from cagemap.transfer.tangents import tangent_frames
-from cagemap.transfer.textured_surface import TexturedSurface
+from cagemap.transfer.textured_surface import TexturedSurface, tangent_frames
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
 
 from command_line import Run

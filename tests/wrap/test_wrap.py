@@ -13,7 +13,7 @@ from examples.shapes import cube, disk, torus
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.files.meshes.obj_layout import write_obj_positions
+from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
@@ -21,7 +21,7 @@ from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer.normal_rays import intersect_normals
+from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from cagemap.wrap.fit import fit_net
 from cagemap.wrap.terms import counterpart

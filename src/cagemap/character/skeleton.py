@@ -11,7 +11,7 @@ from cagemap.character.retarget import retarget
 from cagemap.character.values import Animation, Rig
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
-from cagemap.transfer.skeleton import carry_joints
+from cagemap.transfer.skin import carry_joints
 
 # Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
 MIN_BONE_COSINE = 0.99

@@ -99,21 +99,10 @@ def atomic_path(
     The suffix is kept, since image libraries choose their format by it. After an error, or an interrupt, the
     temporary file is removed and an older ``final`` is untouched. Where ``final`` is a symbolic link, the file that it
     points to is written and the link stays.
+    FormatError: see `require_replaceable`; also if the disk is full, or ``verify`` says no.
 
-    Parameters
-    ----------
-    final : path
-    force : bool
-        Replace a file that cagemap did not write.
-    owned : callable
-        Whether an existing file may be replaced without ``force``.
-    verify : callable
-        Whether the temporary file holds all that was to be written. For libraries that report no full disk.
-
-    Raises
-    ------
-    FormatError
-        See `require_replaceable`; also if the disk is full, or ``verify`` says no.
+    ``owned``: whether an existing file may be replaced without ``force``. ``verify``: whether the temporary file holds
+    all that was to be written. For libraries that report no full disk.
     """
     check = partial(require_replaceable, final, force=force, owned=owned)
     check()
@@ -149,13 +138,7 @@ def atomic_path(
 
 
 def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, owned: Owned = is_own) -> None:
-    """Write a file's content, text as UTF-8, whole or not at all; see `atomic_path`.
-
-    Raises
-    ------
-    FormatError
-        See `atomic_path`.
-    """
+    """Write a file's content, text as UTF-8, whole or not at all; see `atomic_path`."""
     data = content.encode() if isinstance(content, str) else content
     with atomic_path(path, force=force, owned=owned, verify=lambda file: file.stat().st_size == len(data)) as temporary:
         temporary.write_bytes(data)
@@ -170,18 +153,8 @@ def atomic_folder(
     A folder that is not there appears whole. In one that is there files are replaced one by one, in the order of
     ``names``, and all others are left alone.
 
-    Parameters
-    ----------
-    final : path
-    names : sequence of str
-        The files that the block writes; the last one says that the others are there.
-    force, owned
-        See `atomic_path`.
-
-    Raises
-    ------
-    FormatError
-        See `require_result_folder`.
+    ``names``: the files that the block writes; the last one says that the others are there. ``force``, ``owned``: see
+    `atomic_path`.
     """
     require_own_folder(final, names, force=force, owned=owned)
     target = _real(final)
@@ -210,11 +183,8 @@ def atomic_folder(
 def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned = is_own) -> None:
     """Refuse a file name that cannot be written to without harm.
 
-    Raises
-    ------
-    FormatError
-        If the folder is missing or cannot be written to; if the name is a folder, a device or a file that is read-only;
-        if the file was not written by cagemap, unless ``force`` is given.
+    That is: in a folder that is missing or cannot be written to; a folder, a device, or a read-only file; a file that
+    cagemap did not write, unless ``force`` is given.
     """
     file = Path(path)
     target = _real(file)
@@ -238,10 +208,7 @@ def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned =
 def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = False, owned: Owned = is_own) -> None:
     """Refuse a folder that holds anything but what an earlier run wrote, and perhaps other files beside that.
 
-    Raises
-    ------
-    FormatError
-        If it is a file, holds files but not all of ``names``, one of them is not our own, or it cannot be written to.
+    That is: a file; files but none of ``names``; one of them that is not our own; a folder that cannot be written to.
     """
     folder = Path(path)
     target = _real(folder)
@@ -262,12 +229,7 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
 
 
 def require_writable_folder(path: str | Path) -> None:
-    """Refuse the name of a file or folder whose own folder is missing or cannot be written to.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse the name of a file or folder whose own folder is missing or cannot be written to."""
     above = Path(path).parent
     folder = _real(path).parent
     if not folder.is_dir():
@@ -277,13 +239,7 @@ def require_writable_folder(path: str | Path) -> None:
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool = False) -> None:
-    """Refuse outputs that cannot be written, before any work is done for them.
-
-    Raises
-    ------
-    FormatError
-        See `require_no_input` and `require_replaceable`; also if two of them are one file.
-    """
+    """Refuse outputs that cannot be written, before any work is done: inputs, one file twice, foreign files."""
     files = list(outputs)
     require_no_input(files, inputs)
     places = [_real(file) for file in files]
@@ -295,12 +251,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
 
 
 def require_no_input(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Refuse an output that is one of the inputs, under whatever name.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse an output that is one of the inputs, under whatever name."""
     read = list(inputs)
     for output in outputs:
         for other in read:

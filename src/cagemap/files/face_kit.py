@@ -29,27 +29,13 @@ POINTS = {
 
 @dataclass(frozen=True, eq=False)
 class FaceKit:
-    """A head with expressions.
+    """A head with expressions."""
 
-    Attributes
-    ----------
-    part : Part
-        In centimetres, Y up, facing +Z, with the shapes chosen; open at the neck.
-    points : dict of str to int
-        Vertices that landmarks may name.
-    """
-
-    part: Part = field(repr=False)
-    points: dict[str, int] = field(default_factory=lambda: dict(POINTS))
+    part: Part = field(repr=False)  # in centimetres, Y up, facing +Z, with the shapes chosen; open at the neck
+    points: dict[str, int] = field(default_factory=lambda: dict(POINTS))  # vertices that landmarks may name
 
     def vertices_of(self, names: tuple[str, ...]) -> list[int]:
-        """Vertices of named points.
-
-        Raises
-        ------
-        InvalidLandmarksError
-            If a name is unknown.
-        """
+        """Vertices of named points."""
         unknown = [name for name in names if name not in self.points]
         if unknown:
             raise InvalidLandmarksError(
@@ -61,15 +47,7 @@ class FaceKit:
 def read_face_kit(only: tuple[str, ...] | None = None) -> FaceKit:
     """Read the head and its shapes.
 
-    Parameters
-    ----------
-    only : tuple of str, optional
-        ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
-
-    Raises
-    ------
-    ParameterError
-        If a name is unknown.
+    ``only``: ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
     """
     with resources.as_file(resources.files("cagemap.character.face")) as folder, np.load(folder / "face.npz") as kept:
         given = {name: kept[name] for name in kept.files}

@@ -1,10 +1,15 @@
-"""Archives of named arrays (``.npz``), read without pickles and checked."""
+"""Archives of named arrays (``.npz``), read without pickles; arrays checked by specifications (kind, shape, range).
+
+Shapes of specifications name their sizes; one name means one size throughout a file. Compiled kernels rely on these
+checks: no index is out of range, and no number is NaN unless allowed.
+"""
 
 from __future__ import annotations
 
 import io
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +34,7 @@ def write_npz(
 
     `numpy.savez` would do the same, but for arrays named ``file`` or ``allow_pickle``.
 
-    Parameters
-    ----------
-    path : Path
-    arrays : mapping of str to array
-    later : callable, optional
-        Makes more arrays, while those are written.
-    compressed : bool
-
-    Raises
-    ------
-    ValueError
-        If an array holds objects.
+    ``later``: makes more arrays, while those are written.
     """
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
     with zipfile.ZipFile(path, "w", method) as archive, ThreadPool(1) as aside:
@@ -67,13 +61,7 @@ def write_npy(path: Path, array: NDArray[Any]) -> None:
 
 
 def read_npz(path: Path, remedy: str) -> Arrays:
-    """Read all arrays of an archive.
-
-    Raises
-    ------
-    FormatError
-        If the file is no archive of arrays, or damaged; says ``remedy``.
-    """
+    """Read all arrays of an archive."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {
@@ -86,14 +74,96 @@ def read_npz(path: Path, remedy: str) -> Arrays:
 
 
 def read_npy(content: bytes, path: Path, remedy: str) -> NDArray[Any]:
-    """One array from the content of an ``.npy`` file.
-
-    Raises
-    ------
-    FormatError
-        If it is none, is cut short, or holds Python objects; says ``remedy``.
-    """
+    """One array from the content of an ``.npy`` file."""
     try:
         return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # the header is Python text, and what is wrong with it fails in as many ways
         raise FormatError(f"{path}: is damaged, or no array of numbers ({error}). {remedy}") from error
+
+
+# Beyond this, squares and volumes overflow.
+_LARGEST = 1e100
+# What barycentric coordinates may lie beside [0, 1] and a sum of 1.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """What one array must be."""
+
+    shape: tuple[str | int, ...]  # a name stands for a size that is the same in all arrays of a file; "3|4" for either
+    below: str = ""  # name of the size that entries are indices into; empty for floats
+    optional: bool = False  # the array may be missing
+    nan: bool = False  # unknown values are NaN and infinite ones are allowed
+    share: bool = False  # values lie from 0 to 1
+
+
+def check_arrays(
+    path: Path, arrays: Mapping[str, NDArray[Any]], specs: Mapping[str, ArraySpec], sizes: dict[str, int], remedy: str
+) -> dict[str, NDArray[Any]]:
+    """Arrays that are what their specs say, as int64 or float64 and read-only; others are left out.
+
+    ``sizes``: sizes known beforehand; those found are added. ``remedy``: last sentence of every message.
+    """
+    missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
+    if missing:
+        raise FormatError(f"{path}: lacks {', '.join(map(repr, missing))}. {remedy}")
+    present = {name: spec for name, spec in specs.items() if name in arrays}
+    for name, spec in present.items():
+        _check_shape(path, name, arrays[name], spec, sizes, remedy)
+    return {name: _checked(path, name, arrays[name], spec, sizes, remedy) for name, spec in present.items()}
+
+
+def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
+    """Whether barycentric coordinates (n, 3) are those of points of their triangles, but for rounding."""
+    sums = barycentric.sum(axis=1)
+    return bool(np.all(barycentric >= -_ROUNDING) and np.all(np.abs(sums - 1) <= _ROUNDING))
+
+
+def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, remedy: str) -> None:
+    """Refuse starts of runs that do not begin with 0, do not ascend, or do not end with ``count``."""
+    if not len(offsets) or offsets[0] != 0 or offsets[-1] != count or np.any(np.diff(offsets) < 0):
+        raise FormatError(f"{path}: '{name}' does not count from 0 to {count} in ascending order. {remedy}")
+
+
+def _check_shape(
+    path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
+) -> None:
+    fits = array.ndim == len(spec.shape)
+    for size, wanted in zip(array.shape, spec.shape, strict=False):
+        if isinstance(wanted, int):
+            fits &= size == wanted
+        elif "|" in wanted:
+            fits &= str(size) in wanted.split("|")
+        else:
+            base, _, more = wanted.partition("+")
+            fits &= sizes.setdefault(base, size - int(more or 0)) + int(more or 0) == size
+    if not fits:
+        expected = ", ".join(
+            str(sizes.get(size, size)) if isinstance(size, str) and "+" not in size else str(size)
+            for size in spec.shape
+        )
+        raise FormatError(f"{path}: {name} has shape {array.shape}, expected ({expected}). {remedy}")
+
+
+def _checked(
+    path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
+) -> NDArray[Any]:
+    if spec.below:
+        base, _, more = spec.below.partition("+")
+        limit = sizes.get(base, 0) + int(more or 0)  # none where the array that it counts in is missing
+        if array.dtype.kind not in "iu":
+            raise FormatError(f"{path}: {name} holds {array.dtype}, expected whole numbers. {remedy}")
+        if array.size and not (0 <= int(array.min()) and int(array.max()) < limit):
+            raise FormatError(f"{path}: {name} counts past 0 to {limit - 1}. {remedy}")
+        checked: NDArray[Any] = np.ascontiguousarray(array, dtype=np.int64)
+    else:
+        if array.dtype.kind not in "fiu":
+            raise FormatError(f"{path}: {name} holds {array.dtype}, expected numbers. {remedy}")
+        checked = np.ascontiguousarray(array, dtype=np.float64)
+        if not spec.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
+            raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
+        if spec.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):
+            raise FormatError(f"{path}: {name} holds numbers outside 0 to 1. {remedy}")
+    checked.flags.writeable = False
+    return checked

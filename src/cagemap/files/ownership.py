@@ -13,6 +13,8 @@ import os
 import re
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from cagemap import __version__
@@ -64,23 +66,29 @@ def seal(path: Path) -> None:
 
 def stated_checksum(path: Path) -> str | None:
     """The checksum that a file's mark states, whether right or not; None without a mark."""
-    if not path.is_file() or path.stat().st_size == 0:
-        return None
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with _mapped(path) as data:
         place = _find(data)
         return None if place is None else data[place : place + _DIGITS].decode()
 
 
 def is_own(path: Path) -> bool:
     """Whether cagemap wrote this file and nobody has changed it since."""
-    if not path.is_file() or path.stat().st_size == 0:
-        return False
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with _mapped(path) as data:
         place = _find(data)
         return place is not None and data[place : place + _DIGITS] == _checksum(data, place)
 
 
-def _find(data: mmap.mmap) -> int | None:
+@contextmanager
+def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
+    """The content of a file; nothing where there is none."""
+    if not path.is_file() or path.stat().st_size == 0:
+        yield b""
+        return
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        yield data
+
+
+def _find(data: mmap.mmap | bytes) -> int | None:
     """Where the checksum of the mark begins."""
     tail = max(0, len(data) - _SEARCHED)
     for start in dict.fromkeys((0, tail)):
@@ -90,7 +98,7 @@ def _find(data: mmap.mmap) -> int | None:
     return None
 
 
-def _checksum(data: mmap.mmap, place: int) -> bytes:
+def _checksum(data: mmap.mmap | bytes, place: int) -> bytes:
     """SHA-256 of all but the checksum itself, in hexadecimal.
 
     Of a zip archive only its directory counts, which holds a checksum of every member. In a PNG the four bytes that
@@ -106,7 +114,7 @@ def _checksum(data: mmap.mmap, place: int) -> bytes:
     return digest.hexdigest().encode()
 
 
-def _zip_directory(data: mmap.mmap) -> int:
+def _zip_directory(data: mmap.mmap | bytes) -> int:
     """Where the directory of a zip archive begins; 0 for other files."""
     if data[: len(_ZIP)] != _ZIP:
         return 0

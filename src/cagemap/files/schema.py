@@ -169,13 +169,7 @@ RecordType = TypeVar("RecordType", bound=Record)
 
 
 def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str) -> RecordType:
-    """Entries of a file as a typed record.
-
-    Raises
-    ------
-    FormatError
-        Names the first entry that is missing or of another type; says ``remedy``.
-    """
+    """Entries of a file as a typed record."""
     try:
         return kind.model_validate(entries)
     except ValidationError as error:
@@ -215,13 +209,7 @@ def _plain(value: Any) -> Any:
 
 
 def parse_json(text: str, path: Path, remedy: str) -> Any:
-    """A JSON text's value.
-
-    Raises
-    ------
-    FormatError
-        If it is none; says ``remedy``.
-    """
+    """A JSON text's value."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

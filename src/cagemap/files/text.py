@@ -9,12 +9,7 @@ from cagemap.errors import FormatError
 
 
 def require_file(path: Path, what: str) -> None:
-    """Refuse a name that is no file's, before a library waits for a pipe to be written to.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse a name that is no file's, before a library waits for a pipe to be written to."""
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -71,13 +66,7 @@ def whole_characters(text: str) -> str:
 
 
 def text_name(path: Path) -> str:
-    """The whole name of a file for a library that takes text.
-
-    Raises
-    ------
-    FormatError
-        If the name holds bytes that are no text.
-    """
+    """The whole name of a file for a library that takes text."""
     name = str(path)
     if whole_characters(name) != name:
         raise FormatError(

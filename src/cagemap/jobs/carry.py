@@ -18,7 +18,8 @@ import numpy as np
 
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
-from cagemap.files.result.folder import file_hash, read_result
+from cagemap.files.result.folder import read_result
+from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.detours import NORMAL_WEIGHT
 from cagemap.jobs.job import Job
 from cagemap.jobs.plan import Pair, Plan, Task, task_key

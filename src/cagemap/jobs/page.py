@@ -17,7 +17,7 @@ from typing import Any
 
 from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
-from cagemap.files.result.folder import file_hash
+from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.plan import PICTURE, RESULT, STATE, Plan, Task
 from cagemap.jobs.run import Outcome
 from cagemap.report.page import flatten_entries

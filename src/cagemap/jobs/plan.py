@@ -11,7 +11,8 @@ from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.images.image import texture_files
-from cagemap.files.result.folder import ARRAYS, file_hash
+from cagemap.files.result.folder import ARRAYS
+from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
 from cagemap.jobs.job_schema import Asset, OutputRule, asset_names, fill_placeholders

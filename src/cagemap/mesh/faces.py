@@ -76,6 +76,13 @@ def duplicate_faces(mesh: ControlMesh) -> IndexArray:
     return np.sort(np.concatenate(copies))
 
 
+def merged_corners(vertices: IndexArray, values: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Pairs (c, 2) of face corners without those that are equal at the same vertex (c,), and the number of each."""
+    _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)
+    _, first, numbers = np.unique(vertices * len(values) + equal, return_index=True, return_inverse=True)
+    return values[first], numbers
+
+
 def cage_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
     """Triangles (t, 3) of all faces, see `fan_triangles`, and the face (t,) of each."""
     return fan_triangles(mesh.face_offsets, mesh.face_indices)

@@ -229,3 +229,8 @@ SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
     "bilinear": Bilinear,
     "none": Plain,
 }
+
+
+def scheme_name(scheme: Scheme) -> str:
+    """Name of a scheme in `SCHEMES`."""
+    return next(name for name, kind in SCHEMES.items() if type(scheme) is kind)

@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 
 from cagemap.errors import FormatError, use_option_names
 from cagemap.files.ownership import mark
-from cagemap.files.result.folder import assurance, landmark_messages
+from cagemap.files.result.manifest import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
 from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult

@@ -90,7 +90,9 @@ def perform(request: Request, stages: Stages) -> Made:
     try:
         with files_written() as files:
             try:
-                from cagemap.tasks.run_request import run_request  # so that a stop is heard while libraries are loaded
+                from cagemap.tasks.requests.catalogue import (
+                    run_request,  # so that a stop is heard while libraries are loaded
+                )
 
                 summary, warnings = run_request(request, stages)
                 logged.texts += warnings

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from cagemap.files.result.folder import ARRAYS, MANIFEST
+from cagemap.files.result.folder import ARRAYS
+from cagemap.files.result.manifest import MANIFEST
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.finish import MAP, Command
 from cagemap.studio.state import Output, Studio

@@ -140,7 +140,7 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     filed = replace(read_whole(path), name=path.name)
     if structure_problems(filed):
         require_valid(filed)
-    turn = upright(path, filed, up)
+    turn = upright(path, up)
     if scheme is not None:
         filed = replace(with_options(filed, scheme), object_schemes=())
     tolerance = weld_tolerance(filed)
@@ -205,11 +205,11 @@ def _require_one_piece(control: ControlMesh) -> None:
         )
 
 
-def upright(path: Path, control: ControlMesh, up: str | None) -> FloatArray:
+def upright(path: Path, up: str | None) -> FloatArray:
     """(3, 3) rotation from a file's space to the view, for rows: as asked, else as a USD file says, else y is up."""
     if up is not None:
         return UP_AXES[up]
-    said = upright_turn(path, control)
+    said = upright_turn(path)
     return Y_UP if said is None else said
 
 

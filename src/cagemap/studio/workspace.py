@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from cagemap.errors import ParameterError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
 from cagemap.files.images.image import UDIM_MARK, texture_files
 from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.files.meshes.obj import named_material_files
-from cagemap.files.suffixes import IMAGE_SUFFIXES
-from cagemap.files.usd.read import USD_SUFFIXES
-from cagemap.files.usd.referenced_files import asset_paths
+from cagemap.files.usd.read import USD_SUFFIXES, asset_paths
 
 MESHES, IMAGES = MESH_SUFFIXES, IMAGE_SUFFIXES
 LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")

@@ -25,17 +25,19 @@ from cagemap.files.images.image import (
     texture_files,
     texture_pixels,
     udim_path,
+    with_udim_mark,
     write_image,
 )
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.meshes.obj_layout import write_obj_layout
-from cagemap.files.result.folder import ARRAYS, MANIFEST, input_file, note_transfer, read_files, stated_path
+from cagemap.files.meshes.obj_write import write_obj_layout
+from cagemap.files.result.folder import ARRAYS
+from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, read_files
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest, base_of
+from cagemap.tasks.requests.results import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
@@ -64,23 +66,12 @@ class Prepared:
 
 @dataclass(frozen=True)
 class SourceImage:
-    """An image of the source, or its tiles.
-
-    Attributes
-    ----------
-    texture : array, or arrays by UDIM number
-    first : Image
-        Whose form (colour space, alpha) the result takes.
-    dtype : numpy.dtype
-        Number type to write.
-    size : int
-        Width and height to bake.
-    """
+    """An image of the source, or its tiles."""
 
     texture: Pixels | dict[int, Pixels]
-    first: Image
-    dtype: np.dtype[Any]
-    size: int
+    first: Image  # whose form (colour space, alpha) the result takes
+    dtype: np.dtype[Any]  # number type to write
+    size: int  # width and height to bake
 
 
 def inputs_of(request: TransferRequest) -> list[Path]:
@@ -101,7 +92,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.result / MANIFEST,
         request.result / ARRAYS,
         *(file for path in given for file in texture_files(path)),
-        *mask_inputs(request.target_mask, request.source_mask).values(),
+        *mask_inputs(request).values(),
     ]
 
 
@@ -195,16 +186,8 @@ def bake_tiles(
 
     What is masked is the base image, or gets alpha.
 
-    Parameters
-    ----------
-    request : TransferRequest
-        Its output is the image to write, or a pattern for several tiles.
-    prepared : Prepared
-    bake : callable
-        ``options``, which say the tile -> what was baked.
-    stages : Stages
-    name : str
-        Of the map, to be shown.
+    ``request``: its output is the image to write, or a pattern for several tiles. ``bake``: ``options``, which say the
+    tile -> what was baked. ``name``: of the map, to be shown.
     """
     return write_tiles(
         request.output,
@@ -229,18 +212,8 @@ def write_tiles(
 ) -> Baked:
     """The loop of `bake_tiles`, for any layout.
 
-    Parameters
-    ----------
-    output : Path
-        Image to write, or a pattern for several tiles.
-    tiles : list of int
-        UDIM numbers; [0] for a layout in the unit square.
-    bake, stages, name
-        As in `bake_tiles`.
-    finished : callable
-        What is written of an image that was baked.
-    force : bool
-        Whether foreign files may be replaced.
+    ``tiles``: UDIM numbers; [0] for a layout in the unit square. ``bake``, ``stages``, ``name``: as in `bake_tiles`.
+    ``finished``: what is written of an image that was baked.
     """
     with ThreadPool(1) as aside:
         written: list[Future[None]] = []
@@ -308,10 +281,10 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
 def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
     """Note a bake in the manifest, and say what was written."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
-    mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
-    stated = stated_path(outputs[0], request.result)
     level = {} if request.level is None else {"level": request.level}
-    note_transfer(request.result, {**entry, **level, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
+    note_transfer(
+        request.result, {**entry, **level, "output": outputs[0], "tiles": prepared.tiles, "mesh": prepared.mesh}
+    )
     written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
     summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
     if prepared.transfer.masks.any:
@@ -338,3 +311,14 @@ def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: d
     why = "was not found, or has changed since the match" if original is None else "is no OBJ"
     why = why if whole else "was matched in part, mended or welded"
     return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]
+
+
+def map_path(output: Path, name: str) -> Path:
+    """Image of one of several maps: its name comes before the tile number and the suffix."""
+    output = with_udim_mark(output)
+    if not name:
+        return output
+    stem, dot, rest = output.name.partition(UDIM_MARK) if UDIM_MARK in output.name else (output.stem, "", output.suffix)
+    if dot:
+        return output.with_name(f"{stem.rstrip('._')}_{name}.{UDIM_MARK}{rest}")
+    return output.with_name(f"{stem}_{name}{rest}")

@@ -87,7 +87,7 @@ def carry_values(
             return pull_back_faces(transfer, array, n_target_faces=sides[0].control.n_faces)
         if place == "corners":
             nodes, node_values = corner_nodes(source, array)
-            return combine(corner_weights(transfer, *sides, nodes, len(node_values)).weights, node_values)
+            return combine(corner_weights(transfer, *sides, nodes, len(node_values))[0], node_values)
         return combine(transfer.point_map.to_sparse(), array)
 
     if isinstance(values, Mapping):

@@ -25,7 +25,7 @@ from cagemap.mesh.weld import Welded
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
-from cagemap.tasks.match_plain import ready_mesh
+from cagemap.tasks.match_parts import ready_mesh
 from cagemap.tasks.progress import Stages
 
 # Finest vertices of a body that is subdivided; plain ones are matched as they are.
@@ -34,25 +34,14 @@ BODY_VERTICES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class CarriedCharacter:
-    """A character on another body, and what tells how it came about.
+    """A character on another body, and what tells how it came about."""
 
-    Attributes
-    ----------
-    character : Character
-        In the target's file units. Its first part is the target's body, named like the source's.
-    result : MatchResult
-        From the target's body to the source's.
-    rows : (n,) and (m,) int64
-        For every control vertex of the matched target and source, a vertex of the body's part as given.
-    passengers : tuple of Part
-        As on the source, in the order of the last parts of ``character``; pieces of the source's body that could not
-        be matched are among them.
-    notes : tuple of str
-    """
-
-    character: Character
-    result: MatchResult = field(repr=False)
+    character: Character  # In the target's file units. Its first part is the target's body, named like the source's.
+    result: MatchResult = field(repr=False)  # from the target's body to the source's
+    # (n,) and (m,) for every control vertex of the matched target and source, a vertex of the body's part as given
     rows: tuple[IndexArray, IndexArray] = field(repr=False)
+    # as on the source, in the order of the last parts of ``character``; pieces of the source's body that could not be
+    # matched are among them
     passengers: tuple[Part, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
 
@@ -82,7 +71,7 @@ def carry_character(
     bodies : (str or None, str or None)
         Names of the target's and of the source's body; by default `find_body` finds them.
     passengers : sequence of str, optional
-        Names of those to carry. Default: all whose role (`role`) no other part of the target has.
+        Names of those to carry. Default: all whose `passenger_word` no other part of the target has.
     kinds : mapping of str to kind, optional
         See `carry_passengers`.
     influences : int, optional
@@ -159,13 +148,7 @@ class Bodies:
 
 
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Match two parts, repaired where they need it.
-
-    Raises
-    ------
-    InvalidMeshError
-        If one of them cannot be matched.
-    """
+    """Match two parts, repaired where they need it."""
     ready = ready_mesh(target.mesh), ready_mesh(source.mesh)
     landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready))
     stages("prepare")
@@ -217,6 +200,11 @@ def _following(part: Part, body: Part, taken: set[str]) -> Part:
     if body.weights is None:
         return replace(part, name=name)
     return replace(part, name=name, weights=body.weights[nearest(body.mesh.positions, part.mesh.positions)])
+
+
+def with_part(character: Character, part: Part, made: Part) -> Character:
+    """A character with another part in the place of one."""
+    return replace(character, parts=tuple(made if one is part else one for one in character.parts))
 
 
 def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:

@@ -1,4 +1,4 @@
-"""`cagemap transfer`: images and colours of the source, baked into the target's layout."""
+"""`cagemap transfer`: images and colours of the source, or of a detailed mesh, baked into the target's layout."""
 
 from __future__ import annotations
 
@@ -12,30 +12,47 @@ from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.material_images import extract_texture
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern
-from cagemap.files.result.folder import stated_path
-from cagemap.files.usd.material import unbound_maps
+from cagemap.files.usd.results import unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
-    Baked,
     Prepared,
     SourceImage,
     bake_tiles,
     base_size,
     finish,
+    map_path,
+    masking,
     prepare_bake,
     read_source_image,
     written_channels,
 )
+from cagemap.tasks.detail_bakes import (
+    KINDS,
+    OFFSETS,
+    DetailBakes,
+    Kind,
+    bake_detail,
+    detail_texture,
+    mesh_detail,
+    vertex_colors,
+)
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.texture_maps import map_path
+from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
+from cagemap.transfer.detail import Detail
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.normal_maps import looks_like_normal_map, share_of_normals
-from cagemap.transfer.vectors import Green, Space, bake_normal_map, bake_vector_displacement
+from cagemap.transfer.texture import Filter, Pixels
+from cagemap.transfer.vectors import (
+    Green,
+    Space,
+    bake_normal_map,
+    bake_vector_displacement,
+    looks_like_normal_map,
+    share_of_normals,
+)
 
 # Share of an image's colours that are directions, below which it is hardly a normal map. JPEG leaves most of them so.
 FEWEST_NORMALS = 0.3
@@ -54,7 +71,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     for (name, path), output in zip(maps, outputs, strict=True):
         own = replace(request, output=output)
         image = _bake_map(own, result, prepared, name, path, stages)
-        entry = _entry("texture", request, path, image)
+        entry = _entry("texture", path, image)
         summary, warnings = finish(own, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
@@ -110,66 +127,57 @@ def _bake_map(
     return given
 
 
-def _baked(
-    bake: Callable[..., Baked], given: SourceImage, request: TransferRequest, prepared: Prepared, stages: Stages
-) -> Baked:
-    """Bake an image of the source into all tiles, by a bake whose own options are bound; returns the last."""
-    bound = partial(bake, prepared.transfer, given.texture, size=given.size, dtype=given.dtype)
-    return bake_tiles(request, prepared, bound, stages)
-
-
-def _entry(kind: str, request: TransferRequest, path: Path, given: SourceImage) -> dict[str, Any]:
+def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
     """What the manifest notes of an image that was carried: its file, size baked, and word for the colour space."""
-    image = stated_path(path, request.result)
-    return {"kind": kind, "image": image, "size": given.size, "color_space": given.first.color_space}
+    return {"kind": kind, "image": path, "size": given.size, "color_space": given.first.color_space}
 
 
 def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """A normal map, in tangent or object space."""
-    assert request.normal_map is not None
-    given = read_source_image(request, result, request.normal_map, 3)
-    prepared = prepare_bake(request, result, stages)
-    share = share_of_normals(given.first.pixels)
-    if share < FEWEST_NORMALS:
-        prepared.warnings.append(
-            f"{request.normal_map}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
-            "Colours go through --texture."
-        )
     bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
-    _baked(bake, given, request, prepared, stages)
-    entry = _entry("normal-map", request, request.normal_map, given)
-    return finish(request, prepared, {**entry, "space": request.space})
+    return _carry("normal-map", request.normal_map, 3, bake, {"space": request.space}, request, result, stages)
 
 
 def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Displacement along the normal."""
-    assert request.displacement is not None
-    given = read_source_image(request, result, request.displacement, 1)
-    prepared = prepare_bake(request, result, stages)
     bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
-    baked = _baked(bake, given, request, prepared, stages)
-    entry = _entry("displacement", request, request.displacement, given)
-    return _finish_displacement(request, prepared, entry, baked, "height")
+    return _carry("displacement", request.displacement, 1, bake, {}, request, result, stages)
 
 
 def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Vector displacement, in tangent or object space."""
-    assert request.vector_displacement is not None
-    given = read_source_image(request, result, request.vector_displacement, 3)
-    prepared = prepare_bake(request, result, stages)
     space = cast(Space, request.space)
     bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
-    baked = _baked(bake, given, request, prepared, stages)
-    entry = {**_entry("vector-displacement", request, request.vector_displacement, given), "space": request.space}
-    return _finish_displacement(request, prepared, entry, baked, "vector")
+    more = {"space": request.space}
+    return _carry("vector-displacement", request.vector_displacement, 3, bake, more, request, result, stages)
 
 
-def _finish_displacement(
-    request: TransferRequest, prepared: Prepared, entry: dict[str, Any], baked: Displacement, what: str
+def _carry(
+    kind: str,
+    path: Path | None,
+    channels: int,
+    bake: Callable[..., Pixels | Displacement],
+    more: dict[str, Any],
+    request: TransferRequest,
+    result: MatchResult,
+    stages: Stages,
 ) -> Outcome:
-    """Note a displacement, and say how its values are to be read."""
-    entry |= {"midlevel": baked.midlevel, "scale": baked.scale}
-    summary, warnings = finish(request, prepared, entry)
+    """Bake an image of the source into all tiles, by a bake whose own options are bound; note ``more`` beside it."""
+    assert path is not None
+    given = read_source_image(request, result, path, channels)
+    prepared = prepare_bake(request, result, stages)
+    if kind == "normal-map" and (share := share_of_normals(given.first.pixels)) < FEWEST_NORMALS:
+        prepared.warnings.append(
+            f"{path}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
+            "Colours go through --texture."
+        )
+    bound = partial(bake, prepared.transfer, given.texture, size=given.size, dtype=given.dtype)
+    baked = bake_tiles(request, prepared, bound, stages)
+    entry = _entry(kind, path, given) | more
+    if not isinstance(baked, Displacement):
+        return finish(request, prepared, entry)
+    summary, warnings = finish(request, prepared, entry | {"midlevel": baked.midlevel, "scale": baked.scale})
+    what = "height" if channels == 1 else "vector"
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 
@@ -185,3 +193,64 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
     bake_tiles(request, prepared, bake, stages)
     return finish(request, prepared, {"kind": "material-colors", "size": size})
+
+
+def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Normals, displacement, ambient occlusion and colours of a detailed mesh, or of the source itself."""
+    kinds = _kinds(request)
+    images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
+    bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
+    mesh = None if request.detail is None else read_mesh(request.detail)
+    if mesh is not None and request.detail_texture is not None:
+        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, cast(Filter, request.filter)))
+    own = {kind: bakes.channels(kind) for kind in kinds}
+    bakes.check({kind: written_channels(request, result, own[kind], kind) - own[kind] for kind in kinds})
+    prepared = prepare_bake(request, result, stages, list(images.values()))
+    warnings = prepared.warnings
+    if mesh is not None:
+        stages("detail")
+        detail, more = mesh_detail(mesh, prepared.transfer)
+        warnings += more
+        colors = vertex_colors(mesh) if "colors" in kinds else None
+    else:
+        detail, colors = Detail(prepared.transfer.point_map.source), None
+        if "colors" in kinds:
+            refinement = result.source.refinement
+            colors = refinement.prolong(vertex_colors(refinement.control), 0, refinement.n_levels).clip(0.0, 1.0)
+    lines = bake_detail(
+        bakes,
+        prepared.transfer,
+        detail,
+        colors,
+        prepared.tiles,
+        stages,
+        "the target's",
+        partial(masking, request, prepared),
+    )
+    for kind, path in images.items():
+        entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
+        note_transfer(request.result, {**entry, "size": bakes.size, "space": request.space})
+    if prepared.mesh is not None:
+        lines.append(f"wrote {prepared.mesh}")
+    return "\n".join(lines), warnings
+
+
+def _kinds(request: TransferRequest) -> list[Kind]:
+    """What to bake, checked."""
+    names = list(dict.fromkeys(request.bake))
+    unknown = [name for name in names if name not in KINDS]
+    if unknown:
+        raise ParameterError(f"--bake: expected some of {', '.join(KINDS)}, got {', '.join(unknown)}")
+    kinds = [cast(Kind, name) for name in names]
+    if ("texture" in kinds) != (request.detail_texture is not None):
+        raise ParameterError("--bake texture and --detail-texture: expected both or neither, got one of them")
+    if request.detail_texture is not None and request.detail is None:
+        raise ParameterError("--detail-texture: expected --detail, the mesh that the image belongs to")
+    flat = [kind for kind in kinds if kind in OFFSETS]
+    if flat and request.detail is None:
+        raise ParameterError(
+            f"--bake {','.join(flat)}: expected --detail, a detailed mesh that lies on the source, since a surface has "
+            "no detail over itself. To bake the source onto a cage that is wrapped on it, use `cagemap wrap "
+            "--normal-map`."
+        )
+    return kinds

@@ -1,4 +1,4 @@
-"""Images baked from a detailed mesh, for `cagemap transfer --bake` and `cagemap wrap`."""
+"""Images baked from a detailed mesh, for `cagemap transfer --bake` and onto the cage of `cagemap wrap`."""
 
 from __future__ import annotations
 
@@ -7,18 +7,32 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.images.image import Image, check_writable, first_image, pixel_type, read_texture, texture_pixels
+from cagemap.files.atomic import check_outputs
+from cagemap.files.images.image import (
+    Image,
+    check_writable,
+    first_image,
+    pixel_type,
+    read_image_form,
+    read_texture,
+    texture_files,
+    texture_pixels,
+    udim_path,
+)
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bake_tiles import write_tiles
+from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
     Detail,
@@ -31,9 +45,10 @@ from cagemap.transfer.detail import (
     detailed_share,
 )
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texture import Filter, Pixels
 from cagemap.transfer.vectors import Green, Space
+from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 
 Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -55,53 +70,24 @@ _COVERED = 0.99
 
 @dataclass(frozen=True, eq=False)
 class DetailTexture:
-    """A detailed mesh's own image, and where its triangles lie in it.
-
-    Attributes
-    ----------
-    texture : array, or arrays by UDIM number
-    first : Image
-        Whose form (number type, colour space) the result takes.
-    uvs : (p, 2) float64
-    uv_triangles : (t, 3) int64
-    filter : str
-        As `BakeOptions` has it.
-    """
+    """A detailed mesh's own image, and where its triangles lie in it."""
 
     texture: Pixels | dict[int, Pixels]
-    first: Image
-    uvs: FloatArray
-    uv_triangles: IndexArray
-    filter: Filter = "smooth"
+    first: Image  # whose form (number type, colour space) the result takes
+    uvs: FloatArray  # (p, 2)
+    uv_triangles: IndexArray  # (t, 3)
+    filter: Filter = "smooth"  # as `BakeOptions` has it
 
 
 @dataclass(frozen=True)
 class DetailBakes:
-    """What to bake from a detailed mesh, and where to.
-
-    Attributes
-    ----------
-    images : dict of kind -> Path
-    size : int
-    bits : int, optional
-        By default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion.
-    space, green
-        Of normals and vectors.
-    rays : int
-        Of ambient occlusion, a vertex of the detailed mesh.
-    force : bool
-    texture : DetailTexture, optional
-        Of the detailed mesh, for the kind "texture".
-    """
+    """What to bake from a detailed mesh, and where to."""
 
     images: dict[Kind, Path]
     size: int
-    bits: int | None
-    space: Space
-    green: Green
-    rays: int
-    force: bool
-    texture: DetailTexture | None = None
+    bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
+    request: TransferRequest | WrapRequest  # whose space, green, rays and force hold
+    texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
 
     def channels(self, kind: Kind) -> int:
         """Channels of an image."""
@@ -164,40 +150,24 @@ def bake_detail(
 ) -> list[str]:
     """Bake and write all images; returns a line about each.
 
-    Parameters
-    ----------
-    bakes : DetailBakes
-    transfer : Transfer
-    detail : Detail
-    colors : (n, 3) float64 or None
-        At the detail's vertices, where colours are asked for.
-    tiles : list of int
-    stages : Stages
-    units : str
-        Whose units lengths are in, as the reader is told.
-    finished : callable
-        Of every kind, what is written of an image that was baked.
+    ``colors``: (n, 3) or None, at the detail's vertices, where colours are asked for. ``units``: whose units lengths
+    are in, as the reader is told. ``finished``: of every kind, what is written of an image that was baked.
     """
-    lines = []
+    lines, request = [], bakes.request
     for kind, path in bakes.images.items():
         dtype, scale = bakes.dtype(kind), 1.0
-        values = None
         if kind == "ao":
             stages("ambient occlusion")
-            values = ambient_occlusion(detail.surface, bakes.rays)
-        elif kind == "colors":
-            values = colors
         elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
             stages(f"range of {kind}")
-            scale = _range(_baker(bakes, kind, transfer, detail, None, np.dtype(np.float32), 1.0), tiles)
-        bake = _baker(bakes, kind, transfer, detail, values, dtype, scale)
-        write_tiles(path, tiles, bake, stages, finished(kind), force=bakes.force, name=kind)
-        middle = 0.5 if dtype.kind == "u" else 0.0
-        meaning = f"(value - {middle:g}) * {scale:.6g} in {units} units"
+            scale = _range(_baker(bakes, kind, transfer, detail, colors, np.dtype(np.float32), 1.0), tiles)
+        bake = _baker(bakes, kind, transfer, detail, colors, dtype, scale)
+        write_tiles(path, tiles, bake, stages, finished(kind), force=request.force, name=kind)
+        meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
         says: dict[Kind, str] = {
-            "normal": f"normals in {bakes.space} space, green {bakes.green}",
+            "normal": f"normals in {request.space} space, green {request.green}",
             "displacement": f"height along the normal = {meaning}",
-            "vector-displacement": f"offset in {bakes.space} space = {meaning}",
+            "vector-displacement": f"offset in {request.space} space = {meaning}",
             "ao": "ambient occlusion",
             "colors": "colours",
             "texture": "the detailed mesh's texture",
@@ -211,14 +181,14 @@ def _baker(
     kind: Kind,
     transfer: Transfer,
     detail: Detail,
-    values: FloatArray | None,
+    colors: FloatArray | None,
     dtype: np.dtype[Any],
     scale: float,
 ) -> Callable[..., Pixels | Image | Displacement]:
     """The bake of one kind of image, for the ``options`` of any tile."""
-    size, space = bakes.size, bakes.space
-    if kind == "texture" and bakes.texture is not None:
-        own = bakes.texture
+    size, own = bakes.size, bakes.texture
+    space, green = cast(Space, bakes.request.space), cast(Green, bakes.request.green)
+    if kind == "texture" and own is not None:
 
         def bake(*, options: BakeOptions) -> Image:
             read = replace(options, filter=own.filter)
@@ -228,10 +198,12 @@ def _baker(
             return replace(own.first, pixels=pixels)
 
         return bake
-    if values is not None:
+    if kind in ("ao", "colors"):
+        values = ambient_occlusion(detail.surface, bakes.request.rays) if kind == "ao" else colors
+        assert values is not None
         return partial(bake_detail_values, transfer, detail, values, size=size, dtype=dtype)
     if kind == "normal":
-        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=bakes.green, dtype=dtype)
+        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=green, dtype=dtype)
     if kind == "displacement":
         return partial(bake_detail_heights, transfer, detail, size=size, scale=scale, dtype=dtype)
     return partial(bake_detail_vectors, transfer, detail, size=size, space=space, scale=scale, dtype=dtype)
@@ -246,3 +218,80 @@ def _range(bake: Callable[..., Pixels | Image | Displacement], tiles: list[int])
         largest = max(largest, float(np.abs(pixels).max()))
     # A trace of room, since the largest is rounded to single precision.
     return 2.0 * (1.0 + 1e-6) * largest or 1.0
+
+
+def wrap_bakes(request: WrapRequest) -> DetailBakes:
+    """What is to be baked onto the wrapped cage."""
+    images: dict[Kind, Path | None] = {
+        "normal": request.normal_map,
+        "displacement": request.displacement,
+        "vector-displacement": request.vector_displacement,
+        "ao": request.occlusion,
+        "colors": request.colors,
+        "texture": request.baked if request.detail_texture is not None else None,
+    }
+    given = {kind: path for kind, path in images.items() if path is not None}
+    return DetailBakes(given, request.size or DEFAULT_SIZE, None, request)
+
+
+def outputs_beside(request: WrapRequest) -> list[Path]:
+    """What is written beside the mesh: images, or patterns of their tiles, and a file for MakeHuman."""
+    carried = None if request.detail_texture is not None else request.baked
+    others = (path for path in (carried, request.mhclo) if path is not None)
+    return [*wrap_bakes(request).images.values(), *others]
+
+
+def textures_read(request: WrapRequest) -> list[Path]:
+    """Images that are read, tile by tile."""
+    given = (path for path in (request.texture, request.detail_texture) if path is not None)
+    return [file for path in given for file in texture_files(path)]
+
+
+def require_bakeable(request: WrapRequest, result: MatchResult) -> ControlMesh | None:
+    """Refuse images that cannot be baked, before any work is done for the mesh; gives the detailed mesh, if any."""
+    images, control = wrap_bakes(request).images, result.target.control
+    if images and control.uvs is None:
+        raise ParameterError(
+            f"{control.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in your "
+            "modelling program and match again."
+        )
+    if "colors" in images and request.detail is None:
+        vertex_colors(result.source.control)
+    for texture in textures_read(request):
+        read_image_form(texture)
+    if request.detail is None:
+        return None
+    detail = read_mesh(request.detail)
+    if "colors" in images:
+        vertex_colors(detail)
+    return detail
+
+
+def bake_wrapped(
+    request: WrapRequest, result: MatchResult, wrapped: Wrapped, mesh: ControlMesh | None, stages: Stages
+) -> tuple[list[str], list[str]]:
+    """Bake the images that were asked for, of a detailed mesh or the source; returns lines about them and warnings."""
+    bakes = wrap_bakes(request)
+    if not bakes.images:
+        return [], []
+    stages("detail")
+    target, source = result.target.refinement, result.source.refinement
+    warnings: list[str] = []
+    colors = None
+    if mesh is None:
+        transfer, detail, fine = missing_detail(wrapped, target, source)
+        if "colors" in bakes.images:
+            colors = fine.prolong(vertex_colors(source.control), 0, fine.n_levels).clip(0.0, 1.0)
+    else:
+        transfer, follow = wrapped_transfer(wrapped, target)
+        if request.detail_texture is not None:
+            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+            bakes.check()
+        detail, warnings = mesh_detail(mesh, transfer)
+        detail = replace(detail, follow=follow)
+        colors = vertex_colors(mesh) if "colors" in bakes.images else None
+    tiles, outside = layout_tiles(transfer)
+    images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
+    check_outputs(images, textures_read(request), force=request.force)
+    lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
+    return lines, [*warnings, *outside, *doubled_target(result.target.control)]

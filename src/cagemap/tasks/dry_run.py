@@ -36,23 +36,15 @@ _BAKED = ("material_colors", "bake")
 
 @dataclass(frozen=True)
 class AssetSize:
-    """How large a model is; zeros where its mesh cannot be read.
+    """How large a model is; zeros where its mesh cannot be read."""
 
-    Attributes
-    ----------
-    control, finest, prepared : int
-        Vertices of the control mesh, of the finest level, and of the level that its basis ends on.
-    laid_out : bool
-        Whether it has texture coordinates.
-    problem : str
-        Why it cannot be read.
-    """
-
+    # `control`, `finest`, `prepared`: vertices of the control mesh, of the finest level, and of the level that its
+    # basis ends on
     control: int = 0
     finest: int = 0
     prepared: int = 0
-    laid_out: bool = True
-    problem: str = ""
+    laid_out: bool = True  # whether it has texture coordinates
+    problem: str = ""  # why it cannot be read
 
     @property
     def both(self) -> Size:

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.face_kit import ABSENT, FaceKit, read_face_kit
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.document import GLTF_SUFFIXES, write_document
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_mesh
@@ -25,10 +24,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest
+from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest, with_part
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.face import FaceRequest
-from cagemap.tasks.rig_character import read_body
+from cagemap.tasks.requests.models import FaceRequest
+from cagemap.tasks.requests.options import comma_words
+from cagemap.tasks.rig_character import body_in, read_body
 
 # Share of a head's area on which the match is to be trusted: heads have 0.98 and more, a whole body 0.5.
 _TRUSTED = 0.8
@@ -42,10 +42,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     stages("read")
     kit = read_face_kit(None if request.only is None else _names(request.only))
     document, given = read_body(request.head)
-    try:
-        body = find_body(given.parts, request.part)
-    except ParameterError as error:
-        raise ParameterError(f"{request.head}: {error}") from None
+    body = body_in(given, request.part, request.head)
     kept = [name for name in kit.part.shapes if name in body.shapes]
     kit = replace(
         kit, part=replace(kit.part, shapes={name: one for name, one in kit.part.shapes.items() if name not in kept})
@@ -62,7 +59,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
         )
     stages("shapes")
     shapes = _on_body(body_shapes(found), head, body)
-    character = _with(given, body, {**body.shapes, **shapes})
+    character = with_part(given, body, replace(body, shapes={**body.shapes, **shapes}))
     stages("write")
     with all_or_nothing():
         write_document(request.output, character_glb(character, document), force=request.force)
@@ -87,7 +84,7 @@ def _require_paths(request: FaceRequest) -> None:
 
 
 def _names(words: str) -> tuple[str, ...]:
-    found = tuple(dict.fromkeys(word.strip() for word in words.split(",") if word.strip()))
+    found = tuple(dict.fromkeys(comma_words(words)))
     if not found:
         raise ParameterError("only: expected names of shapes with commas between them, such as jawOpen, got none")
     return found
@@ -137,27 +134,12 @@ def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str,
     return {name: np.where((number >= 0)[:, None], offsets[number], 0.0) for name, offsets in shapes.items()}
 
 
-def _with(character: Character, body: Part, shapes: dict[str, FloatArray]) -> Character:
-    done = replace(body, shapes=shapes)
-    return replace(character, parts=tuple(done if part is body else part for part in character.parts))
-
-
 def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part) -> Image:
     """Pictures of shapes of the part ``name``, row by row in their order, after one of the face at rest.
 
     mouthClose corrects jawOpen and is shown with it.
 
-    Parameters
-    ----------
-    character : Character
-    name : str
-    shapes : sequence of str
-    head : Part
-        What the camera shows.
-
-    Returns
-    -------
-    (h, w, 3) uint8
+    ``head``: what the camera shows. Returns (h, w, 3) uint8.
     """
     meshes = [part.mesh for part in character.parts]
     starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])

@@ -17,12 +17,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.colors import AMOUNT_SCALE, BALANCE_SCALE, scalar_colors
 from cagemap.pipeline import choose_level, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.tasks.basis_options import parse_schedule, with_laplacian
 from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.method import parse_schedule, with_laplacian
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.functions import FunctionsRequest
-from cagemap.tasks.subdivision import SubdivisionRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.requests.models import FunctionsRequest
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 FUNCTION_VERTICES = 50_000
 EIGENFUNCTIONS = "eigenfunctions"
@@ -31,13 +30,7 @@ ARRAYS = (".npz", ".npy", ".csv")
 
 
 def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
-    """Write functions of a mesh, as arrays or as its colours; returns a summary and notes.
-
-    Raises
-    ------
-    ParameterError
-        If a kind is not known, kernels lack their points, or the output cannot hold what is asked for.
-    """
+    """Write functions of a mesh, as arrays or as its colours; returns a summary and notes."""
     kinds = _kinds(request)
     check_outputs([request.output], [request.mesh], force=request.force)
     basis = _basis(request)
@@ -77,22 +70,9 @@ def functions_at(
 ) -> dict[str, FloatArray]:
     """Functions of some `KINDS` at the vertices of a level, and what they are made of.
 
-    Parameters
-    ----------
-    surface : Surface
-    level : int
-    kinds : tuple of str
-    filters : (int, int)
-        Heat and wave filters.
-    points : (p,) array
-        Control vertices that kernels start from.
-
-    Returns
-    -------
-    dict of str to array
-        Of each kind (n, q), by its name with ``_`` for ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with
-        signatures and kernels ``heat_times``, ``wave_energies``; with kernels ``points``. Kernel j of point i is column
-        ``i q + j``.
+    ``filters``: (int, int), heat and wave filters. ``points``: (p,), control vertices that kernels start from. Returns
+    of each kind (n, q), by its name with ``_`` for ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with signatures
+    and kernels ``heat_times``, ``wave_energies``; with kernels ``points``. Kernel j of point i is column ``i q + j``.
     """
     on = surface.finest if surface.refinement.is_plain else level
     rows, eigenvalues = research.eigenfunctions(surface, on)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.result.folder import ARRAYS, MANIFEST, check_result_folder, write_result
-from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
+from cagemap.files.result.manifest import MANIFEST, stated_inputs
 from cagemap.files.result.maps import dense_map, read_images, source_level
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
@@ -17,11 +17,11 @@ from cagemap.pipeline import choose_level
 from cagemap.spectral import Surface
 from cagemap.subdivision import refine
 from cagemap.tasks.job_file import note_match
-from cagemap.tasks.masks import MaskOptions, mask_inputs, masks_on, read_masks
+from cagemap.tasks.masks import mask_inputs, masks_on, read_masks
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.subdivision import weld_asked
 
 MAP_VERTICES = 50_000
 
@@ -29,7 +29,7 @@ MAP_VERTICES = 50_000
 def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     """Judge a map and write it as a RESULT folder; returns a summary and warnings."""
     files = {"target": request.target, "source": request.source, "map": request.map}
-    files.update(mask_inputs(request.target_mask, request.source_mask))
+    files.update(mask_inputs(request))
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stages("read")
@@ -44,8 +44,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     places = target.finest_triangles, source.finest_triangles
     # A map may count the vertices of any level: those of a coarser one are the first of every finer one.
     point_map = dense_map(read_images(request.map, places[1]), target.refinement, places[0])
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    given = read_masks(options, filed, (request.target, request.source))
+    given = read_masks(request, filed, (request.target, request.source))
     masks = masks_on(given, (target, source))
     masks.require_fit(places[0].n, places[1].n)
     stages("quality")

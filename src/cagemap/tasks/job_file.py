@@ -14,7 +14,7 @@ import tomli_w
 from cagemap.errors import FormatError
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.ownership import is_own, mark
-from cagemap.files.result.folder import stated_path
+from cagemap.files.result.manifest import stated, stated_path
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import WRITTEN
 
@@ -73,14 +73,8 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
             continue
         # A name or a file: which one it is, its words say, not its type.
         file = mask_file(value) if field.name in ("target_mask", "source_mask") else None
-        options[field.name] = _stated(value, folder) if file is None else value.replace(str(file), str(file.resolve()))
+        options[field.name] = stated(value, folder) if file is None else value.replace(str(file), str(file.resolve()))
     return options
-
-
-def _stated(value: Any, folder: Path) -> Any:
-    if isinstance(value, tuple):
-        return [_stated(item, folder) for item in value]
-    return stated_path(value, folder) if isinstance(value, Path) else value
 
 
 def _asset_name(path: Path) -> str:

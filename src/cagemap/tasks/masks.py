@@ -1,4 +1,4 @@
-"""`--target-mask`, `--source-mask`: weights of both models from files and names."""
+"""`--target-mask`, `--source-mask`: weights of both models, and `--base`, the target's own values outside them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cagemap.errors import ParameterError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
-from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.values.attributes import read_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
@@ -26,6 +26,14 @@ from cagemap.tasks.requests.options import MASK_FILES
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
+from typing import Any
+
+from numpy.typing import NDArray
+
+from cagemap.files.values.attributes import Attributes
+from cagemap.files.values.part_numbering import FileRows, to_file
+from cagemap.tasks.requests.match import MapRequest, MatchRequest
+from cagemap.tasks.requests.results import TransferRequest, WrapRequest, base_of
 
 # Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
 DEFAULT_EDGE = 0.02
@@ -35,27 +43,13 @@ NOT = "not:"
 
 @dataclass(frozen=True, eq=False)
 class GivenMask:
-    """A mask as it was given, for a file's whole mesh.
+    """A mask as it was given, for a file's whole mesh."""
 
-    Attributes
-    ----------
-    vertices : (n_0,) float64 or None
-        Values at the file's control vertices.
-    faces : (m_0,) float64 or None
-        Values at the file's control faces.
-    image : array, or arrays by UDIM number, or None
-        Painted over the UVs.
-    inverted : bool
-        Everything but that.
-    edge : float
-        Width of its soft edge, see `cagemap.maps.masks.soft_edge`.
-    """
-
-    vertices: FloatArray | None = None
-    faces: FloatArray | None = None
-    image: Pixels | dict[int, Pixels] | None = None
-    inverted: bool = False
-    edge: float = 0.0
+    vertices: FloatArray | None = None  # (n_0,) values at the file's control vertices
+    faces: FloatArray | None = None  # (m_0,) values at the file's control faces
+    image: Pixels | dict[int, Pixels] | None = None  # painted over the UVs; several by UDIM number
+    inverted: bool = False  # everything but that
+    edge: float = 0.0  # width of its soft edge, see `cagemap.maps.masks.soft_edge`
 
     def on(self, refinement: Refinement, surface: TriangleSurface) -> FloatArray:
         """(n,) mask of the finest vertices of the file's mesh or of a part of it."""
@@ -80,13 +74,8 @@ class GivenMask:
 GivenMasks = tuple[GivenMask | None, GivenMask | None]
 
 
-@dataclass(frozen=True)
-class MaskOptions:
-    """What the command line says about masks."""
-
-    target: str | None = None
-    source: str | None = None
-    edge: float | None = None
+# Requests with masks of both models.
+Masked = MatchRequest | MapRequest | TransferRequest | WrapRequest
 
 
 def mask_file(text: str | None) -> Path | None:
@@ -98,36 +87,26 @@ def mask_file(text: str | None) -> Path | None:
     return path if suffix in MASK_FILES else None
 
 
-def mask_files(text: str | None) -> list[Path]:
-    """All files of a mask: an image's tiles, or one."""
-    path = mask_file(text)
-    if path is None:
-        return []
-    from cagemap.files.images.image import texture_files
+def mask_inputs(request: Masked) -> dict[str, Path]:
+    """Files of both masks, an image's tiles too, by the names that a manifest has for them."""
+    found: dict[str, Path] = {}
+    for side, text in (("target", request.target_mask), ("source", request.source_mask)):
+        path = mask_file(text)
+        if path is not None:
+            from cagemap.files.images.image import texture_files
 
-    return texture_files(path)
-
-
-def mask_inputs(target: str | None, source: str | None) -> dict[str, Path]:
-    """Files of both masks, by the names that a manifest has for them."""
-    sides = (("target", target), ("source", source))
-    return {f"{side}_mask_{i}": path for side, text in sides for i, path in enumerate(mask_files(text))}
+            found |= {f"{side}_mask_{i}": file for i, file in enumerate(texture_files(path))}
+    return found
 
 
-def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
-    """Masks of the target's and the source's whole files.
-
-    Raises
-    ------
-    ParameterError
-        See `read_mask`; if there is an edge and no mask.
-    """
-    texts = {"--target-mask": options.target, "--source-mask": options.source}
+def read_masks(request: Masked, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
+    """Masks of the target's and the source's whole files."""
+    texts = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
     target, source = (
-        None if text is None else read_mask(text, options.edge, control, file, option)
+        None if text is None else read_mask(text, request.mask_edge, control, file, option)
         for (option, text), control, file in zip(texts.items(), controls, files, strict=True)
     )
-    if options.edge is not None and target is None and source is None:
+    if request.mask_edge is not None and target is None and source is None:
         raise ParameterError("--mask-edge: expected --target-mask or --source-mask beside it, got neither")
     return target, source
 
@@ -141,28 +120,16 @@ def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
     return Masks(target, source)
 
 
-def with_masks(result: MatchResult, options: MaskOptions, folder: Path) -> MatchResult:
-    """The same result with more left out of it: what counts is the product of its own masks and the given ones.
+def with_masks(result: MatchResult, request: Masked, folder: Path) -> MatchResult:
+    """The same result with more left out of it: what counts is the product of its own masks and the request's.
 
-    Parameters
-    ----------
-    result : MatchResult
-    options : MaskOptions
-        In the words and numbers of the files that were matched.
-    folder : Path
-        Of the RESULT, where the files are looked up.
-
-    Raises
-    ------
-    ParameterError
-        See `read_masks`; if nothing would be left; if only a part of a file was matched and that file is not where it
-        was.
+    Masks are in the words and numbers of the files that were matched, which are looked up from ``folder``, the RESULT.
     """
-    if options == MaskOptions():
+    asked = {"target": request.target_mask, "source": request.source_mask}
+    if (*asked.values(), request.mask_edge) == (None, None, None):
         return result
-    asked = {"target": options.target, "source": options.source}
     whole = [_matched_file(result, side, folder, given=text is not None) for side, text in asked.items()]
-    given = read_masks(options, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
+    given = read_masks(request, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
     more = masks_on(given, (result.target, result.source))
     both = zip((result.masks.target, result.masks.source), (more.target, more.source), strict=True)
     masks = Masks(*(one if two is None else two if one is None else one * two for one, two in both))
@@ -187,23 +154,9 @@ def _matched_file(result: MatchResult, side: str, folder: Path, *, given: bool) 
 def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Path, option: str) -> GivenMask:
     """Read what a mask option says about a file's mesh.
 
-    Parameters
-    ----------
-    text : str
-        A file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's primvar,
-        or names of objects, groups, materials or components; after ``not:`` all but that.
-    edge : float or None
-        Width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
-    control : ControlMesh
-        The file's whole mesh.
-    mesh_file : Path
-    option : str
-        For messages.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part or primvar, or values are not one a control vertex or face, from 0 to 1.
+    ``text``: a file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's
+    primvar, or names of objects, groups, materials or components; after ``not:`` all but that. ``edge``: width of the
+    soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
     """
     inverted = text.startswith(NOT)
     name = text.removeprefix(NOT)
@@ -251,3 +204,59 @@ def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
     meshes = read_usd_meshes(mesh_file)
     values = meshes[0].attributes.get(name) if len(meshes) == 1 else None
     return None if values is None else np.asarray(values, dtype=np.float64)
+
+
+def keep_base(
+    request: TransferRequest, result: MatchResult, carried: Attributes, rows: FileRows | None
+) -> tuple[Attributes, list[str]]:
+    """Carried values over the target's own ones outside the masks; and what is to be said where there are none."""
+    if not result.masks.any:
+        return carried, []
+    base = base_of(request)
+    if base is None:
+        return carried, [
+            "outside the masks values are carried as well; --base with the target's own values keeps those"
+        ]
+    own = read_attributes(base, result.target.control, rows)
+    weight = result.masks.joint(result.point_map)
+    kept: Attributes = {}
+    for name, values in carried.items():
+        below = _named(own, name, len(carried))
+        if below is None or below.shape != values.shape:
+            found = "none" if below is None else f"shape {below.shape}"
+            raise ParameterError(
+                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {found}. Give "
+                "the target's own values."
+            )
+        share = _rows(result, weight, len(values)).reshape(-1, *([1] * (values.ndim - 1)))
+        if values.dtype.kind == "i" or below.dtype.kind == "i":
+            kept[name] = np.where(share >= 0.5, values, below)
+        else:
+            kept[name] = below + share * (values - below)
+    return kept, []
+
+
+def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
+    """Values of a part of the target's file numbered as the file: elsewhere those of ``--base``, or 0."""
+    base = None if rows is None else base_of(request)
+    usd = base is not None and base.suffix.lower() in USD_SUFFIXES
+    own = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
+    below = {name: values for name in carried if (values := _named(own, name, len(carried))) is not None}
+    return to_file(carried, rows, below)
+
+
+def _named(own: Attributes, name: str, count: int) -> NDArray[Any] | None:
+    """The target's own values of a name, or its only ones where only one is carried."""
+    return own.get(name, next(iter(own.values())) if len(own) == count == 1 else None)
+
+
+def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:
+    """(count,) how much control vertices, control faces, face corners or refined vertices count."""
+    control = result.target.control
+    at_vertices = weight[: control.n_vertices]
+    if count == len(at_vertices):
+        return at_vertices
+    at_corners = at_vertices[control.face_indices]
+    if count == control.n_faces:
+        return np.add.reduceat(at_corners, control.face_offsets[:-1]) / control.face_sizes
+    return at_corners if count == len(at_corners) else weight

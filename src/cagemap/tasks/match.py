@@ -16,19 +16,10 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.files.landmarks.points import read_points
-from cagemap.files.landmarks.symmetry import symmetry_on
+from cagemap.files.landmarks.points import read_points, symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
-from cagemap.files.result.folder import (
-    ARRAYS,
-    MANIFEST,
-    assurance,
-    check_result_folder,
-    landmark_messages,
-    peak_memory,
-    write_result,
-)
-from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
+from cagemap.files.result.manifest import MANIFEST, assurance, landmark_messages, peak_memory, stated_inputs
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import prepared
 from cagemap.files.usd.space import unit_notes
@@ -38,78 +29,49 @@ from cagemap.mesh.weld import Welded
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
-from cagemap.tasks.basis_options import (
+from cagemap.tasks.job_file import note_match
+from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
+from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
+from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.method import (
     SIDES,
     basis_parameters,
+    read_symmetries,
     require_level_or_vertices,
     side_bases,
     side_levels,
+    used_parameters,
+    with_parameters,
 )
-from cagemap.tasks.job_file import note_match
-from cagemap.tasks.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
-from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts
-from cagemap.tasks.match_plain import ready_inputs
-from cagemap.tasks.mesh_commands import require_size
-from cagemap.tasks.method import read_symmetries, used_parameters, with_parameters
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
-from cagemap.tasks.subdivision import SubdivisionRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a match works on, read and checked.
+    """What a match works on, read and checked."""
 
-    Attributes
-    ----------
-    target, source : ControlMesh
-        As in their files; plain meshes made ready where all of both is matched.
-    landmarks : Landmarks
-    notes : tuple of str
-        What the user is to know.
-    parts : tuple of PartInputs
-        What is matched of them; nothing where it is the whole of both.
-    masks : (GivenMask or None, GivenMask or None)
-        What counts of target and source.
-    repairs : tuple of dict
-        What was done to plain meshes, of every part, or of the whole.
-    """
-
+    # `target`, `source`: of all parts
     target: ControlMesh
     source: ControlMesh
-    landmarks: Landmarks
-    notes: tuple[str, ...] = ()
-    parts: tuple[PartInputs, ...] = ()
-    masks: GivenMasks = (None, None)
-    repairs: tuple[dict[str, dict[str, float]], ...] = ()
+    parts: tuple[PartInputs, ...]  # pairs of meshes that are matched, one by one
+    named: bool  # whether parts were asked for; else the only one is the whole of both files
+    masks: GivenMasks = (None, None)  # what counts of target and source
+    notes: tuple[str, ...] = ()  # what the user is to know
 
 
 @dataclass(frozen=True, eq=False)
 class MatchSettings:
-    """How meshes are matched.
+    """How meshes are matched."""
 
-    Attributes
-    ----------
-    bases : (BasisConfig, BasisConfig)
-        Of target and source, like ``levels``.
-    levels : (int, int)
-        The finest ones.
-    config : MatchConfig
-        But for masks, which depend on the surfaces.
-    cache : Path or None
-        Folder of prepared surfaces.
-    entries : dict
-        For the manifest: parameters, inputs.
-    """
-
-    bases: tuple[BasisConfig, BasisConfig]
-    levels: tuple[int, int]
-    config: MatchConfig
-    cache: Path | None = None
-    entries: dict[str, Any] = field(default_factory=dict)
+    bases: tuple[BasisConfig, BasisConfig]  # of target and source, like ``levels``
+    levels: tuple[int, int]  # the finest ones
+    config: MatchConfig  # but for masks, which depend on the surfaces
+    cache: Path | None = None  # folder of prepared surfaces
+    entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
 
 
 def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
@@ -119,17 +81,12 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     side_bases(request)  # what is wrong with them is said before meshes are read
     started = time.perf_counter()
     stages("read")
+    optional = ("landmarks", "target_points", "source_points", "curves")
     files = {"target": request.target, "source": request.source}
-    given = {
-        "landmarks": request.landmarks,
-        "target_points": request.target_points,
-        "source_points": request.source_points,
-        "curves": request.curves,
-    }
-    files.update({name: path for name, path in given.items() if path is not None})
+    files |= {name: path for name in optional if (path := getattr(request, name)) is not None}
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
         files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
-    files.update(mask_inputs(request.target_mask, request.source_mask))
+    files.update(mask_inputs(request))
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stated = stated_inputs(files, request.output)
@@ -186,22 +143,19 @@ def read_inputs(request: MatchRequest) -> Inputs:
     target, source = (read_control(path, request, side) for side, path in zip(SIDES, files, strict=True))
     landmarks, notes = read_given_landmarks(request, target, source)
     notes += unit_notes(request.target, request.source)
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    masks = read_masks(options, (target, source), files)
+    masks = read_masks(request, (target, source), files)
     welded = [weld_control(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
     check_landmarks(landmarks, target, source)
     landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in welded))
     target, source = (one.mesh for one in welded)
     notes = (*notes, *(note for one in welded for note in one.notes))
     names = asked_parts(request.part, request.target_part, request.source_part)
-    if names == (None, None):
-        whole = ready_inputs(PartInputs(target, source, landmarks))
-        notes = (*notes, *whole.notes)
-        return Inputs(whole.target, whole.source, whole.landmarks, notes, masks=masks, repairs=(whole.repairs,))
-    chosen, left_alone = chosen_parts(target, source, landmarks, *names)
+    named = names != (None, None)
+    whole = PartInputs(target, source, landmarks)
+    chosen, left_alone = chosen_parts(target, source, landmarks, *names) if named else ((whole,), ())
     parts = tuple(ready_inputs(part) for part in chosen)
     notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
-    return Inputs(target, source, landmarks, notes, parts, masks, tuple(part.repairs for part in parts))
+    return Inputs(target, source, parts, named, masks, notes)
 
 
 def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
@@ -267,20 +221,17 @@ def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> Weld
 
 def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
     """Match the whole of both meshes, or every pair of parts, all at the same levels, as one result."""
-    if not inputs.parts:
-        return match_meshes(inputs, settings, stages)
-    results = []
-    for part in inputs.parts:
-        own = replace(inputs, target=part.target, source=part.source, landmarks=part.landmarks, parts=())
-        results.append(match_meshes(own, settings, stages))
+    results = [_match_part(part, inputs, settings, stages) for part in inputs.parts]
+    if not inputs.named:
+        return results[0]
     stages("merge parts")
     faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
     return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
 
 
-def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
+def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
     """Prepare both surfaces, match them, and say how."""
-    controls, config = (inputs.target, inputs.source), settings.config
+    controls, config = (part.target, part.source), settings.config
     for control, level in zip(controls, settings.levels, strict=True):
         require_size(control, level)
         _log.info("%s: level %d", control.name, level)
@@ -288,12 +239,13 @@ def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
     target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    found = match(target, source, inputs.landmarks, config, progress=stages)
+    found = match(target, source, part.landmarks, config, progress=stages)
+    repairs = [one.repairs for one in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         **settings.entries,
         "notes": list(inputs.notes),
-        "repairs": inputs.repairs[0] if len(inputs.repairs) == 1 else list(inputs.repairs),
+        "repairs": repairs[0] if len(repairs) == 1 else repairs,
         "peak_memory_bytes": peak_memory(),
     }
     return replace(found, timings=dict(stages.timings), provenance=provenance)

@@ -1,4 +1,4 @@
-"""`--part`: which parts of two files are matched, and the landmarks of each."""
+"""`--part`: which parts of two files are matched, their landmarks, and the repair of plain meshes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks, Renumbering
-from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import Landmarks, Renumbering, check_landmarks
+from cagemap.mesh.mesh_report import counted, first_few
 from cagemap.mesh.parts import (
     Part,
     connected_parts,
@@ -21,6 +22,11 @@ from cagemap.mesh.parts import (
     numbers_on_part,
     pair_parts,
 )
+from cagemap.mesh.plain import PlainMesh, plain_mesh
+from cagemap.mesh.schemes import Plain
+from cagemap.mesh.topology import handle_count
+from cagemap.mesh.weld import Welded, unwelded
+from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import default_scheme
 
 EACH = "each"
@@ -29,24 +35,13 @@ MATERIAL = "material"
 
 @dataclass(frozen=True)
 class PartInputs:
-    """Two meshes to be matched, whole or parts of their files.
-
-    Attributes
-    ----------
-    target, source : ControlMesh
-    landmarks : Landmarks
-        Those that lie on both, in the meshes' own numbers.
-    notes : tuple of str
-        What was done to plain meshes.
-    repairs : dict
-        The same in numbers, for a manifest, by side.
-    """
+    """Two meshes to be matched, whole or parts of their files."""
 
     target: ControlMesh
     source: ControlMesh
-    landmarks: Landmarks
-    notes: tuple[str, ...] = ()
-    repairs: dict[str, dict[str, float]] = field(default_factory=dict)
+    landmarks: Landmarks  # those that lie on both, in the meshes' own numbers
+    notes: tuple[str, ...] = ()  # what was done to plain meshes
+    repairs: dict[str, dict[str, float]] = field(default_factory=dict)  # the same in numbers, for a manifest, by side
 
 
 def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:
@@ -65,19 +60,8 @@ def chosen_parts(
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
     """What is matched of two files, and sentences about what is left alone.
 
-    Parameters
-    ----------
-    target, source : ControlMesh
-        As in their files.
-    landmarks : Landmarks
-        In the files' numbers.
-    target_part, source_part : str or None
-        A part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for the whole. See `asked_parts`.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part, or no parts go together.
+    ``target``, ``source``: as in their files. ``landmarks``: in the files' numbers. ``target_part``, ``source_part``: a
+    part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for the whole. See `asked_parts`.
     """
     # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
@@ -152,3 +136,40 @@ def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumberi
         return mesh, lambda vertices: vertices
     taken = extract(mesh, part.faces)
     return taken, numbers_on_part(taken, mesh).__getitem__
+
+
+def ready_inputs(given: PartInputs) -> PartInputs:
+    """Check two meshes and their landmarks; plain ones are mended, and what of them is set aside is said."""
+    check_landmarks(given.landmarks, given.target, given.source)
+    ready = dict(zip(("target", "source"), in_threads(ready_mesh, [given.target, given.source]), strict=True))
+    plain = {side: one for side, one in ready.items() if isinstance(one, PlainMesh)}
+    meshes = [one.mesh for one in ready.values()]
+    numbers = [one.vertex_of.__getitem__ for one in ready.values()]
+    notes = [note for one in plain.values() for note in one.notes]
+    repairs = {side: one.repairs.summary() for side, one in plain.items()}
+    landmarks = given.landmarks.renumbered(*numbers)
+    for what, before, after in (
+        ("landmarks", len(given.landmarks), len(landmarks)),
+        ("curves", len(given.landmarks.curves), len(landmarks.curves)),
+    ):
+        if after < before:
+            notes.append(f"{before - after} of {before} {what} lie on pieces that are set aside and are left out")
+    if not plain:  # a scan's holes and bridges say little
+        notes += _handle_notes(*meshes)
+    return PartInputs(meshes[0], meshes[1], landmarks, tuple(notes), repairs)
+
+
+def _handle_notes(*meshes: ControlMesh) -> list[str]:
+    """Whether two cages cannot be one to one."""
+    counts = [handle_count(mesh) for mesh in meshes]
+    if counts[0] == counts[1]:
+        return []
+    (one, a), (other, b) = zip((mesh.name for mesh in meshes), counts, strict=True)
+    return [f"{one} has {counted(a, 'handle')}, {other} {b}: no map is one to one, this one tears or folds somewhere"]
+
+
+def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:
+    """A cage as it is, or a plain mesh repaired, once checked; both have ``mesh``, ``vertex_of`` and ``notes``."""
+    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else unwelded(mesh)
+    require_valid(ready.mesh)
+    return ready

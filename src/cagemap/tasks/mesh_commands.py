@@ -11,10 +11,9 @@ from typing import Any
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.gltf.contents import Contents, contents_of
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.parts import read_scene
-from cagemap.files.gltf.read import scene_mesh
+from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
@@ -28,8 +27,7 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
-from cagemap.tasks.subdivision import SubdivisionRequest
-from cagemap.tasks.welding import weld_asked
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 MOST_VERTICES = 20_000_000
 MOST_PARTS = 40
@@ -180,13 +178,7 @@ def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh,
 
 
 def require_size(control: ControlMesh, level: int) -> None:
-    """Refuse levels that no machine holds, before memory runs out.
-
-    Raises
-    ------
-    ParameterError
-        If the finest level would have more than 20 million vertices.
-    """
+    """Refuse levels that no machine holds, before memory runs out."""
     fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(

@@ -1,4 +1,4 @@
-"""Parameters of the method and the symmetry files of `cagemap match`."""
+"""Parameters of the method, bases and levels of both surfaces, and symmetry files of `cagemap match`."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.landmarks.points import read_symmetry
 from cagemap.maps.pair import SymmetryPair
-from cagemap.pipeline import MatchConfig
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.operators import LAPLACIANS
+from cagemap.pipeline import MatchConfig, choose_level, default_basis
+from cagemap.spectral import BasisConfig
+from cagemap.spectral.surface import DEFAULT_VERTICES, MOST_LEVELS
+from cagemap.tasks.requests.match import MatchRequest
 
 # The field of `MatchConfig` that holds each method's parameters.
 _OWN = {"elastic": "start", "hfm": "hfm", "paper": "paper"}
 
 
 def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
-    """Set parameters of the method from texts such as ``laplacian=0.01``.
-
-    Raises
-    ------
-    ParameterError
-        If a name is not known, has no meaning for the method, or its value is no number.
-    """
+    """Set parameters of the method from texts such as ``laplacian=0.01``."""
     own = getattr(config, _OWN[config.method])
     values = _named_values(own)
     for setting in settings:
@@ -51,13 +50,7 @@ def used_parameters(config: MatchConfig) -> dict[str, Any]:
 
 
 def read_symmetries(target: Sequence[Path], source: Sequence[Path]) -> tuple[SymmetryPair, ...]:
-    """Self-maps of both control meshes from files, the first of one side with the first of the other.
-
-    Raises
-    ------
-    ParameterError
-        If one side has more than the other.
-    """
+    """Self-maps of both control meshes from files, the first of one side with the first of the other."""
     if len(target) != len(source):
         raise ParameterError(
             "--set target.symmetry and source.symmetry: expected as many files for one side as for the other, got "
@@ -80,3 +73,100 @@ def _filled(config: Any, values: dict[str, Any]) -> Any:
         name: _filled(value, values) if is_dataclass(value) else values[name] for name, value in vars(config).items()
     }
     return replace(config, **changed)
+
+
+SIDES = ("target", "source")
+
+
+def basis_config(request: MatchRequest, level: int = MOST_LEVELS, side: str = "") -> BasisConfig:
+    """Parameters of the basis of a surface up to a level: those of both, and those of one side where it is given."""
+    basis, literal = default_basis(request.method, level), False
+    for before, option in dict.fromkeys(
+        (("", "--set "), (f"{side}_" * bool(side), f"--set {side}." if side else "--set "))
+    ):
+        k, schedule, accuracy, laplacian = (
+            getattr(request, before + name) for name in ("k", "schedule", "accuracy", "laplacian")
+        )
+        if k is not None:  # a number of functions, so no schedule that was known before holds
+            basis = replace(basis, count=k, schedule=None)
+        if schedule is not None:
+            basis = replace(basis, schedule=parse_schedule(schedule, f"{option}schedule"))
+        if accuracy is not None:
+            basis = replace(basis, accuracy=accuracy)
+        basis = with_laplacian(basis, laplacian, f"{option}laplacian")
+        literal |= getattr(request, f"{before}literal")
+    if side and literal and basis.schedule is None:
+        raise ParameterError(f"--set literal: expected a schedule of the {side} with it, as in Definition 2, got none")
+    # Other search levels (maybe above the usual one's) and schedules need the finest level's operators.
+    exact = basis.schedule is not None or any("search_vertices" in given for given in request.parameter)
+    return replace(basis, literal=literal and basis.schedule is not None, vertices=None if exact else basis.vertices)
+
+
+def side_bases(
+    request: MatchRequest, levels: tuple[int, int] = (MOST_LEVELS, MOST_LEVELS)
+) -> tuple[BasisConfig, BasisConfig]:
+    """Parameters of the target's and the source's basis, whose finest levels are given."""
+    return basis_config(request, levels[0], SIDES[0]), basis_config(request, levels[1], SIDES[1])
+
+
+def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:
+    """A basis of the Laplacian that is named, such as ``alexa-wardetzky`` or ``alexa-wardetzky:2``."""
+    if text is None:
+        return basis
+    name, given, number = text.partition(":")
+    try:
+        stabilisation = float(number) if given else 1.0
+    except ValueError:
+        name = ""
+    if name not in LAPLACIANS or (given and name == "mean"):
+        raise ParameterError(
+            f"{option}: expected {', '.join(LAPLACIANS)}, the last two with :LAMBDA after it where it is not 1, "
+            f"got {text!r}."
+        )
+    return replace(basis, laplacian=name, stabilisation=stabilisation)
+
+
+def require_level_or_vertices(request: MatchRequest) -> None:
+    """Refuse a level and a number of vertices that are asked for in one breath."""
+    for prefix in ("", "target_", "source_"):
+        if None not in (getattr(request, f"{prefix}level"), getattr(request, f"{prefix}vertices")):
+            before = f"--set {prefix[:-1]}." if prefix else "--"
+            words = [f"{before}{name}" for name in ("level", "vertices")]
+            raise ParameterError(
+                f"{' and '.join(words)}: expected one of them, got both. {words[1]} chooses the level."
+            )
+
+
+def side_levels(request: MatchRequest, controls: Sequence[ControlMesh]) -> tuple[int, int]:
+    """Finest level of the target and of the source; 0 of a plain mesh, whatever is asked for both."""
+    found = []
+    for side, control in zip(SIDES, controls, strict=True):
+        level, vertices = getattr(request, f"{side}_level"), getattr(request, f"{side}_vertices")
+        if level is None and vertices is None:
+            level = None if isinstance(control.scheme, Plain) else request.level
+        wanted = vertices or request.vertices or DEFAULT_VERTICES
+        found.append(choose_level(control, wanted) if level is None else level)
+    return found[0], found[1]
+
+
+def basis_parameters(basis: BasisConfig) -> dict[str, Any]:
+    """What decided about a basis: a schedule or a number of functions, and how it was computed."""
+    how = {"accuracy": basis.accuracy, "laplacian": basis.laplacian}
+    if basis.laplacian != "mean":
+        how["stabilisation"] = basis.stabilisation
+    if basis.schedule is not None:
+        return {"k": sum(basis.schedule), "schedule": list(basis.schedule), "literal": basis.literal, **how}
+    return {"k": basis.count, **how}
+
+
+def parse_schedule(text: str, option: str = "--schedule") -> tuple[int, ...]:
+    """Numbers of basis functions per level from text such as ``100,50,50,50``."""
+    try:
+        schedule = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        schedule = ()
+    if not schedule or min(schedule) < 0 or max(schedule) < 1:
+        raise ParameterError(
+            f"{option}: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
+        )
+    return schedule

@@ -14,9 +14,9 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.images.image import Image, Pixels, read_image, read_texture
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.files.result.folder import ARRAYS, MANIFEST, read_result
-from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, input_file
+from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.space import upright_turn
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows
@@ -26,7 +26,7 @@ from cagemap.pictures import UP_AXES
 from cagemap.report import CarriedData, CarriedShape, Weights, check_page_path, write_report
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.results import ReportRequest
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
@@ -61,7 +61,7 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
     carried = carried_data(folder, result)
     stages("draw")
     file = input_file(folder, result.manifest, "target")
-    upright, reason = None if file is None else upright_turn(file, result.target.control), "as its file says"
+    upright, reason = None if file is None else upright_turn(file), "as its file says"
     if request.up is not None:
         upright, reason = UP_AXES[request.up], "as asked"
     write_report(
@@ -90,7 +90,7 @@ def _wrapped(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
     level = int(entry.get("fit_level", 0))
     if level > result.target.refinement.n_levels:
         raise FormatError(f"{entry['output']}: is a wrapped net of level {level}, finer than the map that is shown")
-    rows = file_rows(folder, result.manifest, "target", result.target.control)
+    rows = file_rows(folder, result, "target")
     if rows is not None and level == 0 and cage.n_vertices == rows.whole.n_vertices:
         cage = result.target.control.with_positions(cage.positions[rows.vertices])
     if entry.get("amount", 1.0) != 1.0 or cage.n_vertices != result.target.refinement.levels[level].n_vertices:
@@ -103,7 +103,7 @@ def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
     for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
         if file is None:
             raise FormatError("the file that they were carried from is not known")
-        given = read_attributes(folder / file, side.control, file_rows(folder, result.manifest, name, side.control))
+        given = read_attributes(folder / file, side.control, file_rows(folder, result, name))
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]} if JOINT_WEIGHTS in given else given
         table = np.column_stack(
             [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in given.values()]
@@ -119,7 +119,7 @@ def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
 def _shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     files = [folder / file for file in entry.get("files", [])]
     given, received = (
-        read_shapes(paths, side.control, file_rows(folder, result.manifest, name, side.control))
+        read_shapes(paths, side.control, file_rows(folder, result, name))
         for name, paths, side in (
             ("source", files, result.source),
             ("target", [folder / entry["output"]], result.target),

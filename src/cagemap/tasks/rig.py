@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.bones import mirrored_joints
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.values import gltf_skeleton
-from cagemap.files.meshes.mhclo import bind, write_mhclo
-from cagemap.files.result.folder import note_transfer, read_files, stated_path
+from cagemap.files.gltf.read import gltf_skeleton
+from cagemap.files.meshes.mhclo import bind_on, write_mhclo
+from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
-from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults
@@ -24,15 +26,16 @@ from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, 
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.mesh.skeleton import Skeleton
+from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
-from cagemap.tasks.joint_choice import with_choice
-from cagemap.tasks.masked_base import in_file, keep_base
+from cagemap.tasks.masks import in_file, keep_base
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.options import comma_words
+from cagemap.tasks.requests.results import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
-from cagemap.transfer.skeleton import carry_joints
-from cagemap.transfer.skin import normalised_skin
+from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, normalised, normalised_skin, pruned
 
 # A mesh further from its base than this, in units of sqrt(area), is hardly meant to follow it as it stands.
 _APART = 0.05
@@ -42,7 +45,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     """Skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
-    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    rows = file_rows(request.result, result, "source")
     given = read_attributes(request.weights, result.source.control, rows)
     if JOINT_WEIGHTS in given:  # a USD or glTF file: other primvars are no weights
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
@@ -65,7 +68,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         carried = carry_weights(result, skin, influences=request.influences or None)
     except ParameterError as error:
         raise ParameterError(f"{request.weights}: {error}") from None
-    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    own = file_rows(request.result, result, "target")
     named = all(array.ndim == 1 for array in given.values())
     names = tuple(given) if named else () if skeleton is None else skeleton.names
     carried = with_choice(request, result.target.control, carried, names, own)
@@ -88,9 +91,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
                 attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, result.point_map)
             )
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
-    files = {"file": request.weights, "output": request.output}
-    entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
-    note_transfer(request.result, entry)
+    note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
@@ -157,15 +158,14 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     stages("joints")
     count = len(skeleton.names)
     write_skeleton(request.output, _moved(skeleton, result.point_map), force=request.force)
-    note_transfer(request.result, {"kind": "joints", "output": stated_path(request.output, request.result)})
+    note_transfer(request.result, {"kind": "joints", "output": request.output})
     return f"wrote {request.output}: {count} joints", []
 
 
 def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Blend shapes of the source's cage for the target's."""
     rows, own = (
-        file_rows(request.result, result.manifest, name, side.control)
-        for name, side in (("source", result.source), ("target", result.target))
+        file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
     )
     shapes = read_shapes(request.blend_shapes, result.source.control, rows)
     stages("shapes")
@@ -179,14 +179,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
         if request.usd is not None:
             shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
             text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
-    note_transfer(
-        request.result,
-        {
-            "kind": "blend-shapes",
-            "files": [stated_path(path, request.result) for path in request.blend_shapes],
-            "output": stated_path(request.output, request.result),
-        },
-    )
+    note_transfer(request.result, {"kind": "blend-shapes", "files": request.blend_shapes, "output": request.output})
     return text, []
 
 
@@ -199,10 +192,7 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
         write_map(request.output, point_map, force=request.force)
         return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
     control, source = result.target.control, result.source
-    face_of_triangle = np.repeat(
-        source.refinement.finest.face_parents, len(result.source_triangles) // len(source.faces)
-    )
-    fitting = bind(control.positions, source.control, face_of_triangle[result.triangle[: control.n_vertices]])
+    fitting = bind_on(control.positions, source, result.triangle[: control.n_vertices])
     write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)
     apart = float(np.linalg.norm(fitting.offsets, axis=1).mean()) * point_map.source.scale
     warnings = []
@@ -212,3 +202,58 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
             "it at that distance; `cagemap wrap --mhclo` puts it onto it first"
         )
     return f"wrote {request.output}: {control.name} follows {source.control.name}", warnings
+
+
+def with_choice(
+    request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
+) -> FloatArray:
+    """Carried weights (n, j), made symmetric if asked; joints that are not chosen keep the target's own weights.
+
+    ``carried``: (n, j). ``names``: of the joints; empty where the weights have none.
+    """
+    for option, asked in (("--mirror", request.mirror), ("--only", request.only is not None)):
+        if asked and not names:
+            raise ParameterError(f"{option}: expected weights of named joints. Give a column for each, or --joints.")
+    if request.mirror:
+        carried = _alike(control, carried, names)
+        carried = normalised(pruned(carried, request.influences or None), carried.sum(axis=1))
+    return carried if request.only is None else _chosen(request, control, carried, names, rows)
+
+
+def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> FloatArray:
+    """Means with the mirror image, of the plane that changes least."""
+    joints = mirrored_joints(names)
+    if np.array_equal(joints, np.arange(len(names))):
+        raise ParameterError(
+            "--mirror: expected joints of both sides, such as arm.L and arm.R, got none by their names"
+        )
+    found = [mirrored_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
+    if not found:
+        raise ParameterError(f"--mirror: expected a target with a mirror plane, {control.name} has none. Leave it out.")
+    return min(found, key=lambda skin: float(np.abs(skin - carried).sum()))
+
+
+def _chosen(
+    request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
+) -> FloatArray:
+    words = comma_words(str(request.only))
+    missing = [word for word in words if word not in names]
+    if missing or not words:
+        raise ParameterError(
+            f"--only: expected names of joints ({', '.join(names)}), got {', '.join(missing) or 'none'}"
+        )
+    base = base_of(request)
+    if base is None:
+        raise ParameterError("--only: expected the target's own weights of the other joints. Give them as --base.")
+    return chosen_joints(carried, _own(base, control, names, rows), np.array([names.index(word) for word in words]))
+
+
+def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:
+    """(n, j) weights of a file, by the joints' names; a table is taken to be in their order."""
+    own = read_attributes(base, control, rows)
+    if all(name in own for name in names):
+        return np.column_stack([own[name] for name in names]).astype(np.float64)
+    (table,) = own.values() if len(own) == 1 else (None,)
+    if table is None or table.shape != (control.n_vertices, len(names)):
+        raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
+    return np.asarray(table, dtype=np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,6 @@ from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.build import character_glb
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
@@ -25,8 +24,9 @@ from cagemap.files.gltf.material_images import (
     read_material_image,
     with_copied_materials,
 )
-from cagemap.files.gltf.materials_of import with_materials_of
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import with_materials_of
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
@@ -40,9 +40,10 @@ from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
+from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest, with_part
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.rig import RigRequest
+from cagemap.tasks.requests.models import RigRequest
+from cagemap.tasks.requests.options import comma_words
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
@@ -56,7 +57,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     document = read_document(request.like)
     source = character_of(document)
     body_document, target = read_body(request.body)
-    to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
+    to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
     laid_out = to.mesh if of.mesh.uvs is None or request.keep_textures else _in_one_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
@@ -74,13 +75,13 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     stages("textures")
     keeps = request.keep_textures or of.mesh.face_materials is None
     dressed, document = _with_own_materials(carried, document, body_document, body=keeps)
-    baked, notes = dict[tuple[str, str], _Baked](), list[str]()
+    baked, notes = _Images(), list[str]()
     if not keeps:
         dressed, document, baked, notes = _textured(
             replace(carried, character=dressed), source, of, document, request.size
         )
     stages("write")
-    made = character_glb(dressed, document, {slot: png_bytes(one.image) for slot, one in baked.items()})
+    made = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
     _require_readable(made, dressed)
     if request.report is not None:
         stages("report")
@@ -88,7 +89,9 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         write_document(request.output, made, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
-    return _summary(request, dressed), [*carried.notes, *notes, *_doubts(carried.result)]
+    found = carried.result.confidence
+    doubt = [] if found is None or found.verdict == SURE else [_DOUBT]
+    return _summary(request, dressed), [*carried.notes, *notes, *doubt]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -115,7 +118,8 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
     return None, Character((Part(path.stem, read_mesh(path)),))
 
 
-def _body(character: Character, name: str | None, path: Path) -> Part:
+def body_in(character: Character, name: str | None, path: Path) -> Part:
+    """The body of a file's character; messages name the file."""
     try:
         return find_body(character.parts, name)
     except ParameterError as error:
@@ -125,7 +129,7 @@ def _body(character: Character, name: str | None, path: Path) -> Part:
 def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Character, Part]:
     """A character with another mesh of a part, and that part."""
     made = replace(part, mesh=mesh)
-    return replace(character, parts=tuple(made if one is part else one for one in character.parts)), made
+    return with_part(character, part, made), made
 
 
 def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
@@ -165,9 +169,7 @@ def _in_one_square(mesh: ControlMesh) -> ControlMesh:
 
 
 def _names(words: str | None) -> list[str] | None:
-    if words is None:
-        return None
-    return [] if words == "none" else [word.strip() for word in words.split(",") if word.strip()]
+    return None if words is None else [] if words == "none" else comma_words(words)
 
 
 def _kinds(request: RigRequest) -> dict[str, Kind]:
@@ -193,17 +195,13 @@ def _with_own_materials(
     return replace(carried.character, parts=tuple(parts)), document
 
 
-@dataclass(frozen=True, eq=False)
-class _Baked:
-    """An image of the character's body, and the same in the layout of the body."""
-
-    given: Image
-    image: Image
+# An image of the character's body, and the same in the layout of the body; by material and slot.
+_Images = dict[tuple[str, str], tuple[Image, Image]]
 
 
 def _textured(
     carried: CarriedCharacter, source: Character, of: Part, document: Document, size: int | None
-) -> tuple[Character, Document, dict[tuple[str, str], _Baked], list[str]]:
+) -> tuple[Character, Document, _Images, list[str]]:
     """The character with its body's materials, the document with them, and their images in the body's layout."""
     result, (body, *others) = carried.result, carried.character.parts
     given = of.mesh
@@ -248,7 +246,7 @@ def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMes
     return np.asarray(found[nearest(face_centres(matched), face_centres(mesh))])
 
 
-def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> _Baked:
+def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> tuple[Image, Image]:
     image = read_material_image(document, found)
     source = result.source.control.with_uv_set(found.uv_set)
     assert source.uvs is not None
@@ -256,7 +254,7 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
     height, width = image.size if size is None else (size, size)
     pixels = image.pixels
     bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
-    return _Baked(image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=()))
+    return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())
 
 
 def _require_readable(document: Document, character: Character) -> None:
@@ -273,7 +271,7 @@ def _write_report(
     carried: CarriedCharacter,
     source: Character,
     of: Part,
-    baked: dict[tuple[str, str], _Baked],
+    baked: _Images,
     *,
     force: bool,
 ) -> None:
@@ -296,7 +294,7 @@ def _write_report(
         poses=tuple(_poses(source, made, (of, body), (rows[1], rows[0]))),
     )
     colors = next((one for (_, slot), one in baked.items() if slot == "baseColorTexture"), None)
-    pictures = (None, None) if colors is None else (colors.given.pixels, colors.image.pixels)
+    pictures = (None, None) if colors is None else (colors[0].pixels, colors[1].pixels)
     write_report(path, result, texture=pictures[0], baked=pictures[1], carried=shown, force=force)
 
 
@@ -314,10 +312,6 @@ def _poses(
             for body, rig, animation, own in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
         yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
-
-
-def _doubts(result: MatchResult) -> list[str]:
-    return [] if result.confidence is None or result.confidence.verdict == SURE else [_DOUBT]
 
 
 def _summary(request: RigRequest, character: Character) -> str:

@@ -12,9 +12,9 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from cagemap.errors import CagemapError, ParameterError, use_option_names
-from cagemap.files.code_version import code_version
 from cagemap.files.images.image import write_image
-from cagemap.files.result.folder import landmark_messages, read_manifest, read_result, write_result
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.files.result.manifest import code_version, landmark_messages, read_manifest
 from cagemap.files.result.surface_store import prepared
 from cagemap.jobs import (
     Consistency,
@@ -44,16 +44,14 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
-from cagemap.tasks.basis_options import SIDES, side_bases, side_levels
 from cagemap.tasks.dry_run import dry_run
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, read_control, run_match, weld_control
 from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.method import SIDES, side_bases, side_levels
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.run import RunRequest
-from cagemap.tasks.run_request import run_request
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN, run_request
+from cagemap.tasks.requests.match import MapRequest, RunRequest
 
 
 class Ticker:

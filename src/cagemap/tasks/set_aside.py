@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, components
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import Bodies
+from cagemap.tasks.carry_character import Bodies, nearest
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -30,28 +30,18 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SetAside:
-    """What of the target is not matched, and what of the source it goes to.
+    """What of the target is not matched, and what of the source it goes to."""
 
-    Attributes
-    ----------
-    vertices, corners, faces : (k,) int64
-        Of the target as given.
-    source_vertices, source_corners, source_faces : (k,) int64
-        The nearest ones of the source as given, of any piece.
-    places : (k, 3) float64
-        Of the vertices on the source, in its file's units.
-    turns : (k, 3, 3) float64
-        An offset at the source, as a row, times it is the offset of the vertex.
-    """
-
+    # `vertices`, `corners`, `faces`: (k,) of the target as given
     vertices: IndexArray
     corners: IndexArray
     faces: IndexArray
+    # `source_vertices`, `source_corners`, `source_faces`: (k,) the nearest ones of the source as given, of any piece
     source_vertices: IndexArray
     source_corners: IndexArray
     source_faces: IndexArray
-    places: FloatArray
-    turns: FloatArray
+    places: FloatArray  # (k, 3) of the vertices on the source, in its file's units
+    turns: FloatArray  # (k, 3, 3) an offset at the source, as a row, times it is the offset of the vertex
 
 
 def lay_set_aside(bodies: Bodies) -> SetAside:
@@ -70,25 +60,20 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
     moved = target.positions.copy()
     moved[vertices] = places
     laid = rest.with_positions(moved)
-    source_corners = _nearest(_corner_points(source), _corner_points(laid))
-    source_vertices = _nearest(source.positions, places)
+    source_corners = nearest(_corner_points(source), _corner_points(laid))
+    source_vertices = nearest(source.positions, places)
     # The vertex of a corner, not the nearest one: layers of cloth have vertices at one place.
     number = np.full(target.n_vertices, -1, dtype=np.int64)
     number[vertices] = np.arange(len(vertices))
     source_vertices[number[rest.face_indices]] = source.face_indices[source_corners]
-    source_faces = _nearest(face_centres(source), face_centres(laid)) if len(faces) else faces
+    source_faces = nearest(face_centres(source), face_centres(laid)) if len(faces) else faces
     return SetAside(vertices, corners, faces, source_vertices, source_corners, source_faces, places, turns)
 
 
 def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) -> Transfer:
     """What bakes need of the pieces set aside: they go to the closest points of the source's faces as they are.
 
-    Parameters
-    ----------
-    aside : SetAside
-        With faces.
-    target, source : ControlMesh
-        As given, with texture coordinates.
+    ``aside``: with faces.
     """
     rest = keep_faces(target, aside.faces)
     laid = target.positions.copy()
@@ -130,7 +115,3 @@ def _corner_points(mesh: ControlMesh) -> FloatArray:
         return np.zeros((0, 3))
     corners, centres = mesh.positions[mesh.face_indices], face_centres(mesh)[mesh.corner_faces]
     return np.asarray(corners + _INWARD * (centres - corners))
-
-
-def _nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
-    return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)

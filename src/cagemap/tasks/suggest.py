@@ -10,7 +10,8 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.landmarks.pairs import write_landmarks
-from cagemap.files.result.folder import ARRAYS, MANIFEST, read_files, read_result
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, read_files
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -42,13 +43,7 @@ def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
 
 
 def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
-    """The landmarks of a result, and ``count`` more where they would tell most, on the source where the map puts them.
-
-    Raises
-    ------
-    ParameterError
-        If the target has not so many control vertices left.
-    """
+    """The landmarks of a result, and ``count`` more where they would tell most, with the points of the map."""
     target, source = result.point_map.target, result.point_map.source
     vertices = result.target.control.n_vertices
     pairs = result.landmarks

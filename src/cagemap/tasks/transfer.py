@@ -1,15 +1,25 @@
-"""`cagemap transfer`: images, values, rigs or shapes of the source, carried to the target."""
+"""`cagemap transfer`: images, values, rigs, shapes or passengers of the source, carried to the target."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
+from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passengers import carry_passenger
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import all_or_nothing, require_no_input, require_replaceable, require_writable_folder
-from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.result.folder import input_file, note_transfer, read_files, read_result, stated_path
+from cagemap.files.atomic import (
+    all_or_nothing,
+    check_outputs,
+    require_no_input,
+    require_replaceable,
+    require_writable_folder,
+)
+from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
@@ -18,8 +28,8 @@ from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import inputs_of
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_detail import carry_detail
 from cagemap.tasks.carry_images import (
+    carry_detail,
     carry_displacement,
     carry_material_colors,
     carry_normal_map,
@@ -27,13 +37,10 @@ from cagemap.tasks.carry_images import (
     carry_vector_displacement,
 )
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masked_base import in_file, keep_base
-from cagemap.tasks.masks import MaskOptions, with_masks
-from cagemap.tasks.passenger import transfer_passenger
+from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.results import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
-from cagemap.tasks.texture_maps import require_map_names
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
@@ -94,9 +101,8 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
         check_usd_path(request.usd)
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    summary, warnings = carry(request, with_masks(result, options, request.result), stages)
-    if result.shared is not None and options.target is None:
+    summary, warnings = carry(request, with_masks(result, request, request.result), stages)
+    if result.shared is not None and request.target_mask is None:
         warnings = [*warnings, *unshared_warnings(result.shared.target_share, 1.0)]
     return summary, warnings
 
@@ -149,7 +155,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     assert request.attribute is not None
     check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
-    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    rows = file_rows(request.result, result, "source")
     values = read_attributes(request.attribute, result.source.control, rows)
     source = result.source.control
     stages("carry values")
@@ -166,7 +172,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         for name, array in values.items()
         if len(array) == source.n_vertices == source.n_faces
     ]
-    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    own = file_rows(request.result, result, "target")
     carried, notes = keep_base(request, result, carried, own)
     whole = in_file(request, carried, own)
     lines = []
@@ -175,9 +181,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         if request.usd is not None:
             results = UsdResults(attributes=carried)
             lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
-    files = {"file": request.attribute, "output": request.output}
-    entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
-    note_transfer(request.result, entry)
+    note_transfer(request.result, {"kind": "attribute", "file": request.attribute, "output": request.output})
     shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
@@ -192,7 +196,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     original, control = input_file(request.result, result.manifest, "target"), result.target.control
     laid_out = control.with_uvs(carried.uvs, carried.uv_indices)
     write_mesh(request.output, laid_out, like=original, force=request.force)
-    note_transfer(request.result, {"kind": "uvs", "output": stated_path(request.output, request.result)})
+    note_transfer(request.result, {"kind": "uvs", "output": request.output})
     count = len(carried.crossed)
     warnings = []
     if original is None and {path.suffix.lower() for path in (request.output, Path(control.name))} <= set(USD_SUFFIXES):
@@ -203,3 +207,26 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
             f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
+
+
+# A passenger further from the body than this on average, of sqrt(area), has probably other units or another place.
+_FAR_PASSENGER = 0.5
+
+
+def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Clothes, eyes, hair or a prop; UVs and materials stay as they are."""
+    assert request.passenger is not None
+    check_mesh_path(request.output)
+    mesh = read_mesh(request.passenger)
+    check_outputs(mesh_files(request.output, mesh), [request.passenger], force=request.force)
+    stages("passenger")
+    carried = carry_passenger(result, mesh, kind=cast(Kind | None, request.kind))
+    write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)
+    note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
+    warnings = []
+    if carried.distance > _FAR_PASSENGER:
+        warnings.append(
+            f"{request.passenger} is {carried.distance:.1f} body sizes away from "
+            f"{result.source.control.name} on average: check that both have the same units and place"
+        )
+    return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import UDIM_MARK
-from cagemap.files.result.folder import input_file
+from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
@@ -25,25 +25,7 @@ _KEPT = ", and what earlier commands wrote there"
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
-    """Write results for the target of a RESULT folder; returns a line for the terminal.
-
-    Parameters
-    ----------
-    layer : path
-        USD file to write.
-    folder : path
-        The RESULT folder.
-    result : MatchResult
-        What it holds.
-    results : UsdResults
-
-    Raises
-    ------
-    FormatError
-        See `write_usd_over`.
-    ParameterError
-        If the target's file has several meshes and the result does not say which one it is about.
-    """
+    """Write results for the target of a RESULT folder; returns a line for the terminal."""
     control = result.target.control
     original = input_file(folder, result.manifest, "target")
     if original is None or original.suffix.lower() not in USD_SUFFIXES:
@@ -59,7 +41,7 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
             f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
             "Match one of them with --target-part; textures alone may be of several."
         )
-    rows = file_rows(folder, result.manifest, "target", control) if len(paths) == 1 else None
+    rows = file_rows(folder, result, "target") if len(paths) == 1 else None
     if rows is not None:
         control, results = replace(rows.whole, uv_name=control.uv_name), _of_prim(results, rows)
     kept = write_usd_over(layer, original, paths, control, results, world=len(meshes) > 1, force=force)

@@ -12,21 +12,13 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
-from cagemap.files.meshes.mhclo import bind, write_mhclo
-from cagemap.files.meshes.obj_layout import write_obj_positions
-from cagemap.files.result.folder import (
-    ARRAYS,
-    MANIFEST,
-    input_file,
-    mesh_hash,
-    note_transfer,
-    read_files,
-    read_result,
-    stated_path,
-)
+from cagemap.files.meshes.mhclo import bind_on, write_mhclo
+from cagemap.files.meshes.obj_write import write_obj_positions
+from cagemap.files.result.folder import ARRAYS, read_result
+from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
+from cagemap.files.usd.prims import moved
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.space import between_spaces
-from cagemap.files.usd.transforms import moved
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows, rows_of
@@ -35,17 +27,16 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
+from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masks import MaskOptions, mask_inputs, with_masks
+from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
-from cagemap.tasks.wrap_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
 
@@ -72,46 +63,23 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
     """Write the RESULT to wrap with: of a match, or of a point map of the user's."""
     if request.map is not None:
-        given = MapRequest(
-            request.map,
-            target,
-            source,
-            result,
-            weld=request.weld,
-            target_weld=request.target_weld,
-            source_weld=request.source_weld,
-        )
-        return run_map(given, stages)
-    asked = MatchRequest(
-        target,
-        source,
-        request.landmarks,
-        result,
-        scheme=request.scheme,
-        target_scheme=request.target_scheme,
-        source_scheme=request.source_scheme,
-        weld=request.weld,
-        target_weld=request.target_weld,
-        source_weld=request.source_weld,
-    )
-    return run_match(asked, stages)
+        return run_map(MapRequest(request.map, target, source, result, **_said(request, "weld")), stages)
+    options = _said(request, "scheme", "weld")
+    return run_match(MatchRequest(target, source, request.landmarks, result, **options), stages)
+
+
+def _said(request: WrapRequest, *names: str) -> dict[str, Any]:
+    """Options of both meshes, and of each."""
+    return {field: getattr(request, field) for name in names for field in (name, f"target_{name}", f"source_{name}")}
 
 
 def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
     """Carry the source's texture into the target's layout as well, if that was asked for."""
     if request.texture is None or request.baked is None:
         return summary, warnings
-    carry = TransferRequest(
-        request.results[0],
-        request.baked,
-        texture=request.texture,
-        size=request.size,
-        target_mask=request.target_mask,
-        source_mask=request.source_mask,
-        mask_edge=request.mask_edge,
-        force=request.force,
-    )
-    more, others = carry_one(carry, stages)
+    names = ("texture", "size", "target_mask", "source_mask", "mask_edge", "force")
+    options = {name: getattr(request, name) for name in names}
+    more, others = carry_one(TransferRequest(request.results[0], request.baked, **options), stages)
     return f"{summary}\n{more}", warnings + others
 
 
@@ -124,15 +92,13 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError(
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
-    schemes = (request.scheme, request.target_scheme, request.source_scheme)
-    welds = (request.weld, request.target_weld, request.source_weld)
-    if not request.target and any((*schemes, *welds)):
+    if not request.target and any(_said(request, "scheme", "weld").values()):
         raise ParameterError(
             "--scheme, --weld: expected with --target and --source; a RESULT has its schemes and welded meshes already"
         )
     if (request.target_scheme or request.scheme) == "none":
         raise ParameterError(f"{request.target}: {NO_CAGE}")
-    if request.map is not None and (request.landmarks is not None or any(schemes)):
+    if request.map is not None and (request.landmarks is not None or any(_said(request, "scheme").values())):
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     bakes = wrap_bakes(request)
     bakes.check()
@@ -152,7 +118,7 @@ def _check_request(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
     inputs += [path for path in named if path is not None]
-    inputs += [*textures_read(request), *mask_inputs(request.target_mask, request.source_mask).values()]
+    inputs += [*textures_read(request), *mask_inputs(request).values()]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
@@ -165,8 +131,7 @@ def _check_request(request: WrapRequest) -> None:
 def _run(request: WrapRequest, stages: Stages) -> Outcome:
     config = WrapConfig(level=request.fit_level, fairness=request.fairness)
     stages("read result")
-    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
-    results = [with_masks(read_result(folder), options, folder) for folder in request.results]
+    results = [with_masks(read_result(folder), request, folder) for folder in request.results]
     if not results:
         raise ParameterError("expected a RESULT folder of `cagemap match`, or --target and --source")
     if len({mesh_hash(result.target.control) for result in results}) > 1:
@@ -181,19 +146,12 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     stages("write")
     space = _to_target(folder, result)
     warnings = _write(request, _through(wrapped, space), result, original, request.output)
-    note_transfer(folder, _entry(request, wrapped, folder))
+    note_transfer(folder, _entry(request, wrapped))
     note_output("wrap", folder, request)
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
-        faces = result.source.refinement.finest.face_parents
-        per_face = len(result.source_triangles) // len(faces)
-        own = wrapped.closest.triangle[: wrapped.mesh.n_vertices] // per_face
-        write_mhclo(
-            request.mhclo,
-            bind(wrapped.mesh.positions, result.source.control, faces[own]),
-            request.output,
-            force=request.force,
-        )
+        places, own = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
+        write_mhclo(request.mhclo, bind_on(places, result.source, own), request.output, force=request.force)
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     more, outside = bake_wrapped(request, result, wrapped, detail, stages)
     if more and not np.allclose(space, np.eye(4)):
@@ -231,7 +189,7 @@ def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray
 
 def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
     control = result.target.control
-    values = read_attributes(path, control, file_rows(folder, result.manifest, "target", control))
+    values = read_attributes(path, control, file_rows(folder, result, "target"))
     if len(values) != 1:
         raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
     follow = np.asarray(next(iter(values.values())), dtype=np.float64)
@@ -288,8 +246,7 @@ def _write(
 
 def _to_target(folder: Path, result: MatchResult) -> FloatArray:
     """(4, 4) from the source's space to the target's, where two USD files say that they differ."""
-    files = [input_file(folder, result.manifest, side) for side in ("target", "source")]
-    return between_spaces(files[0], result.target.control, files[1], result.source.control)
+    return between_spaces(*(input_file(folder, result.manifest, side) for side in ("target", "source")))
 
 
 def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
@@ -321,10 +278,10 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
     return "\n".join(lines), list(dict.fromkeys(warnings))
 
 
-def _entry(request: WrapRequest, wrapped: Wrapped, folder: Path) -> dict[str, Any]:
+def _entry(request: WrapRequest, wrapped: Wrapped) -> dict[str, Any]:
     return {
         "kind": "wrap",
-        "output": stated_path(request.output, folder),
+        "output": request.output,
         "fit_level": wrapped.level,
         "amount": request.amount,
         "residual": _noted(wrapped.residual) | {"without_counterpart": wrapped.left_out},

@@ -4,7 +4,6 @@ from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back
 from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
 from cagemap.transfer.control_values import (
     CarriedUvs,
-    CornerValues,
     carry_uvs,
     combine,
     control_weights,
@@ -29,7 +28,6 @@ from cagemap.transfer.unwrap import unwrap
 __all__ = [
     "BakeOptions",
     "CarriedUvs",
-    "CornerValues",
     "Detail",
     "Displacement",
     "Transfer",

@@ -72,13 +72,7 @@ def largest_share(owners: IndexArray, labels: NDArray[Any], shares: FloatArray, 
 
 
 def face_colors(control: ControlMesh) -> FloatArray:
-    """(m, 3) linear RGB colour of every control face by its material; grey where that is not known.
-
-    Raises
-    ------
-    ParameterError
-        If the mesh has no materials.
-    """
+    """(m, 3) linear RGB colour of every control face by its material; grey where that is not known."""
     if control.face_materials is None or control.material_colors is None or len(control.material_colors) == 0:
         raise ParameterError(
             f"{control.name}: expected materials with colours, found none; check that the .mtl lies beside the .obj"

@@ -26,7 +26,6 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.subdivision import Level
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import (
     MappedSurface,
     TexelSamples,
@@ -34,7 +33,7 @@ from cagemap.transfer.locate import (
     map_surface,
 )
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
+from cagemap.transfer.texels import GUTTER_RADIUS, LARGEST_SIDE, Layout, TriangleImage, dilate, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
@@ -54,7 +53,6 @@ class Transfer:
 
     Attributes
     ----------
-    target, source : TexturedSurface
     point_map : PointMap
         T12, for the target's vertices and the source's triangles.
     mapped : MappedSurface
@@ -222,13 +220,7 @@ class Canvas:
 
 
 def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
-    """Lay the target's UV triangles of one tile on the raster of an image.
-
-    Raises
-    ------
-    ParameterError
-        If it has no texture coordinates, none of its triangles covers a part of the tile, or the size is out of range.
-    """
+    """Lay the target's UV triangles of one tile on the raster of an image."""
     target = transfer.target
     sides: Any = (size, size) if np.ndim(size) == 0 else size
     try:
@@ -287,20 +279,9 @@ def run_bake(
 ) -> Pixels:
     """Run the bake: rasterise, locate and shade band by band, then fill the background.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    canvas : Canvas
-    samples_per_axis : (t1, 2) int32
-        Samples along x and y in every raster cell of a target triangle.
-    shade : callable
-        Samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several threads.
-    channels : int
-    dtype
-        Number type of the result; integers are rounded and clipped.
-    options : BakeOptions
-    crisp : (t1,) bool, optional
-        See `cagemap.transfer.lookups.Lookups`.
+    ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle. ``shade``: samples
+    -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several threads. ``dtype``: number
+    type of the result; integers are rounded and clipped. ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)

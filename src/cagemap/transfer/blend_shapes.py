@@ -45,60 +45,30 @@ _CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
 @dataclass(frozen=True, eq=False)
 class ShapeCarrier:
-    """The linear system that carries shapes from one source to one target; prepare it once.
-
-    Attributes
-    ----------
-    point_map : PointMap
-    source : Refinement
-    samples : (s, n1) csr_array
-        Sampled target vertices from control vertices.
-    triangles : (t, 3) int64
-        Of the samples.
-    gradient : (3 t, s) csr_array
-        Gradients of functions on the samples' triangles.
-    areas, masses : (t,), (s,) float64
-    deforming : (r, 3) int64
-        Source vertices of the triangles whose deformation is carried.
-    images : (t,) int64
-        Row of ``deforming`` for every target triangle.
-    rotations : (t, 3, 3), vertex_rotations : (s, 3, 3) float64
-        Rotations Q from the target to the source.
-    ratio : float
-        Length on the target for a length of 1 on the source, both at unit area.
-    own : (n1, n2) csr_array
-        Weights of the source's control values at the target's control vertices.
-    ridge : (n1, n1) dia_array
-    matrix : (n1, n1) csc_array
-    factors : Factorization
-    """
+    """The linear system that carries shapes from one source to one target; prepare it once."""
 
     point_map: PointMap
     source: Refinement
-    samples: sparse.csr_array
-    triangles: IndexArray
-    gradient: sparse.csr_array
-    areas: FloatArray
-    masses: FloatArray
-    deforming: IndexArray
-    images: IndexArray
-    rotations: FloatArray
-    vertex_rotations: FloatArray
-    ratio: float
-    own: sparse.csr_array
-    ridge: sparse.dia_array
-    matrix: sparse.csc_array
+    samples: sparse.csr_array  # (s, n1) sampled target vertices from control vertices
+    triangles: IndexArray  # (t, 3) of the samples
+    gradient: sparse.csr_array  # (3 t, s) gradients of functions on the samples' triangles
+    areas: FloatArray  # (t,)
+    masses: FloatArray  # (s,)
+    deforming: IndexArray  # (r, 3) source vertices of the triangles whose deformation is carried
+    images: IndexArray  # (t,) row of ``deforming`` for every target triangle
+    rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
+    vertex_rotations: FloatArray  # (s, 3, 3)
+    ratio: float  # length on the target for a length of 1 on the source, both at unit area
+    own: sparse.csr_array  # (n1, n2) weights of the source's control values at the target's control vertices
+    ridge: sparse.dia_array  # (n1, n1)
+    matrix: sparse.csc_array  # (n1, n1)
     factors: Factorization
 
 
 def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
     """Prepare to carry shapes from a source to a target.
 
-    Parameters
-    ----------
-    target, source : Refinement
-        Up to the levels of the map.
-    point_map : PointMap
+    ``target``, ``source``: up to the levels of the map.
     """
     level = min(max(target.coarsest_level(_SAMPLES), 1), target.n_levels)
     triangles = level_triangles(target, level)
@@ -185,21 +155,8 @@ def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArra
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     """Displacement of the target's control vertices from that of the source's.
 
-    Parameters
-    ----------
-    carrier : ShapeCarrier
-    displacement : (n2, 3) float64
-        Of the source's control vertices, in its file units.
-
-    Returns
-    -------
-    (n1, 3) float64
-        In the target's file units.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one finite row a control vertex.
+    ``displacement``: (n2, 3), of the source's control vertices, in its file units. Returns (n1, 3), in the target's
+    file units.
     """
     expected = (carrier.source.control.n_vertices, 3)
     if np.shape(displacement) != expected or not np.isfinite(displacement).all():
@@ -242,11 +199,7 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     into contact get the gap of the source's shape. Points in contact at rest keep their gap, but for its change in the
     source: where the source does not move, nothing moves.
 
-    Parameters
-    ----------
-    carrier : ShapeCarrier
-    moved : (n, 3) float64
-        Displacement of the source's finest vertices at unit area.
+    ``moved``: (n, 3), displacement of the source's finest vertices at unit area.
     """
     given, count = carrier.point_map.source, len(carrier.masses)
     images = carrier.point_map.images.at(slice(count))

@@ -44,22 +44,8 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     """Values combined with weights; of integers and booleans (labels) the one with the largest weight.
 
-    Parameters
-    ----------
-    weights : (n1, n2) csr_array
-        Rows not negative, with at least one entry.
-    values : (n2,) or (n2, q) array
-        A row of several integers is one label.
-
-    Returns
-    -------
-    (n1,) or (n1, q) array
-        Of the same kind. Where two labels weigh the same, the smaller one.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a column of the weights.
+    ``weights``: (n1, n2), rows not negative, with at least one entry. ``values``: (n2,) or (n2, q), a row of several
+    integers is one label. Returns (n1,) or (n1, q), of the same kind. Where two labels weigh the same, the smaller one.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:
@@ -75,51 +61,23 @@ def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
 def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray, NDArray[Any]]:
     """Node of every face corner (c,), and the nodes' values (p, ...): corners of one vertex with one value share it.
 
-    Parameters
-    ----------
-    control : ControlMesh
-    values : (c,) or (c, q) array
-        At the face corners, face by face.
+    ``values``: (c,) or (c, q), at the face corners, face by face.
     """
     keys = np.column_stack([control.face_indices, values.reshape(len(values), -1)])
     _, first, nodes = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return nodes.ravel(), values[first]
 
 
-@dataclass(frozen=True, eq=False)
-class CornerValues:
-    """Values of the source's face corners at the target's.
-
-    Attributes
-    ----------
-    weights : (c1, p2) csr_array
-        Weights of the source's nodes at every face corner of the target.
-    crossed : (m1,) bool
-        Target faces that a seam of the source crosses: their values cannot be right on both of its sides.
-    """
-
-    weights: sparse.csr_array
-    crossed: NDArray[np.bool_]
-
-
 def corner_weights(
     transfer: Transfer, target: Refinement, source: Refinement, nodes: IndexArray, count: int
-) -> CornerValues:
-    """Find the source nodes that every face corner of the target takes its value from.
+) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
+    """Weights (c1, p2) of source nodes at the target's face corners; (m1,) whether a seam of the source crosses a face.
 
     A corner takes its value from its own side of a seam: a walk from the centre of the refined triangle at the corner
     to the image of its vertex never crosses a seam.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    target, source : Refinement
-        Up to the levels of the transfer.
-    nodes : (c2,) int64
-        Node of every corner of the source's control faces; faces that do not share nodes along an edge have a seam
-        there.
-    count : int
-        Number of nodes.
+    ``target``, ``source``: up to the levels of the transfer. ``nodes``: (c2,), node of every corner of the source's
+    control faces; faces that do not share nodes along an edge have a seam there. ``count``: number of nodes.
     """
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)
@@ -128,7 +86,7 @@ def corner_weights(
     centres = locate_centers(transfer.mapped)
     points = transfer.mapped.mapped[control.face_indices]
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)
-    return CornerValues(linear.at(triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres))
+    return linear.at(triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres)
 
 
 def _crossed_faces(
@@ -153,35 +111,20 @@ def _crossed_faces(
 
 @dataclass(frozen=True, eq=False)
 class CarriedUvs:
-    """The source's texture coordinates on the target's faces.
+    """The source's texture coordinates on the target's faces."""
 
-    Attributes
-    ----------
-    uvs : (p, 2) float64
-    uv_indices : (c1,) int64
-        Corners of one vertex with equal texture coordinates share them.
-    crossed : (k,) int64
-        Target faces over which a seam of the source runs.
-    """
-
-    uvs: FloatArray
-    uv_indices: IndexArray
-    crossed: IndexArray
+    uvs: FloatArray  # (p, 2)
+    uv_indices: IndexArray  # (c1,) corners of one vertex with equal texture coordinates share them
+    crossed: IndexArray  # (k,) target faces over which a seam of the source runs
 
 
 def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> CarriedUvs:
-    """Give the target's corners the source's texture coordinates, so that the source's own image fits the target.
-
-    Raises
-    ------
-    ParameterError
-        If the source has no texture coordinates.
-    """
+    """Give the target's corners the source's texture coordinates, so that the source's own image fits the target."""
     control = source.control
     if control.uvs is None or control.uv_indices is None:
         raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")
-    carried = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
-    uvs = carried.weights @ control.uvs
+    weights, crossed = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
+    uvs = weights @ control.uvs
     keys = np.column_stack([target.control.face_indices, np.rint(uvs / _SAME_UV)])
     _, first, indices = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return CarriedUvs(uvs[first], indices.ravel(), np.flatnonzero(carried.crossed))
+    return CarriedUvs(uvs[first], indices.ravel(), np.flatnonzero(crossed))

@@ -38,7 +38,7 @@ from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.exact_corners import SurfaceTargets, corner_samples, make_lookups_exact
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
-from cagemap.transfer.normal_rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
+from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
 from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import (

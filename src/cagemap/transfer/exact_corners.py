@@ -26,7 +26,7 @@ from cagemap.surface.surface_points import nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.normal_rays import MAX_DETAIL_DISTANCE
+from cagemap.transfer.rays import MAX_DETAIL_DISTANCE
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
 # Weight of the change of texels against the error of lookups.
@@ -49,19 +49,8 @@ def lookup_matrix(places: FloatArray, height: int, width: int) -> sparse.csr_arr
     return sparse.csr_array((weights.ravel(), texels.ravel(), starts), shape=(len(places), height * width))
 
 
-@dataclass(frozen=True, eq=False)
-class LookupTargets:
-    """Values that lookups should have.
-
-    Attributes
-    ----------
-    values : (k, c) float64
-    weights : (k, c, c) float64
-        Weights of errors: B, one block a corner.
-    """
-
-    values: FloatArray
-    weights: FloatArray
+# Values (k, c) that lookups should have, and weights (k, c, c) of errors: B, one block a corner.
+LookupTargets = tuple[FloatArray, FloatArray]
 
 
 def make_lookups_exact(
@@ -69,13 +58,8 @@ def make_lookups_exact(
 ) -> None:
     """Change an image of floats, in place and as little as possible, so that its lookups are exact.
 
-    Parameters
-    ----------
-    image : (h, w, c) float32
-    places : (k, 2) float64
-        Texel coordinates.
-    targets : callable
-        From the current lookups (k, c) to their targets; called once a round.
+    ``image``: (h, w, c). ``places``: (k, 2), texel coordinates. ``targets``: from the current lookups (k, c) to their
+    targets; called once a round.
     """
     if not len(places):
         return
@@ -90,19 +74,19 @@ def make_lookups_exact(
     shared, size = sparse.csr_array(lookups @ lookups.T), len(places) * channels
     for _ in range(_ROUNDS):
         read = np.asarray(lookups @ values)
-        wanted = targets(read)
+        wanted, weights_of = targets(read)
 
-        def weighted(errors: FloatArray, weights: FloatArray = wanted.weights) -> FloatArray:
+        def weighted(errors: FloatArray, weights: FloatArray = weights_of) -> FloatArray:
             return np.asarray(np.einsum("kab,kb->ka", weights, errors))
 
-        def transposed(answer: FloatArray, weights: FloatArray = wanted.weights) -> FloatArray:
+        def transposed(answer: FloatArray, weights: FloatArray = weights_of) -> FloatArray:
             return np.asarray(np.einsum("kab,ka->kb", weights, answer))
 
         def system(flat: FloatArray) -> FloatArray:
             answer = flat.reshape(-1, channels)
             return (weighted(shared @ transposed(answer)) + _TRACE * answer).ravel()
 
-        errors = weighted(wanted.values - read).ravel()
+        errors = weighted(wanted - read).ravel()
         operator = linalg.LinearOperator((size, size), matvec=system, dtype=np.float64)
         found, _ = linalg.cg(operator, errors, rtol=_ACCURACY, maxiter=_STEPS)
         values += lookups.T @ transposed(found.reshape(-1, channels))
@@ -111,26 +95,15 @@ def make_lookups_exact(
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTargets:
-    """Lookup targets of a vector displacement: displaced corners lie on a surface.
-
-    Attributes
-    ----------
-    surface : TriangleSurface
-    points, normals : (k, 3) float64
-        Of the corners, not displaced.
-    offsets : (k, 3) float64
-        Displacements of corners that may not slide.
-    slides : (k,) bool
-    coordinates : (k, 3, 3) float64
-        Linear maps from displacements to stored values.
-    """
+    """Lookup targets of a vector displacement: displaced corners lie on a surface."""
 
     surface: TriangleSurface
+    # `points`, `normals`: (k, 3) of the corners, not displaced
     points: FloatArray
     normals: FloatArray
-    offsets: FloatArray
-    slides: NDArray[np.bool_]
-    coordinates: FloatArray
+    offsets: FloatArray  # (k, 3) displacements of corners that may not slide
+    slides: NDArray[np.bool_]  # (k,)
+    coordinates: FloatArray  # (k, 3, 3) linear maps from displacements to stored values
 
     def __call__(self, read: FloatArray) -> LookupTargets:
         """Targets for the current lookups (k, 3)."""
@@ -144,21 +117,14 @@ class SurfaceTargets:
             self.slides[:, None, None], _TANGENTIAL_WEIGHT * np.eye(3) + (1.0 - _TANGENTIAL_WEIGHT) * across, np.eye(3)
         )
         values = np.einsum("kab,kb->ka", self.coordinates, offsets)
-        return LookupTargets(values, np.where(sound[:, None, None], weights @ back, 0.0))
+        return values, np.where(sound[:, None, None], weights @ back, 0.0)
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
     """Corners of the target's layout in a tile as samples: their UVs and their images on the source.
 
-    Returns
-    -------
-    uvs : (k, 2) float64
-        In the tile's unit square.
-    samples : TexelSamples
-    triangle : (k,) int64
-        A target triangle that has the corner.
-    inside : (k, 3) float64
-        Barycentric coordinates there.
+    Returns ``uvs`` (k, 2), in the tile's unit square; ``triangle`` (k,), a target triangle that has the corner;
+    ``inside`` (k, 3), barycentric coordinates there.
     """
     target = transfer.target
     uvs, uv_triangles = target.layout()

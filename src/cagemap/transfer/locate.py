@@ -29,29 +29,16 @@ _EXTENSION = 2.0
 
 @dataclass(frozen=True, eq=False)
 class MappedSurface:
-    """The target's triangles, the images of their corners under T12, and the source as triangles to walk over.
+    """The target's triangles, the images of their corners under T12, and the source as triangles to walk over."""
 
-    Attributes
-    ----------
-    target_triangles : (t1, 3) int64
-    start_triangles : (n1,) int64
-        Source triangle of every target vertex.
-    whole : (t1,) int64
-        Source triangle that holds all corners of a target triangle, -1 where none does.
-    mapped : (n1, 3) float64
-        Source point of every target vertex, in space.
-    frames : (t2, 3, 3) float64
-        First corner, and the gradients of the barycentric coordinates of corners 1 and 2, of every source triangle.
-    neighbors : (t2, 3) int32
-        Source triangle across the edge opposite to every corner, -1 on the boundary.
-    """
-
-    target_triangles: IndexArray
-    start_triangles: IndexArray
-    whole: IndexArray
-    mapped: FloatArray
+    target_triangles: IndexArray  # (t1, 3)
+    start_triangles: IndexArray  # (n1,) source triangle of every target vertex
+    whole: IndexArray  # (t1,) source triangle that holds all corners of a target triangle, -1 where none does
+    mapped: FloatArray  # (n1, 3) source point of every target vertex, in space
+    # (t2, 3, 3) first corner, and the gradients of the barycentric coordinates of corners 1 and 2, of every source
+    # triangle
     frames: FloatArray
-    neighbors: NDArray[np.int32]
+    neighbors: NDArray[np.int32]  # (t2, 3) source triangle across the edge opposite to every corner, -1 on the boundary
 
 
 def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: PointMap) -> MappedSurface:
@@ -74,12 +61,8 @@ def whole_triangles(
 
     Exactly three vertices of the source have weights in these images, and they form a triangle.
 
-    Parameters
-    ----------
-    target_triangles : (t1, 3) int64
-    source_triangles : (t2, 3) int64
-    triangle, barycentric : (n1,) int64 and (n1, 3) float64
-        Where target vertices lie on the source.
+    ``target_triangles``: (t1, 3). ``source_triangles``: (t2, 3). ``triangle``, ``barycentric``: (n1,) and (n1, 3),
+    where target vertices lie on the source.
     """
     corners = source_triangles[triangle]
     heaviest = np.take_along_axis(corners, barycentric.argmax(axis=1)[:, None], axis=1)
@@ -120,28 +103,15 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class TexelSamples:
-    """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``.
+    """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``."""
 
-    Attributes
-    ----------
-    target_triangle : (k,) int32
-        Target triangle of every texel.
-    cells : (k,) int64, and width, top : int
-        The texels, as ``(row - top) * width + column``.
-    first : (k + 1,) int64
-    triangle : (s,) int64
-        Source triangle of every sample.
-    barycentric : (s, 3) float64
-        Not negative, rows sum to 1.
-    """
-
-    target_triangle: NDArray[np.int32]
-    cells: IndexArray
+    target_triangle: NDArray[np.int32]  # (k,) target triangle of every texel
+    cells: IndexArray  # (k,) the texels, as ``(row - top) * width + column``
     width: int
     top: int
-    first: IndexArray
-    triangle: IndexArray
-    barycentric: FloatArray
+    first: IndexArray  # (k + 1,)
+    triangle: IndexArray  # (s,) source triangle of every sample
+    barycentric: FloatArray  # (s, 3) not negative, rows sum to 1
 
     def part(self, texels: IndexArray) -> TexelSamples:
         """Those of some texels, given by their place among these."""
@@ -173,19 +143,10 @@ def locate_samples(
 ) -> TexelSamples:
     """Find the source points of a grid of samples in every texel.
 
-    Parameters
-    ----------
-    surface : MappedSurface
-    layout_corners : (t1, 3, 2) float64
-        Texel coordinates of the target triangles' corners.
-    cells : (k,) int64
-        The texels, as ``(row - top) * width + column``, ascending. Whole rows at a time make results repeatable where
-        a map is torn and a point has several closest ones.
-    width, top : int
-    target_triangle : (k,) int32
-        Target triangle of every texel.
-    samples_per_axis : (t1, 2) int32
-        Samples along x and y in a texel of each target triangle.
+    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners. ``cells``: (k,), the texels, as
+    ``(row - top) * width + column``, ascending. Whole rows at a time make results repeatable where a map is torn and a
+    point has several closest ones. ``target_triangle``: (k,), target triangle of every texel. ``samples_per_axis``:
+    (t1, 2), samples along x and y in a texel of each target triangle.
     """
     along = samples_per_axis[target_triangle]
     first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
@@ -225,19 +186,9 @@ def walk_from(
 ) -> tuple[IndexArray, FloatArray]:
     """Walk from triangles to points close to the surface, across the edges that ``neighbors`` opens.
 
-    Parameters
-    ----------
-    frames, neighbors
-        As in `MappedSurface`.
-    starts : (k,) int64
-        Triangle where each walk begins.
-    points : (k, 3) float64
-
-    Returns
-    -------
-    triangle : (k,) int64
-    barycentric : (k, 3) float64
-        Not negative, rows sum to 1; the border of the last triangle where the way ends before the point.
+    ``frames``, ``neighbors``: as in `MappedSurface`. ``starts``: (k,), triangle where each walk begins. ``points``: (k,
+    3). Returns ``triangle`` (k,); ``barycentric`` (k, 3), not negative, rows sum to 1; the border of the last triangle
+    where the way ends before the point.
     """
     found, inside = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
     _walk_all(frames, neighbors, np.ascontiguousarray(starts), np.ascontiguousarray(points), found, inside)

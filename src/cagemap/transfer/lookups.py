@@ -31,19 +31,11 @@ _BAND_TEXELS = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Lookups:
-    """Mip levels and samples of target triangles.
-
-    Attributes
-    ----------
-    mips : MipMaps
-    counts : (t1, 2) int32
-        Samples along x and y in a raster cell.
-    crisp : (t1,) bool
-        Whether a texel spans at most one of the source, so that its centre alone is sampled.
-    """
+    """Mip levels and samples of target triangles."""
 
     mips: MipMaps
-    counts: NDArray[np.int32]
+    counts: NDArray[np.int32]  # (t1, 2) samples along x and y in a raster cell
+    # (t1,) whether a texel spans at most one of the source, so that its centre alone is sampled
     crisp: NDArray[np.bool_]
 
 
@@ -59,19 +51,9 @@ def plan_lookups(
 ) -> Lookups:
     """Plan how a raster of the target's layout reads a texture.
 
-    Parameters
-    ----------
-    mapped : MappedSurface
-    source : TexturedSurface
-    layout : Layout
-        The target's, in raster cells.
-    supersample : int
-        Raster cells along a texel's side.
-    laid : Texture
-    exact : bool
-        See `MipMaps.build`.
-    kind : "smooth", "linear" or "nearest"
-        Interpolation where the texture is not minified; nearest is used everywhere.
+    ``layout``: the target's, in raster cells. ``supersample``: raster cells along a texel's side. ``exact``: see
+    `MipMaps.build`. ``kind``: "smooth", "linear" or "nearest", interpolation where the texture is not minified; nearest
+    is used everywhere.
     """
     centers = locate_centers(mapped)
     if kind == "nearest":
@@ -147,15 +129,9 @@ def texel_spans(
     of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
     along x and along y.
 
-    Parameters
-    ----------
-    surface : MappedSurface
-    layout_corners : (t1, 3, 2) float64
-        Texel coordinates of the target triangles' corners.
-    source_texels : (t2, 3, 2) float64
-        Texel coordinates of the source triangles' corners in the source texture.
-    source : (t1,) int64
-        Source triangle at the image of every target triangle's centre.
+    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners. ``source_texels``: (t2, 3, 2),
+    texel coordinates of the source triangles' corners in the source texture. ``source``: (t1,), source triangle at the
+    image of every target triangle's centre.
     """
     found = np.empty((len(source), 2))
 

@@ -18,8 +18,7 @@ from scipy import sparse
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.smooth import SmoothTile, channel_range
-from cagemap.transfer.texture import Pixels, Texture, look_up
+from cagemap.transfer.texture import Pixels, SmoothTile, Texture, channel_range, look_up
 
 _LOBES = 3
 # Where covered texels have less than this share of the kernel, means replace it: negative lobes would amplify.
@@ -34,24 +33,12 @@ Coverage = NDArray[np.float32] | NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class MipMaps:
-    """A texture and the halvings of it that some target triangles read.
+    """A texture and the halvings of it that some target triangles read."""
 
-    Attributes
-    ----------
-    levels : dict of int to Texture
-        By how often it was halved; only those that are read, and the texture itself.
-    of_triangle : (t1,) int64
-        Level for every target triangle.
-    smooth : dict of int to SmoothTile
-        Where the texture itself is looked up smoothly, by tile.
-    nearest : bool
-        Whether its texels are labels, which have nothing between them.
-    """
-
-    levels: dict[int, Texture]
-    of_triangle: NDArray[np.int64]
-    smooth: dict[int, SmoothTile]
-    nearest: bool = False
+    levels: dict[int, Texture]  # by how often it was halved; only those that are read, and the texture itself
+    of_triangle: NDArray[np.int64]  # (t1,) level for every target triangle
+    smooth: dict[int, SmoothTile]  # where the texture itself is looked up smoothly, by tile
+    nearest: bool = False  # whether its texels are labels, which have nothing between them
 
     @classmethod
     def build(
@@ -67,17 +54,10 @@ class MipMaps:
 
         Level l has half the frequencies of level l - 1 at that one's size, where bilinear lookups see them well.
 
-        Parameters
-        ----------
-        texture : Texture
-        of_triangle : (t1,) int64
-            See `cagemap.transfer.lookups.mip_levels`.
-        coverage : dict of int to (h, w) bool
-            Which texels lie in the source's layout, by tile; only these tiles are halved.
-        exact : bool
-            Halve to floats, and not to the texture's own numbers: means of directions are short.
-        smooth : bool
-            Whether the texture itself is looked up smoothly, and not bilinearly.
+        ``of_triangle``: (t1,), see `cagemap.transfer.lookups.mip_levels`. ``coverage``: which texels lie in the
+        source's layout, by tile; only these tiles are halved. ``exact``: halve to floats, and not to the texture's own
+        numbers: means of directions are short. ``smooth``: whether the texture itself is looked up smoothly, and not
+        bilinearly.
         """
         fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in coverage.items()} if smooth else {}
         levels, tiles = {0: texture}, {tile: texture.tiles[tile] for tile in coverage}

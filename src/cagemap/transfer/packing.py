@@ -45,19 +45,9 @@ class _Profile:
 def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, padding: float) -> FloatArray:
     """Turn, move and scale islands, all by one factor, into the unit square.
 
-    Parameters
-    ----------
-    uvs : (p, 2) float64
-    edges : (e, 2) int64
-        Edges of the islands' polygons, as pairs of UVs.
-    islands : (p,) int64
-        Island of every UV.
-    padding : float
-        Distance between islands, as a part of the square's side; half of it to the border.
-
-    Returns
-    -------
-    (p, 2) float64
+    ``uvs``: (p, 2). ``edges``: (e, 2), edges of the islands' polygons, as pairs of UVs. ``islands``: (p,), island of
+    every UV. ``padding``: distance between islands, as a part of the square's side; half of it to the border. Returns
+    (p, 2).
     """
     members = _split(islands)
     local = np.empty(len(uvs), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Skinning weights carried to another cage: convex, few influences, harmonic where the map is not trusted."""
+"""Skinning weights and joints carried to another cage; weights are convex, few, harmonic where the map is doubtful."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from scipy import sparse
 
 from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import factor
 
 # Sums of weights within this distance of 1 are rounding: such rows do not change.
@@ -27,28 +28,11 @@ def carry_skin(
 ) -> FloatArray:
     """Skinning weights of the target's control vertices from those of the source's.
 
-    Parameters
-    ----------
-    weights : (n1, n2) csr_array
-        Convex, see `control_weights`.
-    skin : (n2, j) float64
-        Weight of each joint at the source's control vertices; rows as `normalised_skin` takes them.
-    net : ElasticGraph
-        Of the target's control mesh.
-    trusted : (n1,) bool
-        Where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex.
-    influences : int, optional
-        How many joints may move a vertex; the smallest weights are left out. None for all.
-
-    Returns
-    -------
-    (n1, j) float64
-        Rows sum to 1, unless the source's rows around have none.
-
-    Raises
-    ------
-    ParameterError
-        If rows are no weights (`normalised_skin`), or nothing is trusted.
+    ``weights``: (n1, n2), convex, see `control_weights`. ``skin``: (n2, j), weight of each joint at the source's
+    control vertices; rows as `normalised_skin` takes them. ``net``: of the target's control mesh. ``trusted``: (n1,),
+    where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex. ``influences``: how many
+    joints may move a vertex; the smallest weights are left out. None for all. Returns (n1, j), rows sum to 1, unless
+    the source's rows around have none.
     """
     skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
@@ -62,22 +46,8 @@ def carry_skin(
 def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
     """Skinning weights with rows that sum to 1, and a note if rows were scaled.
 
-    Parameters
-    ----------
-    skin : (n, j) float64
-        Not negative; a row sums to 0 (no joint) or to 1, give or take a tenth.
-
-    Returns
-    -------
-    (n, j) float64
-        Rows that sum to 1 or 0 already are as they were.
-    str
-        Empty where nothing was scaled.
-
-    Raises
-    ------
-    ParameterError
-        If weights are negative or no numbers, or a sum is further from 1.
+    ``skin``: (n, j), not negative; a row sums to 0 (no joint) or to 1, give or take a tenth. Returns (n, j), rows that
+    sum to 1 or 0 already are as they were; a note, empty where nothing was scaled.
     """
     skin = np.asarray(skin, dtype=np.float64)
     sums = skin.sum(axis=1)
@@ -101,13 +71,7 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
 
 
 def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
-    """Values (n, q), kept where known and harmonic on the net elsewhere.
-
-    Raises
-    ------
-    ParameterError
-        If nothing is known.
-    """
+    """Values (n, q), kept where known and harmonic on the net elsewhere."""
     if known.all():
         return values
     if not known.any():
@@ -143,17 +107,8 @@ def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
 def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
     """Weights (n, j): carried ones of chosen joints; the mesh's own of the others, scaled to a sum of 1.
 
-    Parameters
-    ----------
-    carried, own : (n, j) float64
-        Rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet.
-    chosen : (q,) int64
-        Columns. Rows whose own weights are all of chosen joints take all carried ones.
-
-    Raises
-    ------
-    ParameterError
-        If the two are of other shapes, or a joint is not among them.
+    ``carried``, ``own``: (n, j), rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet. ``chosen``:
+    (q,), columns. Rows whose own weights are all of chosen joints take all carried ones.
     """
     if carried.shape != own.shape:
         raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
@@ -173,12 +128,54 @@ def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> F
 def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
     """Mean of skinning weights (n, j) and of their mirror image.
 
-    Parameters
-    ----------
-    skin : (n, j) float64
-    vertices : (n,) int64
-        Vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`.
-    joints : (j,) int64
-        Joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
+    ``skin``: (n, j). ``vertices``: (n,), vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`. ``joints``:
+    (j,), joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
     """
     return 0.5 * (skin + skin[vertices][:, joints])
+
+
+# Weights fall with the fourth power of the distance: a joint in a limb follows the ring of surface around it.
+_POWER = 2
+# Least distance in the weights, in units of sqrt(area).
+_MIN_DISTANCE = 1e-3
+# Vertices at a time: their weights stay in the processor's cache.
+_BLOCK = 1024
+
+
+def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Carry joints, or other points inside or near the source, to the target.
+
+    Every joint is moved by the affine map that fits the surface around it best (moving least squares, Schaefer et al.
+    2006), from images on the source to vertices of the target. Affine deformations are reproduced exactly.
+
+    ``joints``: (j, 3), in the source's file units. Returns ``places`` (j, 3), in the target's file units; ``rotations``
+    (j, 3, 3), rotation of each map: a direction of the source as a row vector, times it, is that of the target.
+    """
+    source = point_map.images.positions
+    target = point_map.target.positions
+    count = len(source)
+    # Moments about a common place: one product gives those of many joints.
+    center = source.mean(axis=0), target.mean(axis=0)
+    source, target = source - center[0], target - center[1]
+    products = [np.einsum("na,nb->nab", source, side).reshape(count, 9) for side in (source, target)]
+    table = np.concatenate([np.ones((count, 1)), source, target, *products], axis=1)
+    squares = np.einsum("nd,nd->n", source, source)
+    places = np.asarray(joints, dtype=np.float64) * point_map.source.scale - center[0]
+    floors = np.einsum("jd,jd->j", places, places)[:, None] + _MIN_DISTANCE**2
+    sums = np.zeros((len(places), table.shape[1]))
+    for start in range(0, count, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        squared = (-2 * places) @ source[block].T
+        squared += squares[block]
+        squared += floors
+        np.maximum(squared, _MIN_DISTANCE**2, out=squared)
+        sums += (point_map.target.vertex_areas[block] / squared**_POWER) @ table[block]
+    sums /= sums[:, :1]
+    before, after = sums[:, 1:4], sums[:, 4:7]
+    moments = sums[:, 7:16].reshape(-1, 3, 3) - before[:, :, None] * before[:, None]
+    mixed = sums[:, 16:].reshape(-1, 3, 3) - before[:, :, None] * after[:, None]
+    # A flat neighbourhood leaves its normal direction open: the trace makes the map a scaled rotation there.
+    moments += 1e-9 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    linear = np.linalg.solve(moments, mixed)
+    carried = center[1] + after + np.einsum("ja,jab->jb", places - before, linear)
+    return carried / point_map.target.scale, nearest_rotations(np.asarray(linear))

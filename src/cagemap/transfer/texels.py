@@ -1,20 +1,27 @@
-"""Which target triangle a texel belongs to: rasterising a UV layout, and the gutter of one texel around its islands.
+"""Which target triangle a texel belongs to: UV layouts rasterised, a gutter around their islands, the rest filled.
 
 Texel coordinates: x to the right and y down, in texels, so that texel (row r, column c) has its centre at
 (c + 0.5, r + 0.5) and v = 1 is y = 0.
+
+A renderer filters across island borders, at coarser mip levels over many texels; with the nearest texel's colour there,
+borders do not show. Distances are exact and Euclidean, in time linear in the number of texels: Meijster, Roerdink,
+Hesselink, *A general algorithm for computing distance transforms in linear time* (2000).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import ThreadPool
 
 TriangleImage = NDArray[np.int32]
 
@@ -26,28 +33,16 @@ GUTTER_RADIUS = float(np.sqrt(2.0))
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows.
+    """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows."""
 
-    Attributes
-    ----------
-    corners : (t, 3, 2) float64
-        Texel coordinates of the triangles' corners.
-    height, width : int
-        Size of the raster.
-    band_rows : int
-        Rows in a band; the last may have fewer.
-    gutter : float
-        How far islands are extended beyond their border, in texels.
-    band_triangles, border_triangles, border_corners : tuples of arrays, one entry a band
-        Triangles that touch the band, and the border edges that come near it: an edge is a triangle and the corner
-        it starts from. Ascending.
-    """
-
-    corners: FloatArray
+    corners: FloatArray  # (t, 3, 2) texel coordinates of the triangles' corners
+    # `height`, `width`: size of the raster
     height: int
     width: int
-    band_rows: int
-    gutter: float
+    band_rows: int  # rows in a band; the last may have fewer
+    gutter: float  # how far islands are extended beyond their border, in texels
+    # `band_triangles`, `border_triangles`, `border_corners`: Triangles that touch the band, and the border edges that
+    # come near it: an edge is a triangle and the corner it starts from. Ascending.
     band_triangles: tuple[IndexArray, ...]
     border_triangles: tuple[IndexArray, ...]
     border_corners: tuple[IndexArray, ...]
@@ -69,15 +64,8 @@ def lay_out(
 ) -> Layout:
     """Bring a layout to texel coordinates and sort it into bands.
 
-    Parameters
-    ----------
-    corner_uvs : (t, 3, 2) float64
-    neighbors : (t, 3) int32
-        Triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's border.
-    height, width : int
-    band_rows : int
-    gutter : float
-        How far to extend islands beyond their border, in texels.
+    ``corner_uvs``: (t, 3, 2). ``neighbors``: (t, 3), triangle across the edge opposite to every corner *in the UV
+    layout*, -1 at an island's border. ``gutter``: how far to extend islands beyond their border, in texels.
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
     triangle, opposite = np.nonzero(neighbors < 0)
@@ -188,3 +176,107 @@ def _grow_gutter(image, top, corners, triangles, starts, radius, nearest, found)
                 if distance2 < nearest[r, c]:
                     nearest[r, c] = distance2
                     found[r, c] = t
+
+
+_STRIP = 512
+_NOWHERE = np.int16(-1)
+LARGEST_SIDE = int(np.iinfo(np.int16).max)
+
+
+def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None, threads: int = 1) -> None:
+    """Give texels that are not covered, in place, the value of the nearest covered one.
+
+    ``image``: (h, w, c), any number type; contiguous; sides up to 32767. ``covered``: (h, w). ``distance``: how far to
+    fill, in texels; the whole background by default.
+    """
+    height, width = covered.shape
+    if not covered.any():
+        return
+    reach = -1 if distance is None else int(distance)
+    texels = image.view(np.uint8).reshape(height, width, -1)
+    nearest_row = np.empty((height, width), dtype=np.int16)
+
+    def fill(begin: int, end: int) -> None:
+        _fill_rows(texels, nearest_row, reach, begin, end, *np.empty((2, width), dtype=np.int64))
+
+    with ThreadPool(threads) as pool:
+        _each(pool, lambda begin, end: _nearest_rows(covered, nearest_row, begin, end), width)
+        _each(pool, fill, height)
+
+
+def _each(pool: ThreadPool, work: Callable[[int, int], None], size: int) -> None:
+    starts = range(0, size, _STRIP)
+    for future in [pool.submit(work, start, min(start + _STRIP, size)) for start in starts]:
+        future.result()
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_rows(covered, nearest_row, begin, end):  # type: ignore[no-untyped-def]
+    """For the columns ``begin`` to ``end``: row of the nearest covered texel of the same column, or _NOWHERE."""
+    height = len(covered)
+    for r in range(height):
+        for c in range(begin, end):
+            if covered[r, c]:
+                nearest_row[r, c] = r
+            elif r > 0:
+                nearest_row[r, c] = nearest_row[r - 1, c]
+            else:
+                nearest_row[r, c] = _NOWHERE
+    for r in range(height - 2, -1, -1):
+        for c in range(begin, end):
+            below = nearest_row[r + 1, c]
+            above = nearest_row[r, c]
+            if below != _NOWHERE and (above == _NOWHERE or below - r < r - above):
+                nearest_row[r, c] = below
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_rows(texels, nearest_row, reach, begin, end, site, since):  # type: ignore[no-untyped-def]
+    """For the rows ``begin`` to ``end``: lower envelope of the columns' parabolas, then copy from the nearest texel.
+
+    Column i holds the parabola (c - i)^2 + h_i^2, h_i being the distance along the column. Only texels that are not
+    covered are written, and only covered ones are read, so rows may be done in any order. ``site`` has room for the
+    columns whose parabolas make the envelope, ``since`` for the first texel where each of them is the lowest.
+    """
+    width = texels.shape[1]
+    for r in range(begin, end):
+        top = -1
+        open_texels = False
+        for c in range(width):
+            row = nearest_row[r, c]
+            if row != r:
+                open_texels = True
+            if row == _NOWHERE:
+                continue
+            height2 = np.int64(row - r) * np.int64(row - r)
+            first = np.int64(0)
+            while top >= 0:
+                other = site[top]
+                other_height = np.int64(nearest_row[r, other] - r)
+                # Where this parabola falls below the other one.
+                numerator = c * c - other * other + height2 - other_height * other_height
+                first = numerator // (2 * (c - other)) + 1
+                if first > since[top]:
+                    break
+                top -= 1
+            if top < 0:
+                first = np.int64(0)
+            if first < width:
+                top += 1
+                site[top], since[top] = c, first
+        if top < 0 or not open_texels:
+            continue
+        current = 0
+        for c in range(width):
+            while current < top and since[current + 1] <= c:
+                current += 1
+            if nearest_row[r, c] == r:
+                continue
+            column = site[current]
+            row = nearest_row[r, column]
+            if reach >= 0:
+                dr, dc = np.int64(row - r), c - column
+                if dr * dr + dc * dc > reach * reach:
+                    continue
+            for k in range(texels.shape[2]):
+                texels[r, c, k] = texels[row, column, k]

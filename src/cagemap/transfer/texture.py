@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Literal, get_args
 
 import numba
@@ -21,9 +22,80 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.smooth import SmoothTile
 
 Pixels = NDArray[Any]
+
+# Texels on either side of a point that the smooth lookup needs.
+_REACH = 3
+
+
+def smooth_cells(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(h, w) where the 6 x 6 texels around a point between a texel and its right lower neighbours are all covered."""
+    height, width = covered.shape
+    inside = np.zeros((height, width), dtype=np.bool_)
+    rows, columns = height - 2 * _REACH + 1, width - 2 * _REACH + 1
+    if rows < 1 or columns < 1:
+        return inside
+    whole_columns = reduce(np.logical_and, [covered[k : k + rows] for k in range(2 * _REACH)])
+    whole = reduce(np.logical_and, [whole_columns[:, k : k + columns] for k in range(2 * _REACH)])
+    inside[_REACH - 1 : height - _REACH, _REACH - 1 : width - _REACH] = whole
+    return inside
+
+
+def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
+    """(c,) the least and the largest number of every channel."""
+    # NumPy reduces over whole rows fast, over rows and columns at once a hundred times slower.
+    return np.fmin.reduce(np.fmin.reduce(pixels)), np.fmax.reduce(np.fmax.reduce(pixels))
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothTile:
+    """Where a tile is looked up smoothly, and the range of its channels."""
+
+    cells: NDArray[np.bool_]  # (h, w) where all six by six texels are covered, see `smooth_cells`, and not all equal
+    # `lowest`, `highest`: (c,) range of every channel, to which values are limited
+    lowest: FloatArray
+    highest: FloatArray
+
+    @classmethod
+    def of(cls, pixels: Pixels, covered: NDArray[np.bool_]) -> SmoothTile:
+        """Prepare a tile (h, w, c) whose layout covers some texels (h, w).
+
+        NaN and infinite texels count as uncovered. Where all texels are equal, the bilinear lookup gives the same.
+        """
+        if pixels.dtype.kind == "f" and not (numbers := np.isfinite(pixels)).all():
+            covered = covered & numbers.all(axis=2)
+        cells = smooth_cells(covered)
+        _leave_even(pixels.view(np.uint16) if pixels.dtype == np.float16 else pixels, cells)
+        return cls(cells, *(end.astype(np.float64) for end in channel_range(pixels)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _leave_even(pixels, cells):  # type: ignore[no-untyped-def]
+    """Take out of ``cells`` those around which all texels are the same, by the largest even square at each texel.
+
+    That at (r, c) is one larger than the smallest of those to the right, below and across, if their texels are equal.
+    """
+    height, width, channels = pixels.shape
+    below = np.zeros(width + 1, dtype=np.uint8)
+    for r in range(height - 1, -1, -1):
+        right, across = np.uint8(0), np.uint8(0)  # at (r, c + 1) and (r + 1, c + 1)
+        for c in range(width - 1, -1, -1):
+            square = np.uint8(1)
+            if right > 0 and below[c] > 0 and across > 0:
+                same = True
+                for k in range(channels):
+                    value = pixels[r, c, k]
+                    if value != pixels[r, c + 1, k] or value != pixels[r + 1, c, k] or value != pixels[r + 1, c + 1, k]:
+                        same = False
+                        break
+                if same:
+                    square = np.uint8(min(min(right, below[c], across) + 1, 2 * _REACH))
+            across, below[c], right = below[c], square, square
+            if square == 2 * _REACH:
+                cells[r + _REACH - 1, c + _REACH - 1] = False
+
+
 Wrap = Literal["repeat", "clamp"]
 Filter = Literal["smooth", "linear", "nearest"]
 FILTERS = get_args(Filter)
@@ -41,26 +113,15 @@ _HALVES = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float64
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The source's texture, laid on its triangles.
+    """The source's texture, laid on its triangles."""
 
-    Attributes
-    ----------
-    tiles : dict of int -> (h, w, c) array
-        Pixels by UDIM number, row 0 at the top; a plain image has the single key 0. Sizes may differ, channels and
-        number type not.
-    uvs : (p, 2) float64
-    uv_triangles : (t2, 3) int64
-    triangle_tiles : (t2,) int64
-        Tile that each triangle lies in, by its centre; all 0 for a plain image.
-    repeat : bool
-        Whether points outside a plain image wrap around (else they are clamped to its edge).
-    """
-
+    # (h, w, c) pixels by UDIM number, row 0 at the top; a plain image has the single key 0. Sizes
+    # may differ, channels and number type not.
     tiles: dict[int, Pixels]
-    uvs: FloatArray
-    uv_triangles: IndexArray
-    triangle_tiles: IndexArray
-    repeat: bool
+    uvs: FloatArray  # (p, 2)
+    uv_triangles: IndexArray  # (t2, 3)
+    triangle_tiles: IndexArray  # (t2,) tile that each triangle lies in, by its centre; all 0 for a plain image
+    repeat: bool  # whether points outside a plain image wrap around (else they are clamped to its edge)
 
     @property
     def channels(self) -> int:
@@ -85,18 +146,9 @@ def lay_texture(
 ) -> Texture:
     """Check a texture and lay it on the triangles of the source.
 
-    Parameters
-    ----------
-    texture : (h, w) or (h, w, c) array, or such arrays by UDIM number
-    uvs : (p, 2) float64
-    uv_triangles : (t2, 3) int64
-    wrap : "repeat" or "clamp"
-        How a plain image continues outside the unit square. Renderers and material libraries repeat it.
-
-    Raises
-    ------
-    ParameterError
-        If the pixels are no image, tiles disagree, or triangles lie in tiles that are not there.
+    ``texture``: (h, w) or (h, w, c), or such by UDIM number. ``uvs``: (p, 2). ``uv_triangles``: (t2, 3). ``wrap``:
+    "repeat" or "clamp", how a plain image continues outside the unit square. Renderers and material libraries repeat
+    it.
     """
     if wrap not in ("repeat", "clamp"):
         raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
@@ -123,9 +175,7 @@ def tile_cells(corners: FloatArray) -> FloatArray:
 
     A triangle that crosses a border by rounding only belongs to the tile of its other corners.
 
-    Parameters
-    ----------
-    corners : (t, 3, 2) float64
+    ``corners``: (t, 3, 2).
     """
     cells = np.floor(corners.mean(axis=1))
     cells = cells - (corners.max(axis=1) - cells <= OVERHANG)
@@ -140,13 +190,7 @@ def each_tile(texture: Pixels | Mapping[int, Pixels], change: Callable[[Pixels],
 
 
 def as_pixels(image: Pixels) -> Pixels:
-    """(h, w, c) contiguous pixels of an image.
-
-    Raises
-    ------
-    ParameterError
-        If it is not 2- or 3-dimensional, empty, or not of integers or floats.
-    """
+    """(h, w, c) contiguous pixels of an image."""
     pixels = array_of(image)
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
@@ -166,14 +210,8 @@ def look_up(
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 
-    Parameters
-    ----------
-    texture : Texture
-    samples : TexelSamples
-    smooth : dict of int to SmoothTile, optional
-        Where to look up smoothly, by tile; bilinear elsewhere.
-    nearest : bool
-        Take the texel that contains the point: for labels.
+    ``smooth``: where to look up smoothly, by tile; bilinear elsewhere. ``nearest``: take the texel that contains the
+    point: for labels.
     """
     result = np.zeros((len(samples.first) - 1, texture.channels))
     # A band of texels uses few tiles of a large set: the others are skipped.

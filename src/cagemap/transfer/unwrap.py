@@ -59,12 +59,12 @@ def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
     if control.n_faces == 0 or not (np.isfinite(size) and size > 0):
         raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
     positions = _smooth_positions(control.with_positions((control.positions - low) / size))
-    flat = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
+    flat, corner_uvs = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
     # Islands are what polygons join.
-    islands = components(flat.corner_uvs, flat.corner_uvs[control.next_corners], len(flat.uvs))
-    uvs = _equalize(control, positions, flat, islands)
-    edges = np.column_stack([flat.corner_uvs, flat.corner_uvs[control.next_corners]])
-    return control.with_uvs(pack_islands(uvs, edges, islands, padding), flat.corner_uvs)
+    islands = components(corner_uvs, corner_uvs[control.next_corners], len(flat))
+    uvs = _equalize(control, positions, flat, corner_uvs, islands)
+    edges = np.column_stack([corner_uvs, corner_uvs[control.next_corners]])
+    return control.with_uvs(pack_islands(uvs, edges, islands, padding), corner_uvs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +75,6 @@ class _Charts:
     vertices: IndexArray
     triangles: IndexArray
     chart: IndexArray
-
-
-@dataclass(frozen=True, eq=False)
-class _Flat:
-    """UVs (p, 2), and the UV of every polygon corner (c,)."""
-
-    uvs: FloatArray
-    corner_uvs: IndexArray
 
 
 def _smooth_positions(control: ControlMesh) -> FloatArray:
@@ -114,8 +106,8 @@ def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     return _Charts(scaled, vertices.astype(np.int64), corners, chart)
 
 
-def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) -> _Flat:
-    """Polygons that their chart keeps whole and convex stay; the others find a place one by one, in face order."""
+def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) -> tuple[FloatArray, IndexArray]:
+    """UVs (p, 2) and the UV of every corner (c,); polygons that no chart keeps whole are placed one by one."""
     corner_uvs, chart = _whole_polygons(control, charts)
     _loosen_overlaps(control, charts.uvs, corner_uvs, chart)
     uvs = [charts.uvs]
@@ -143,7 +135,7 @@ def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) 
         uvs.append(placed[fresh])
         n_uvs += len(fresh)
     used, renumbered = np.unique(corner_uvs, return_inverse=True)
-    return _Flat(np.concatenate(uvs)[used], renumbered)
+    return np.concatenate(uvs)[used], renumbered
 
 
 def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, IndexArray]:
@@ -301,18 +293,20 @@ def _overlap(first: FloatArray, second: FloatArray) -> np.ndarray:
     return ~apart
 
 
-def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands: IndexArray) -> FloatArray:
+def _equalize(
+    control: ControlMesh, positions: FloatArray, uvs: FloatArray, corner_uvs: IndexArray, islands: IndexArray
+) -> FloatArray:
     """UVs scaled island by island, so that each has the area of its polygons in space."""
     triangles = cage_triangles(control)[0]
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     solid = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     solid_of_face = np.bincount(np.repeat(np.arange(control.n_faces), control.face_sizes - 2), solid)
-    corners = flat.uvs[flat.corner_uvs]
+    corners = uvs[corner_uvs]
     flat_of_face = np.add.reduceat(_cross(corners, corners[control.next_corners]), control.face_offsets[:-1])
-    island_of_face = islands[flat.corner_uvs[control.face_offsets[:-1]]]
+    island_of_face = islands[corner_uvs[control.face_offsets[:-1]]]
     ratio = np.bincount(island_of_face, solid_of_face) / np.bincount(island_of_face, flat_of_face)
     # A degenerate polygon keeps a spot of its own, however small.
-    return flat.uvs * np.sqrt(np.maximum(ratio, 1e-6))[islands][:, None]
+    return uvs * np.sqrt(np.maximum(ratio, 1e-6))[islands][:, None]
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -21,8 +21,8 @@ from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, 
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.tangents import TangentFrames, plane_basis, tangent_frames
 from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
+from cagemap.transfer.textured_surface import TangentFrames, plane_basis, tangent_frames
 
 Space = Literal["tangent", "object"]
 Green = Literal["up", "down"]
@@ -102,29 +102,10 @@ def bake_vector_displacement(
 ) -> Displacement:
     """Bake the source's vector displacement into the target's layout; lengths grow with the surfaces.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    texture : (h, w, 3) array, or such arrays by UDIM number
-        Vector = (value - midlevel) * scale, in the source's units; in tangent space the channels are tangent, normal,
-        bitangent.
-    size : int or (height, width)
-    space : "tangent" or "object"
-    midlevel : float, optional
-        By default 0.5 for integers and 0 for floats.
-    scale : float
-    dtype, options
-        As in `bake_texture`.
-
-    Returns
-    -------
-    Displacement
-        With three channels. As with heights, floats get new values and integers a new scale.
-
-    Raises
-    ------
-    ParameterError
-        If the image has fewer than three channels, the scale is 0, or as `bake_texture`.
+    ``texture``: (h, w, 3), or such by UDIM number, vector = (value - midlevel) * scale, in the source's units; in
+    tangent space the channels are tangent, normal, bitangent. ``midlevel``: by default 0.5 for integers and 0 for
+    floats. ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As with heights, floats get new
+    values and integers a new scale.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -203,24 +184,10 @@ def bake_vectors(
 ) -> Pixels:
     """Bake vectors of the source: rotated to the target sample by sample, and averaged in its frame.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    canvas : Canvas
-    counts : (t1, 2) int32
-        Samples in a texel, as `run_bake` takes them.
-    vectors_at : callable
-        Samples, each a texel of its own -> (s, 3) vectors of the source in object space.
-    encode : callable
-        Vectors (k, 3) in the channels' order -> their values.
-    space : "tangent" or "object"
-        Of the target, for the result.
-    order : list of int
-        Which channels hold tangent, bitangent and normal.
-    kept : numpy.dtype
-    options : BakeOptions
-    crisp : (t1,) bool, optional
-        As `run_bake` takes it.
+    ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them. ``vectors_at``: samples, each a texel of its own
+    -> (s, 3) vectors of the source in object space. ``encode``: vectors (k, 3) in the channels' order -> their values.
+    ``space``: "tangent" or "object", of the target, for the result. ``order``: which channels hold tangent, bitangent
+    and normal. ``crisp``: (t1,), as `run_bake` takes it.
     """
     pull_back = VectorPullback.of(transfer, space)
 
@@ -236,19 +203,11 @@ def bake_vectors(
 
 @dataclass(frozen=True, eq=False)
 class VectorPullback:
-    """Rotates vectors of the source to the target.
-
-    Attributes
-    ----------
-    transfer : Transfer
-    frames : TangentFrames or None
-        Of the target; None leaves vectors in object space.
-    normals, source_normals : (n, 3) float64
-        Of the vertices of target and source.
-    """
+    """Rotates vectors of the source to the target."""
 
     transfer: Transfer
-    frames: TangentFrames | None
+    frames: TangentFrames | None  # of the target; None leaves vectors in object space
+    # `normals`, `source_normals`: (n, 3) of the vertices of target and source
     normals: FloatArray
     source_normals: FloatArray
 
@@ -310,3 +269,48 @@ def _three(pixels: Pixels) -> Pixels:
     if pixels.ndim != 3 or pixels.shape[2] < 3:
         raise ParameterError(f"expected three channels of directions, got an image of shape {pixels.shape}")
     return np.ascontiguousarray(pixels[:, :, :3])
+
+
+# What of the painted texels decode to unit vectors that point outwards, and how nearly.
+_SHARE = 0.9
+_LENGTH = 0.08
+_TEXELS = 100_000
+
+
+def looks_like_normal_map(pixels: Pixels) -> bool:
+    """Whether nearly all texels are unit vectors (r, g, b) = (n + 1) / 2 that point out of the surface.
+
+    Every colour counts once: a large even background does not decide. Black and transparent texels do not count.
+
+    ``pixels``: (h, w, c), integers stand for 0 to 1.
+    """
+    normals = _normals(pixels)
+    if not len(normals):
+        return False
+    outwards = _unit(normals) & (normals[:, 2] > 0)
+    return bool(outwards.mean() > _SHARE and np.median(normals[:, 2]) > 0.5)
+
+
+def share_of_normals(pixels: Pixels) -> float:
+    """Share of the colours that are unit vectors of any direction; 1 where nothing is painted.
+
+    ``pixels``: (h, w, c), integers stand for 0 to 1.
+    """
+    normals = _normals(pixels)
+    return float(_unit(normals).mean()) if len(normals) else 1.0
+
+
+def _unit(normals: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    return np.asarray(np.abs(np.linalg.norm(normals, axis=1) - 1.0) < _LENGTH)
+
+
+def _normals(pixels: Pixels) -> FloatArray:
+    """The different colours of painted texels as vectors 2 c - 1; none of images with fewer than three channels."""
+    if pixels.ndim != 3 or pixels.shape[2] < 3:
+        return np.zeros((0, 3))
+    step = max(1, int(np.sqrt(pixels.shape[0] * pixels.shape[1] / _TEXELS)))
+    values = pixels[::step, ::step].reshape(-1, pixels.shape[2]).astype(np.float64) / unit(pixels.dtype)
+    painted = values[:, :3].max(axis=1) > 0
+    if pixels.shape[2] > 3:
+        painted &= values[:, 3] > 0
+    return np.asarray(2.0 * np.unique(values[painted, :3], axis=0) - 1.0)

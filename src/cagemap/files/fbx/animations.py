@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import ufbx
 
-from cagemap.files.fbx.held import get, held, items
+from cagemap.files.fbx.meshes import get, held, items
 from cagemap.files.gltf.binary import Binary
 from cagemap.numerics.arrays import FloatArray
 
@@ -28,18 +28,9 @@ def animation_entry(
 ) -> dict[str, Any]:
     """Entry of ``animations`` for an animation stack; without channels where it moves nothing.
 
-    Parameters
-    ----------
-    binary : Binary
-    scene, stack : ufbx objects
-    nodes : sequence of dict
-        Entries of the nodes, at rest.
-    before : dict of int to dict
-        Transforms of the file, of nodes that have others now: where an animation does not move them.
-    numbers : dict of int to int
-        Number of each node by its ``typed_id``.
-    channels : dict of int to (int, int, int)
-        By ``element_id`` of a blend channel: the mesh's node, which of its shapes, and how many it has.
+    ``nodes``: entries of the nodes, at rest. ``before``: transforms of the file, of nodes that have others now: where
+    an animation does not move them. ``numbers``: number of each node by its ``typed_id``. ``channels``: by
+    ``element_id`` of a blend channel: the mesh's node, which of its shapes, and how many it has.
     """
     baked = held(
         ufbx.bake_anim(

@@ -14,15 +14,13 @@ import ufbx
 
 from cagemap.errors import FormatError
 from cagemap.files.fbx.animations import animation_entry
-from cagemap.files.fbx.held import get, held, items
 from cagemap.files.fbx.materials import Materials
-from cagemap.files.fbx.meshes import FbxMesh, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.meshes import FbxMesh, get, held, items, read_fbx_mesh, row_matrix
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry
-from cagemap.files.gltf.nodes import decomposed, transform
-from cagemap.files.gltf.skins import invertible
+from cagemap.files.gltf.nodes import decomposed, invertible, transform
 from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray
 
@@ -65,7 +63,7 @@ def main() -> None:
         status = REFUSED
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(status)  # without freeing anything, see `cagemap.files.fbx.held`
+    os._exit(status)  # without freeing anything, see `cagemap.files.fbx.meshes`
 
 
 def _note(text: str) -> None:
@@ -75,18 +73,7 @@ def _note(text: str) -> None:
 def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     """An FBX file as GLB.
 
-    Parameters
-    ----------
-    content : bytes
-    path : Path
-        Where it lies: textures are found from here.
-    note : callable
-        Called with a line for everything that is left out.
-
-    Raises
-    ------
-    ufbx.UfbxError, FormatError
-        If it is no FBX, or has no polygons.
+    ``path``: where it lies: textures are found from here. ``note``: called with a line for everything that is left out.
     """
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.fbx.held import get, held, items
+from cagemap.files.fbx.meshes import get, held, items
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import image_suffix
 from cagemap.numerics.arrays import FloatArray
@@ -31,10 +30,8 @@ class Materials:
 
     Parameters
     ----------
-    binary : Binary
     path : Path
         The FBX file: textures lie beside it, or in folders below.
-    note : callable
     """
 
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
@@ -137,15 +134,12 @@ def _stated(texture: Any) -> str:
 def _as_png(data: bytes, suffix: str) -> bytes | None:
     """An image of another format (TGA, TIFF, DDS, ...) as PNG; None where it cannot be read."""
     from cagemap.files.gltf.material_images import png_bytes
-    from cagemap.files.images.image import read_image
+    from cagemap.files.images.image import image_of_bytes
 
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"image{suffix}"
-        file.write_bytes(data)
-        try:
-            return png_bytes(read_image(file))
-        except FormatError:
-            return None
+    try:
+        return png_bytes(image_of_bytes(data, suffix, "texture"))
+    except FormatError:
+        return None
 
 
 def _value(pbr: Any, name: str, default: float) -> float:

@@ -1,4 +1,8 @@
-"""Meshes of FBX scenes as control meshes, with weights and blend shapes."""
+"""Meshes of FBX scenes as control meshes, with weights and blend shapes; access to what ufbx gives.
+
+ufbx 0.0.5 counts too few references to its Python objects: one that is asked for twice is freed while it is used. So
+nothing that it gives is ever released; the process ends with the file.
+"""
 
 from __future__ import annotations
 
@@ -12,40 +16,56 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
-from cagemap.files.fbx.held import floats, get, items, whole
 from cagemap.files.gltf.nodes import distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
+_EVERYTHING: list[Any] = []
+
+
+def held(value: Any) -> Any:
+    """The same object, which stays until the process ends."""
+    _EVERYTHING.append(value)
+    return value
+
+
+def get(value: Any, *names: str) -> Any:
+    """An attribute, of an attribute and so on."""
+    for name in names:
+        value = held(getattr(value, name))
+    return value
+
+
+def items(value: Any, *names: str) -> list[Any]:
+    """A list behind attributes, as a list of Python."""
+    found: list[Any] = held(list(get(value, *names)))
+    return found
+
+
+def floats(value: Any, *names: str, columns: int) -> FloatArray:
+    """A list of vectors behind attributes, as an array (n, columns)."""
+    return np.array(get(value, *names), dtype=np.float64).reshape(-1, columns)
+
+
+def whole(value: Any, *names: str) -> IndexArray:
+    """A list of numbers behind attributes, as an array (n,)."""
+    return np.array(get(value, *names), dtype=np.int64)
+
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh in its own space.
+    """A mesh in its own space."""
 
-    Attributes
-    ----------
-    control : ControlMesh
-        Vertices are the control points of the file; ``material_names`` has a word for each material slot.
-    weights : (n, j) csr_array or None
-    bones : tuple of int
-        ``typed_id`` of the node of each joint.
-    inverse_bind : (j, 4, 4) float64
-        From the mesh's space to each joint's, for points as rows.
-    shapes : dict of str to (n, 3) float64
-    channels : tuple
-        The blend channel of each shape.
-    normals : (c, 3) float64 or None
-        Of the face corners.
-    """
-
+    # vertices are the control points of the file; ``material_names`` has a word for each material slot
     control: ControlMesh
-    weights: sparse.csr_array | None = field(default=None, repr=False)
-    bones: tuple[int, ...] = ()
+    weights: sparse.csr_array | None = field(default=None, repr=False)  # (n, j)
+    bones: tuple[int, ...] = ()  # ``typed_id`` of the node of each joint
+    # (j, 4, 4) from the mesh's space to each joint's, for points as rows
     inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
-    shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)
-    channels: tuple[Any, ...] = ()
-    normals: FloatArray | None = field(default=None, repr=False)
+    shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name
+    channels: tuple[Any, ...] = ()  # the blend channel of each shape
+    normals: FloatArray | None = field(default=None, repr=False)  # (c, 3) of the face corners
 
 
 def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:

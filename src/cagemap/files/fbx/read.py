@@ -24,13 +24,7 @@ REFUSED = 3
 
 
 def fbx_as_glb(path: Path) -> bytes:
-    """A ``.fbx`` file as a GLB: metres, Y up, polygons marked (FB_ngon_encoding).
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or the library that does it is not installed.
-    """
+    """A ``.fbx`` file as a GLB: metres, Y up, polygons marked (FB_ngon_encoding)."""
     content = read_bytes(path, "an FBX file")
     if importlib.util.find_spec("ufbx") is None:
         raise FormatError(f"{path}: FBX needs the package ufbx. Install cagemap[fbx], or export the file as GLB.")

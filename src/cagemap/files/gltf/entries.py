@@ -1,4 +1,4 @@
-"""What a glTF file holds: its JSON, looked up with checks, its buffers and images."""
+"""What a glTF file holds: its JSON, looked up with checks, its buffers, images and accessors as arrays."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.text import read_bytes, whole_characters
@@ -24,21 +25,11 @@ _LARGEST = 1e100  # of numbers that are squared and multiplied
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file.
+    """A glTF file."""
 
-    Attributes
-    ----------
-    json : dict
-        As in the file.
-    buffers : tuple of bytes
-        One for each entry of the JSON's ``buffers``.
-    file : Path
-        Where it was read, for messages; images beside it are found from here.
-    """
-
-    json: dict[str, Any]
-    buffers: tuple[bytes, ...] = field(repr=False)
-    file: Path
+    json: dict[str, Any]  # as in the file
+    buffers: tuple[bytes, ...] = field(repr=False)  # one for each entry of the JSON's ``buffers``
+    file: Path  # where it was read, for messages; images beside it are found from here
 
     def refuse(self, where: str, problem: str, remedy: str = REMEDY) -> NoReturn:
         """Raise a FormatError that names the file and the place."""
@@ -59,13 +50,7 @@ class Document:
         return found
 
     def entry(self, kind: str, number: object, where: str = "glTF") -> dict[str, Any]:
-        """One of the JSON's lists' entries, by number.
-
-        Raises
-        ------
-        FormatError
-            If there is none.
-        """
+        """One of the JSON's lists' entries, by number."""
         entries = self.entries(kind)
         found = entries[self.whole(number, f"{where}: number of {kind}", 0, len(entries) - 1)]
         if not isinstance(found, dict):
@@ -114,13 +99,7 @@ def resource(document: Document, uri: object, where: str) -> bytes:
 
 
 def view_bytes(document: Document, number: object, where: str) -> memoryview:
-    """Bytes of a buffer view.
-
-    Raises
-    ------
-    FormatError
-        If it does not lie inside its buffer.
-    """
+    """Bytes of a buffer view."""
     view = document.entry("bufferViews", number, where)
     where = f"bufferViews {number}"
     buffer = document.buffers[document.whole(view.get("buffer"), where, 0, len(document.buffers) - 1)]
@@ -130,13 +109,7 @@ def view_bytes(document: Document, number: object, where: str) -> memoryview:
 
 
 def image_bytes(document: Document, number: object) -> tuple[bytes, str]:
-    """An image as it is stored, and its suffix, such as ``.png``.
-
-    Raises
-    ------
-    FormatError
-        If it is not there, or is neither PNG, JPEG nor WebP.
-    """
+    """An image as it is stored, and its suffix, such as ``.png``."""
     entry, where = document.entry("images", number), f"images {number}"
     uri = entry.get("uri")
     data = (
@@ -148,7 +121,153 @@ def image_bytes(document: Document, number: object) -> tuple[bytes, str]:
     return data, suffix
 
 
+def image_type(suffix: str) -> str:
+    """Media type of an image by its suffix, such as ``.png``."""
+    return f"image/{suffix[1:].replace('jpg', 'jpeg')}"
+
+
 def image_suffix(data: bytes) -> str | None:
     """Suffix of an image's file by its first bytes; None for other data."""
     signatures = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"RIFF": ".webp"}
     return next((suffix for start, suffix in signatures.items() if data.startswith(start)), None)
+
+
+# An object of named entries, a list of one entry, or the name of a list that a number is of; with "!" it must be there.
+# "*" stands for every name. "+" is a positive whole number.
+_VIEW = {"bufferView": "bufferViews"}
+_STRUCTURE: dict[str, Any] = {
+    "scene": "scenes",
+    "scenes": [{"nodes": ["nodes"]}],
+    "nodes": [{"children": ["nodes"], "mesh": "meshes", "skin": "skins", "camera": "cameras"}],
+    "meshes": [
+        {
+            "primitives": [
+                {
+                    "attributes": {"*": "!accessors"},
+                    "indices": "accessors",
+                    "material": "materials",
+                    "targets": [{"*": "!accessors"}],
+                }
+            ]
+        }
+    ],
+    "skins": [{"joints": ["!nodes"], "inverseBindMatrices": "accessors"}],
+    "animations": [
+        {
+            "channels": [{"sampler": "!+", "target": {"node": "nodes"}}],
+            "samplers": [{"input": "!accessors", "output": "!accessors"}],
+        }
+    ],
+    "accessors": [{"count": "!+", "sparse": {"indices": _VIEW, "values": _VIEW}} | _VIEW],
+    "bufferViews": [{"buffer": "!buffers", "byteLength": "!+"}],
+    "buffers": [{"byteLength": "!+"}],
+    "images": [_VIEW],
+    "textures": [{"source": "images", "sampler": "samplers"}],
+    "materials": [{"pbrMetallicRoughness": {}, "extensions": {}}],
+}
+
+
+def require_structure(document: Document) -> None:
+    """Refuse a document whose objects, lists and numbers are not what the standard says."""
+    _require(document, document.json, _STRUCTURE, "glTF")
+    for number, animation in enumerate(document.entries("animations")):
+        count = len(animation.get("samplers", ()))
+        for channel in animation.get("channels", ()):
+            document.whole(channel["sampler"], f"animations {number}: sampler", 0, count - 1)
+
+
+def _require(document: Document, value: Any, wanted: Any, where: str) -> None:
+    if isinstance(wanted, dict):
+        if not isinstance(value, dict):
+            document.refuse(where, f"expected an object, got {shown(value)}")
+        for name in value if "*" in wanted else wanted:
+            below = wanted.get(name, wanted.get("*"))
+            if value.get(name) is not None or str(below).startswith("!"):
+                _require(document, value.get(name), below, f"{where}: {name}" if where != "glTF" else name)
+    elif isinstance(wanted, list):
+        if not isinstance(value, list):
+            document.refuse(where, f"expected a list, got {shown(value)}")
+        for number, one in enumerate(value):
+            _require(document, one, wanted[0], f"{where} {number}")
+    elif isinstance(wanted, str):
+        kind = wanted.removeprefix("!")
+        count = 2**53 if kind == "+" else len(document.entries(kind))
+        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
+            of = "a whole number" if kind == "+" else f"the number of one of {count} {kind}"
+            document.refuse(where, f"expected {of}, got {shown(value)}")
+
+
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+def read_accessor(
+    document: Document, number: object, where: str, shapes: tuple[str, ...], count: int | None = None
+) -> NDArray[Any]:
+    """Elements of an accessor: (n,) of scalars, (n, q) of others; int64, or float64 where they have fractions.
+
+    ``where``: what names it, for messages. ``shapes``: types that are taken, such as ``"VEC3"``. ``count``: how many
+    elements there must be. An accessor without data, all zero, is read only where this is given: its own count could be
+    anything.
+    """
+    entry = document.entry("accessors", number, where)
+    place = f"accessors {number} ({where})"
+    shape = entry.get("type")
+    if shape not in shapes:
+        document.refuse(place, f"expected {' or '.join(shapes)}, got {shown(shape)}")
+    stated = document.whole(entry.get("count"), f"accessors {number}: count", 1)
+    if count is not None and stated != count:
+        document.refuse(place, f"expected {count} elements, got {stated}")
+    dtype, columns = _component(document, entry, place), _SHAPES[str(shape)]
+    if entry.get("bufferView") is not None:
+        values = _elements(document, entry, place, dtype, columns, stated)
+    elif count is not None:
+        values = np.zeros((count, columns), dtype=dtype)
+    else:
+        document.refuse(place, "has no data")
+    if "sparse" in entry:
+        values = _with_sparse(document, document.table(entry, "sparse", place), place, values)
+    if dtype.kind == "f" and not np.isfinite(values).all():
+        document.refuse(place, "expected finite numbers, got others")
+    normalised = entry.get("normalized") is True and dtype.kind != "f"
+    values = values.astype(np.float64 if dtype.kind == "f" or normalised else np.int64)
+    if normalised:
+        values = np.maximum(values / np.iinfo(dtype).max, -1.0)
+    return values[:, 0] if columns == 1 else values
+
+
+def _component(document: Document, entry: dict[str, Any], place: str) -> np.dtype[Any]:
+    kind = entry.get("componentType")
+    if not isinstance(kind, int) or kind not in _COMPONENTS:
+        document.refuse(place, f"expected a componentType of {', '.join(map(str, _COMPONENTS))}, got {shown(kind)}")
+    return np.dtype(_COMPONENTS[kind])
+
+
+def _elements(
+    document: Document, entry: dict[str, Any], place: str, dtype: np.dtype[Any], columns: int, count: int
+) -> NDArray[Any]:
+    """(count, columns) elements, a view of the buffer."""
+    data = view_bytes(document, entry.get("bufferView"), place)
+    size = dtype.itemsize * columns
+    view = document.entry("bufferViews", entry.get("bufferView"), place)
+    stride = document.whole(view.get("byteStride", size), f"{place}: byteStride", size, 255)
+    offset = document.whole(entry.get("byteOffset", 0), f"{place}: byteOffset", 0, len(data))
+    if offset + (count - 1) * stride + size > len(data):
+        document.refuse(place, f"expected {count} elements, its buffer view of {len(data)} bytes ends before")
+    return np.ndarray((count, columns), dtype, data, offset, (stride, dtype.itemsize))
+
+
+def _with_sparse(document: Document, sparse: dict[str, Any], place: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Values with the rows replaced that a sparse accessor lists."""
+    place = f"{place}: sparse"
+    count = document.whole(sparse.get("count"), f"{place}: count", 1, len(values))
+    rows, given = (document.table(sparse, name, place) for name in ("indices", "values"))
+    kind = _component(document, rows, place)
+    if kind.kind != "u":
+        document.refuse(place, f"expected unsigned indices, got {kind}")
+    numbers = _elements(document, rows, place, kind, 1, count)[:, 0].astype(np.int64)
+    if np.any(np.diff(numbers) <= 0) or numbers[-1] >= len(values):
+        document.refuse(place, f"expected rising indices below {len(values)}")
+    changed = np.array(values)
+    changed[numbers] = _elements(document, given, place, values.dtype, values.shape[1], count)
+    return changed

@@ -30,18 +30,9 @@ def mesh_entry(
 ) -> dict[str, Any]:
     """Entry of ``meshes`` for a control mesh, its arrays added to ``binary``.
 
-    Parameters
-    ----------
-    binary : Binary
-    mesh : ControlMesh
-        Creases and infinite colours have no place in the format.
-    materials : sequence of int or None
-        Number in the document of each of its materials.
-    weights : (n, j) csr_array, optional
-        Of the joints of the skin of its node; all influences are written, four a set.
-    shapes : dict of str to (n, 3) float64, optional
-    normals : (c, 3) float64, optional
-        Of the face corners. Default: those of the vertices.
+    ``mesh``: creases and infinite colours have no place in the format. ``materials``: number in the document of each of
+    its materials. ``weights``: (n, j), of the joints of the skin of its node; all influences are written, four a set.
+    ``normals``: (c, 3), of the face corners. Default: those of the vertices.
     """
     sets = _uv_sets(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]

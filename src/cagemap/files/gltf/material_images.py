@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
-from cagemap.files.images.image import Image, read_image, write_image
+from cagemap.files.images.image import Image, image_of_bytes, write_image
 from cagemap.files.ownership import is_own
-from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -31,24 +31,14 @@ _COLOR_SLOT = "baseColorTexture"
 
 @dataclass(frozen=True, eq=False)
 class MaterialImage:
-    """The texture in one slot of a material.
+    """The texture in one slot of a material."""
 
-    Attributes
-    ----------
-    material, slot : str
-        Such as "body" and "baseColorTexture".
-    image : int
-        Its number in the document.
-    uv_set : str
-        Name of the UV set that it belongs to.
-    transform : (3, 3) float64
-        Texture coordinates (u, v, 1), v down, times it are those of the image.
-    """
-
+    # `material`, `slot`: such as "body" and "baseColorTexture"
     material: str
     slot: str
-    image: int
-    uv_set: str
+    image: int  # its number in the document
+    uv_set: str  # name of the UV set that it belongs to
+    # (3, 3) texture coordinates (u, v, 1), v down, times it are those of the image
     transform: FloatArray = field(repr=False)
 
     @property
@@ -63,13 +53,7 @@ class MaterialImage:
 
 
 def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
-    """All textures of a material.
-
-    Raises
-    ------
-    FormatError
-        If there is no such material, or a texture of it is not in the document.
-    """
+    """All textures of a material."""
     number = _number(document, material)
     entry = document.entry("materials", number)
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
@@ -96,21 +80,8 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
-    """The pixels of an image of a document.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read.
-    """
-    data, suffix = image_bytes(document, found.image)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"image{suffix}"
-        file.write_bytes(data)
-        try:
-            return read_image(file)
-        except FormatError as error:
-            raise FormatError(str(error).replace(str(file), f"{document.file}: images {found.image}")) from None
+    """The pixels of an image of a document."""
+    return image_of_bytes(*image_bytes(document, found.image), f"{document.file}: images {found.image}")
 
 
 def png_bytes(image: Image) -> bytes:

@@ -11,11 +11,22 @@ from scipy import sparse
 from cagemap.character.values import Part
 from cagemap.errors import FormatError
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.nodes import Nodes, distinct, read_nodes
+from cagemap.files.gltf.nodes import (
+    Joints,
+    Nodes,
+    Skin,
+    distinct,
+    invertible,
+    nearest_joint,
+    read_joints,
+    read_nodes,
+    read_skins,
+    rounded,
+)
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
-from cagemap.files.gltf.skins import Joints, Skin, invertible, nearest_joint, read_joints, read_skins, rounded
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import turn_faces
 from cagemap.mesh.weld import weld_mesh
@@ -27,23 +38,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class ReadPart:
-    """A mesh node.
-
-    Attributes
-    ----------
-    part : Part
-    node : int
-        Its number in the document.
-    stored : int
-        Vertices in the file.
-    notes : tuple of str
-        What was welded.
-    """
+    """A mesh node."""
 
     part: Part
-    node: int
-    stored: int
-    notes: tuple[str, ...] = field(repr=False)
+    node: int  # its number in the document
+    stored: int  # vertices in the file
+    notes: tuple[str, ...] = field(repr=False)  # what was welded
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +61,6 @@ def read_scene(document: Document) -> Scene:
 
     Skinned meshes are in their bind pose, their node's own transform is ignored, as glTF has it. Several skins share
     one bind pose: meshes bound in another one are posed. A mesh below a joint follows that joint.
-
-    Raises
-    ------
-    FormatError
-        If the scene has no triangles, or arrays do not fit together.
     """
     nodes = read_nodes(document)
     skins = read_skins(document, nodes)
@@ -235,15 +230,7 @@ def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
     """Corners of one vertex with equal texture coordinates share them: normals alone make no UV seam."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return mesh
-    first, *others = (UvSet(one.name, *_merged(mesh.face_indices, one)) for one in mesh.all_uv_sets)
+    first, *others = (
+        UvSet(one.name, *merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in mesh.all_uv_sets
+    )
     return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))
-
-
-def _merged(vertices: IndexArray, uv_set: UvSet) -> tuple[FloatArray, IndexArray]:
-    uvs = uv_set.uvs[uv_set.uv_indices]
-    order = np.lexsort((uvs[:, 1], uvs[:, 0], vertices))
-    fresh = (np.diff(vertices[order]) != 0) | (np.diff(uvs[order], axis=0) != 0.0).any(axis=1)
-    numbers = np.concatenate([[0], np.cumsum(fresh)])
-    indices = np.empty(len(order), dtype=np.int64)
-    indices[order] = numbers
-    return uvs[order][np.concatenate([[True], fresh])], indices

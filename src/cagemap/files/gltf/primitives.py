@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.files.gltf.accessors import read_accessor
 from cagemap.files.gltf.binary import NGONS, STARTS, corners_from
-from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import distinct
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh, Plain
@@ -28,24 +27,14 @@ _MOST_SETS = 8
 
 @dataclass(frozen=True, eq=False)
 class VertexArrays:
-    """A mesh as stored: vertices split at seams, in the mesh's own space.
+    """A mesh as stored: vertices split at seams, in the mesh's own space."""
 
-    Attributes
-    ----------
-    control : ControlMesh
-        Triangles, or polygons, with materials, UV sets and colours.
-    joints : (n, q) int64
-        Numbers in the skin's list of joints; no columns where a mesh has none.
-    weights : (n, q) float64
-    shapes : dict of str to (n, 3) float64
-    normals : (n, 3) float64 or None
-    """
-
-    control: ControlMesh
+    control: ControlMesh  # triangles, or polygons, with materials, UV sets and colours
+    # (n, q) numbers in the skin's list of joints; no columns where a mesh has none
     joints: IndexArray = field(repr=False)
-    weights: FloatArray = field(repr=False)
-    shapes: dict[str, FloatArray] = field(repr=False)
-    normals: FloatArray | None = field(default=None, repr=False)
+    weights: FloatArray = field(repr=False)  # (n, q)
+    shapes: dict[str, FloatArray] = field(repr=False)  # offsets (n, 3) by name
+    normals: FloatArray | None = field(default=None, repr=False)  # (n, 3)
 
 
 def material_names(document: Document) -> tuple[str, ...]:
@@ -68,11 +57,6 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
     """A mesh of a document; None where it has no triangles.
 
     Primitives that share their vertices share them here.
-
-    Raises
-    ------
-    FormatError
-        If its accessors do not fit together.
     """
     where = f"meshes {number}"
     primitives = document.entries("primitives", document.entry("meshes", number), where)

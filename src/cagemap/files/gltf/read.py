@@ -1,17 +1,30 @@
-"""Control meshes of glTF files: all meshes of the scene, welded at the seams that the format splits."""
+"""Meshes, values and a list of the contents of glTF files; vertices are welded at the seams that the format splits."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.bones import humanoid_joints
+from cagemap.character.roles import find_body, passenger_word
+from cagemap.character.values import Rig
+from cagemap.errors import FormatError
+from cagemap.files.gltf.binary import NGONS
+from cagemap.files.gltf.character import animation_lengths, animation_names, humanoid_bones
 from cagemap.files.gltf.document import read_document
+from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.parts import ReadPart, Scene, read_scene
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import texture_slots
+from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.skeleton import Skeleton, tails_of
+from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
 
@@ -22,11 +35,6 @@ def read_gltf(path: str | Path) -> ControlMesh:
     Mesh nodes become objects. Vertices that the file splits at seams are joined; they are numbered as
     `cagemap.files.gltf.character.read_character` numbers its parts, one part after the other. The scheme is
     none: triangles of a glTF are the surface itself.
-
-    Raises
-    ------
-    FormatError
-        As `cagemap.files.gltf.document.read_document`; also if the scene has no triangles.
     """
     scene = read_scene(read_document(path))
     for one in scene.parts:
@@ -45,3 +53,120 @@ def scene_mesh(scene: Scene) -> ControlMesh:
 def _object(one: ReadPart) -> ControlMesh:
     mesh = one.part.mesh
     return replace(mesh, face_objects=np.zeros(mesh.n_faces, dtype=np.int64), object_names=(one.part.name,))
+
+
+def gltf_weights(path: str | Path) -> FloatArray:
+    """Weights (n, j) of the joints of `gltf_skeleton`, at the vertices of `read_gltf`; 0 for meshes without a skin."""
+    scene, rig = _rigged(path)
+    tables = [
+        np.zeros((one.part.mesh.n_vertices, len(rig.names))) if one.part.weights is None else one.part.weights.toarray()
+        for one in scene.parts
+    ]
+    return np.concatenate(tables)
+
+
+def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
+    """Offsets (n, 3) of the blend shapes by name, at the vertices of `read_gltf`; shapes of one name are one."""
+    parts = [one.part for one in read_scene(read_document(path)).parts]
+    names = dict.fromkeys(name for part in parts for name in part.shapes)
+    return {
+        name: np.concatenate([part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in parts])
+        for name in names
+    }
+
+
+def gltf_skeleton(path: str | Path) -> Skeleton:
+    """Joints of all skins in the bind pose; tails lie where the children are."""
+    rig = _rigged(path)[1]
+    parents = tuple(rig.names[parent] if parent >= 0 else "" for parent in rig.parents)
+    axes = rig.bind[:, :3, :3] / np.linalg.norm(rig.bind[:, :3, :3], axis=2, keepdims=True)
+    return Skeleton(rig.names, parents, rig.heads, tails_of(rig.heads, rig.parents), axes)
+
+
+def _rigged(path: str | Path) -> tuple[Scene, Rig]:
+    scene = read_scene(read_document(path))
+    if scene.joints is None:
+        raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
+    return scene, scene.joints.rig
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a glTF or FBX file holds."""
+
+    body: str  # the mesh that `cagemap.character.roles.find_body` finds
+    passengers: tuple[str, ...]  # all other meshes
+    # `vertices`, `stored`: vertices after welding, and in the file
+    vertices: int
+    stored: int
+    joints: int
+    influences: int  # joints that move a vertex, at most
+    humanoid: int  # joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_joints`
+    shapes: tuple[str, ...]
+    textures: tuple[str, ...]  # material, slot and format
+    animations: tuple[tuple[str, float], ...]  # name and seconds
+    extensions: tuple[str, ...]  # those that are kept as they are
+    welded: tuple[str, ...]  # what was welded, a line for each mesh
+
+    @property
+    def is_character(self) -> bool:
+        """Whether it has a skeleton, or clothes, eyes and such by their names."""
+        return bool(self.joints or any(map(passenger_word, self.passengers)))
+
+    def __str__(self) -> str:
+        bones = f", {self.humanoid} of them named as humanoid bones" if self.humanoid else ""
+        moving = [f"{name} ({seconds:.3g} s)" for name, seconds in self.animations]
+        joints = f"{self.joints} joints{bones}, at most {self.influences} a vertex" if self.joints else ""
+        welded = f"{self.vertices}, made of {self.stored} in the file" if self.stored > self.vertices else ""
+        rows = (
+            ("body", self.body, "is matched"),
+            ("passengers", _listed(self.passengers), "ride on the body"),
+            ("skeleton", joints, "is carried, with its weights"),
+            ("shapes", _listed(self.shapes), "are carried"),
+            ("textures", _listed(self.textures), "are baked for the other body"),
+            ("animations", _listed(moving), "are retargeted"),
+            ("extensions", _listed(self.extensions), "are kept as they are"),
+            ("vertices", welded, "copies along seams are welded"),
+        )
+        lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]
+        return "\n".join(["  holds, and what `cagemap rig` does with it", *lines])
+
+
+def _listed(names: tuple[str, ...] | list[str]) -> str:
+    return f"{len(names)} ({first_few(names)})" if names else ""
+
+
+def contents_of(scene: Scene) -> Contents:
+    """What a file holds."""
+    document = scene.document
+    parts = [one.part for one in scene.parts]
+    body = find_body(parts)
+    rig = None if scene.joints is None else scene.joints.rig
+    weights = [part.weights for part in parts if part.weights is not None]
+    named = [name for name in document.entries("extensionsUsed") if isinstance(name, str) and name != NGONS]
+    return Contents(
+        body=body.name,
+        passengers=tuple(part.name for part in parts if part is not body),
+        vertices=sum(part.mesh.n_vertices for part in parts),
+        stored=sum(one.stored for one in scene.parts),
+        joints=0 if rig is None else len(rig.names),
+        influences=max((int(np.diff(table.indptr).max()) for table in weights), default=0),
+        humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_joints(rig))),
+        shapes=tuple(dict.fromkeys(name for part in parts for name in part.shapes)),
+        textures=_textures(document),
+        animations=tuple(zip(animation_names(document), animation_lengths(document), strict=True)),
+        extensions=tuple(map(whole_characters, named)),
+        welded=tuple(note for one in scene.parts for note in one.notes),
+    )
+
+
+def _textures(document: Document) -> tuple[str, ...]:
+    """Every slot that has a texture."""
+    found = []
+    for number, name in enumerate(material_names(document)):
+        for slot, holder in texture_slots(document.entry("materials", number)):
+            texture = document.entry("textures", holder["index"], f"materials {number}")
+            source = texture.get("source")
+            suffix = "" if source is None else f" ({image_bytes(document, source)[1][1:]})"
+            found.append(f"{name} {slot.removesuffix('Texture')}{suffix}")
+    return tuple(found)

@@ -1,14 +1,15 @@
-"""Textures of materials in glTF documents."""
+"""Textures of materials in glTF documents, and materials of one document in another one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.entries import Document, image_suffix
+from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
+from cagemap.files.gltf.nodes import distinct
 from cagemap.files.gltf.primitives import material_names
 
 _COLOR = "baseColorTexture"
@@ -30,11 +31,6 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
 
     The sampler and the other settings of a slot stay. A material without that slot gets it; only
     ``baseColorTexture``, ``normalTexture``, ``occlusionTexture`` and ``emissiveTexture`` can be added.
-
-    Raises
-    ------
-    FormatError
-        If there is no such material or slot, or the bytes are no image.
     """
     if not images:
         return document
@@ -49,7 +45,7 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
         suffix = image_suffix(data)
         if suffix is None:
             raise FormatError(f"{document.file}: expected a PNG or JPEG image for {slot} of {name}, got other data.")
-        picture = {"bufferView": binary.view(data), "mimeType": f"image/{suffix[1:].replace('jpg', 'jpeg')}"}
+        picture = {"bufferView": binary.view(data), "mimeType": image_type(suffix)}
         texture = document.entry("textures", holder["index"], name) if "index" in holder else {}
         # Extensions of a texture name other images.
         texture = {key: value for key, value in texture.items() if key != "extensions"}
@@ -82,3 +78,46 @@ def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, 
     material[slot] = {}
     found: dict[str, Any] = material[slot]
     return found
+
+
+# Extensions of materials and textures; "..._" is a family.
+_OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", "EXT_texture_webp")
+
+
+def with_materials_of(document: Document, given: Document, names: Sequence[str]) -> tuple[Document, dict[str, str]]:
+    """A document with materials of another one.
+
+    ``names``: of materials of ``given``, as `cagemap.files.gltf.primitives.material_names` has them. Returns the name
+    that each has there: another one where the document has a material of that name.
+    """
+    binary, top = Binary(document), json.loads(json.dumps(document.json))
+    known = material_names(given)
+    there = material_names(document)
+    added = distinct([*there, *names])[len(there) :]
+    taken: dict[int, int] = {}
+    for name, new in zip(names, added, strict=True):
+        entry = json.loads(json.dumps(given.entry("materials", known.index(name)))) | {"name": new}
+        for _, holder in texture_slots(entry):
+            number = int(holder["index"])
+            if number not in taken:
+                taken[number] = _with_texture(binary, top, given, number)
+            holder["index"] = taken[number]
+        top.setdefault("materials", []).append(entry)
+    used = [word for word in given.entries("extensionsUsed") if str(word).startswith(_OF_MATERIALS)]
+    binary.extensions.update(used if names else ())
+    return binary.document(top), dict(zip(names, added, strict=True))
+
+
+def _with_texture(binary: Binary, top: dict[str, Any], given: Document, number: int) -> int:
+    """Add a texture of the other document, with its sampler and image; returns its number."""
+    entry = json.loads(json.dumps(given.entry("textures", number)))
+    for holder in (entry, *entry.get("extensions", {}).values()):
+        if holder.get("source") is not None:
+            data, suffix = image_bytes(given, holder["source"])
+            top.setdefault("images", []).append({"bufferView": binary.view(data), "mimeType": image_type(suffix)})
+            holder["source"] = len(top["images"]) - 1
+    if entry.get("sampler") is not None:
+        top.setdefault("samplers", []).append(given.entry("samplers", entry["sampler"]))
+        entry["sampler"] = len(top["samplers"]) - 1
+    top.setdefault("textures", []).append(entry)
+    return len(top["textures"]) - 1

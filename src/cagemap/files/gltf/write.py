@@ -1,17 +1,31 @@
-"""glTF 2.0 as one binary file (``.glb``): an export of refined meshes for viewers and engines."""
+"""Control meshes and characters as glTF documents; everything else as in a document given."""
 
 from __future__ import annotations
 
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cagemap.character.normals import move_vertices
+from cagemap.character.values import Character, Part, Rig
+from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.document import glb_bytes
+from cagemap.files.gltf.binary import Binary, without_unused
+from cagemap.files.gltf.character import animation_entries, character_of
+from cagemap.files.gltf.document import glb_bytes, read_document, write_document
+from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
+from cagemap.files.gltf.nodes import decomposed
+from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
 
@@ -20,18 +34,8 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
 
     Positions are single precision in the mesh's own unit. Creases have no place in it.
 
-    Parameters
-    ----------
-    path : path
-    mesh : ControlMesh
-    to_metres : (4, 4) float64, optional
-        From the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of its node.
-    force : bool
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written.
+    ``to_metres``: (4, 4), from the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of
+    its node.
     """
     write_whole(path, _packed(mesh, to_metres), force=force)
 
@@ -59,3 +63,221 @@ def material_entry(mesh: ControlMesh, number: int) -> dict[str, Any]:
     if mesh.material_colors is not None and np.isfinite(mesh.material_colors[number]).all():
         surface["baseColorFactor"] = [*np.clip(mesh.material_colors[number], 0.0, 1.0).tolist(), 1.0]
     return {"name": mesh.material_names[number], "pbrMetallicRoughness": surface}
+
+
+# Of the largest number of a transform: what differs less is as the document has it.
+_SAME = 1e-6
+
+
+def character_glb(
+    character: Character,
+    materials_from: Document | None = None,
+    images: Mapping[tuple[str, str], bytes] | None = None,
+) -> Document:
+    """A character as a glTF document, which `cagemap.files.gltf.document.write_document` writes.
+
+    With a document given, parts, joints and animations replace those of the same names in it. Its mesh nodes that are
+    no parts of the character are emptied; materials, textures, cameras, lights, extensions (VRM) and animations of
+    other things stay.
+
+    ``character``: positions and bind pose in metres, Y up, as read. ``images``: PNG or JPEG files for textures, such as
+    ``("body", "baseColorTexture")``. The slot keeps its other settings.
+    """
+    scene = None if materials_from is None else read_scene(materials_from)
+    made = _Made(scene)
+    made.rig(character.rig)
+    for part in character.parts:
+        made.part(part, character.rig)
+    made.animations(character)
+    return without_unused(with_images(made.document(), images or {}))
+
+
+class _Made:
+    """A document to which a character's values are added one after the other."""
+
+    def __init__(self, scene: Scene | None) -> None:
+        self._scene = scene
+        given = None if scene is None else scene.document
+        self._binary = Binary(given)
+        self.top: dict[str, Any] = {"asset": {"version": "2.0", "generator": "cagemap"}}
+        if given is not None:
+            self.top = json.loads(json.dumps(given.json))
+        self._nodes: list[Any] = self.top.setdefault("nodes", [])
+        self._meshes: list[Any] = self.top.setdefault("meshes", [])
+        self._node_of_part: dict[str, int] = {}
+        self._node_of_joint: dict[str, int] = {}
+        self._roots = self._scene_roots()
+        if scene is not None:
+            self._node_of_part = {one.part.name: one.node for one in scene.parts}
+            self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
+            self._meshes_used = [self._nodes[node].pop("mesh") for node in self._node_of_part.values()]
+            for node in self._node_of_part.values():
+                for name in ("skin", "weights"):
+                    self._nodes[node].pop(name, None)
+            self._mesh_of_node = dict(zip(self._node_of_part.values(), self._meshes_used, strict=True))
+        else:
+            self._meshes_used, self._mesh_of_node = [], {}
+
+    def rig(self, rig: Rig | None) -> None:
+        """Place the joints and state the skin that all parts share."""
+        self.top.pop("skins", None)
+        if rig is None:
+            return
+        numbers: list[int] = []
+        for joint, name in enumerate(rig.names):
+            node = self._node_of_joint.get(name)
+            parent = int(rig.parents[joint])
+            if node is None:
+                node = self._new_node({"name": name}, numbers[parent] if parent >= 0 else None)
+            numbers.append(node)
+            self._place(node, rig.local[joint])
+        self._node_of_joint |= dict(zip(rig.names, numbers, strict=True))
+        inverse = np.linalg.inv(rig.bind)
+        inverse[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
+        number = self._binary.accessor(inverse.reshape(-1, 16).astype("<f4"))
+        self.top["skins"] = [{"joints": numbers, "inverseBindMatrices": number}]
+
+    def part(self, part: Part, rig: Rig | None) -> None:
+        """Add a part's mesh to its node."""
+        node = self._node_of_part.get(part.name)
+        if node is None:
+            node = self._new_node({"name": part.name}, None)
+        mesh, shapes, normals = part.mesh, part.shapes, part.normals
+        skinned = part.weights is not None and rig is not None
+        if not skinned and self._scene is not None and node < len(self._scene.nodes.names):
+            away = np.linalg.inv(self._scene.nodes.world[node])
+            mesh = mesh.with_positions(mesh.positions @ away[:3, :3] + away[3, :3])
+            shapes = {name: offsets @ away[:3, :3] for name, offsets in shapes.items()}
+            if np.linalg.det(away[:3, :3]) < 0.0:
+                mesh, normals = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), None
+            elif normals is not None:
+                normals = turned_normals(normals, away[:3, :3])
+        weights = part.weights if skinned else None
+        made = mesh_entry(self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals)
+        entry = self._nodes[node]
+        if skinned:
+            entry["skin"] = 0
+        entry["mesh"] = self._mesh_number(node, made)
+
+    def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
+        """Where a mesh of the document belonged to this node alone its place, and what else is said of it."""
+        own = self._mesh_of_node.get(node)
+        if own is None or self._meshes_used.count(own) > 1:
+            self._meshes.append(made)
+            return len(self._meshes) - 1
+        before = self._meshes[own]
+        extras = before.get("extras")
+        kept = (
+            {name: value for name, value in extras.items() if name != "targetNames"} if isinstance(extras, dict) else {}
+        )
+        stated = before.get("weights")
+        count = len(made.get("extras", {}).get("targetNames", ()))
+        entry = {name: value for name, value in before.items() if name in ("name", "extensions")} | made
+        if kept or "extras" in made:
+            entry["extras"] = kept | made.get("extras", {})
+        if isinstance(stated, list) and len(stated) == count:
+            entry["weights"] = stated
+        self._meshes[own] = entry
+        return int(own)
+
+    def _materials(self, part: Part) -> list[int | None]:
+        """Numbers of a part's materials in the document; those that it has not are added."""
+        names = () if self._scene is None else material_names(self._scene.document)
+        known = {name: number for number, name in enumerate(names)}
+        entries: list[Any] = self.top.setdefault("materials", [])
+        known |= {entry["name"]: number for number, entry in enumerate(entries) if number >= len(names)}
+        found: list[int | None] = []
+        for number, name in enumerate(part.mesh.material_names):
+            if name and name not in known:
+                entries.append(material_entry(part.mesh, number))
+                known[name] = len(entries) - 1
+            found.append(known.get(name))
+        return found
+
+    def animations(self, character: Character) -> None:
+        """Replace the tracks of joints."""
+        above = {} if self._scene is None or self._scene.joints is None else dict(enumerate(self._scene.joints.above))
+        nodes = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
+        given = None if self._scene is None else self._scene.document
+        before = self.top.get("animations", [])
+        counts = [self._targets(node) for node in range(len(self._nodes))]
+        made = animation_entries(self._binary, character.animations, nodes, above, before, given, counts)
+        self.top.pop("animations", None)
+        if made:
+            self.top["animations"] = made
+
+    def _targets(self, node: int) -> int:
+        """Number of blend shapes of a node's mesh."""
+        mesh = self._nodes[node].get("mesh")
+        primitives = [] if mesh is None else self._meshes[mesh].get("primitives", [])
+        return len(primitives[0].get("targets", ())) if primitives else 0
+
+    def document(self) -> Document:
+        """What came out."""
+        for name in ("materials", "meshes"):
+            if not self.top.get(name):
+                self.top.pop(name, None)
+        return self._binary.document(self.top)
+
+    def _scene_roots(self) -> list[Any]:
+        """Root nodes of the scene that is shown."""
+        if self._scene is None:
+            self.top |= {"scene": 0, "scenes": [{"nodes": []}]}
+        scenes = self.top.get("scenes")
+        if not scenes:  # all roots are shown
+            assert self._scene is not None
+            roots = [int(node) for node in self._scene.nodes.order if self._scene.nodes.parents[node] < 0]
+            self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
+        found: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
+        return found
+
+    def _new_node(self, entry: dict[str, Any], parent: int | None) -> int:
+        self._nodes.append(entry)
+        siblings = self._roots if parent is None else self._nodes[parent].setdefault("children", [])
+        siblings.append(len(self._nodes) - 1)
+        return len(self._nodes) - 1
+
+    def _place(self, node: int, local: FloatArray) -> None:
+        """State a joint's transform, where it is another than that of the document."""
+        if self._scene is not None and node < len(self._scene.nodes.names):
+            joints, nodes = self._scene.joints, self._scene.nodes
+            above = np.eye(4) if joints is None else joints.above[node]
+            local = local @ np.linalg.inv(above)
+            if np.abs(local - nodes.local[node]).max() <= _SAME * np.abs(local).max():
+                return
+        entry = self._nodes[node]
+        for name in ("matrix", "translation", "rotation", "scale"):
+            entry.pop(name, None)
+        entry |= decomposed(local)
+
+
+_log = logging.getLogger(__name__)
+
+
+def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
+    """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file where it has their vertices and faces.
+
+    Materials, textures, skins, blend shapes, animations and extensions of the file are kept then. Another mesh is
+    written alone, with a warning where the file has a skeleton, shapes or animations.
+    """
+    try:
+        document = read_document(like)
+    except FormatError:  # gone or changed since
+        write_glb(path, mesh, force=force)
+        return
+    character = character_of(document)
+    sizes = [part.mesh.n_vertices for part in character.parts]
+    starts = np.cumsum([0, *sizes])
+    faces = np.concatenate(
+        [part.mesh.face_indices + start for part, start in zip(character.parts, starts[:-1], strict=True)]
+    )
+    if mesh.n_vertices != starts[-1] or not np.array_equal(mesh.face_indices, faces):
+        if character.rig is not None or character.animations or any(part.shapes for part in character.parts):
+            _log.warning(
+                "%s: other vertices or faces than %s: its skeleton, shapes, animations are left out", path, like
+            )
+        write_glb(path, mesh, force=force)
+        return
+    places = np.split(mesh.positions, starts[1:-1])
+    parts = tuple(move_vertices(part, own) for part, own in zip(character.parts, places, strict=True))
+    write_document(path, character_glb(replace(character, parts=parts), document), force=force)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -100,6 +101,17 @@ def read_image(path: str | Path) -> Image:
         raise FormatError(f"{file}: the image is damaged: {error}. Export it again.") from error
 
 
+def image_of_bytes(data: bytes, suffix: str, name: str) -> Image:
+    """An image from the content of a file; messages have the name given."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"image{suffix}"
+        file.write_bytes(data)
+        try:
+            return read_image(file)
+        except FormatError as error:
+            raise FormatError(str(error).replace(str(file), name)) from None
+
+
 def _read(file: Path) -> Image:
     opened, kind = _open(file)
     spec = opened.spec()
@@ -150,13 +162,7 @@ def _open(file: Path) -> tuple[Any, str]:
 
 
 def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
-    """Number type and number of channels of an image, or of the first tile of a set, from its header alone.
-
-    Raises
-    ------
-    FormatError
-        If it is no image that `read_image` reads.
-    """
+    """Number type and number of channels of an image, or of the first tile of a set, from its header alone."""
     opened, kind = _open(next(iter(tile_files(path).values())))
     channels = int(opened.spec().nchannels)
     opened.close()
@@ -229,11 +235,6 @@ def _reserve(path: Path, size: int) -> None:
     """Make sure that a file has room: where the disk is full, the library of JPEG ends the whole process.
 
     Where the file system cannot tell, it is written as it is.
-
-    Raises
-    ------
-    OSError
-        If there is not so much.
     """
     if hasattr(os, "posix_fallocate"):
         with path.open("rb+") as stream:
@@ -262,12 +263,7 @@ def _divided(pixels: Pixels) -> Pixels:
 
 
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
-    """Refuse, before any work is done, an image that its format cannot hold.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse, before any work is done, an image that its format cannot hold."""
     file = Path(path)
     text_name(file.absolute())
     suffix = file.suffix.lower()
@@ -290,15 +286,7 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
 def read_texture(path: str | Path) -> Image | dict[int, Image]:
     """Read a texture: one image, or with ``<UDIM>`` in the file's name the tiles found beside each other.
 
-    Returns
-    -------
-    Image, or dict of int -> Image
-        By UDIM number.
-
-    Raises
-    ------
-    FormatError
-        If there is no tile, or an image cannot be read.
+    Tiles are by UDIM number.
     """
     found = tile_files(path)
     if UDIM_MARK not in with_udim_mark(Path(path)).name:
@@ -312,13 +300,7 @@ def with_udim_mark(path: Path) -> Path:
 
 
 def tile_files(path: str | Path) -> dict[int, Path]:
-    """Files of a texture by UDIM number; one image is the first tile.
-
-    Raises
-    ------
-    FormatError
-        If there is no tile.
-    """
+    """Files of a texture by UDIM number; one image is the first tile."""
     file = with_udim_mark(Path(path))
     if UDIM_MARK not in file.name:
         return {FIRST_TILE: file}
@@ -375,13 +357,7 @@ def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, P
 
 
 def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
-    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float.
-
-    Raises
-    ------
-    FormatError
-        For other numbers.
-    """
+    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float."""
     names = {8: "uint8", 16: "float16" if suffix.lower() == ".exr" else "uint16", 32: "float32"}
     if bits not in names:
         raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}. Choose one of them.")

@@ -21,10 +21,6 @@ def require_one_picture(file: Path, opened: Any) -> None:
     """Refuse an EXR of several parts or without a window, a TIFF of several pages, and LAB colours.
 
     Smaller pages behind the first one are thumbnails or halvings of it.
-
-    Raises
-    ------
-    FormatError
     """
     spec, kind = opened.spec(), str(opened.format_name())
     if kind == "openexr":

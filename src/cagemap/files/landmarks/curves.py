@@ -26,13 +26,7 @@ _LARGEST = 2**62
 
 
 def pair_curves(path: Path, items: Any) -> Curves:
-    """Curves of a file of pairs.
-
-    Raises
-    ------
-    FormatError
-        If an entry has another form; it is named by its number.
-    """
+    """Curves of a file of pairs."""
     names, sides, closed = [], {"target": [], "source": []}, {"target": [], "source": []}  # type: ignore[var-annotated]
     for number, item in enumerate(_listed(path, items, FORM)):
         name, entry = _named(path, number, item, FORM)
@@ -45,13 +39,7 @@ def pair_curves(path: Path, items: Any) -> Curves:
 
 
 def pair_entries(path: str | Path, curves: Curves) -> list[str]:
-    """Undo `pair_curves`: an entry each, as JSON.
-
-    Raises
-    ------
-    FormatError
-        If points of a curve lie between vertices: a file of pairs cannot hold them.
-    """
+    """Undo `pair_curves`: an entry each, as JSON."""
     entries = []
     for i, name in enumerate(curves.names):
         chains = [side.at([i]).points.vertices for side in (curves.source, curves.target)]
@@ -66,13 +54,7 @@ def pair_entries(path: str | Path, curves: Curves) -> list[str]:
 
 
 def mesh_curves(path: Path, items: Any) -> tuple[NamedCurve, ...]:
-    """Curves of a file of one mesh.
-
-    Raises
-    ------
-    FormatError
-        If an entry has another form; it is named by its number.
-    """
+    """Curves of a file of one mesh."""
     found = []
     for number, item in enumerate(_listed(path, items, MESH_FORM)):
         name, entry = _named(path, number, item, MESH_FORM)
@@ -95,13 +77,7 @@ def mesh_entries(curves: Sequence[NamedCurve]) -> list[str]:
 
 
 def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurve:
-    """A curve through places in space.
-
-    Raises
-    ------
-    FormatError
-        If they are not finite points.
-    """
+    """A curve through places in space."""
     try:
         positions = np.array(places, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -60,13 +60,7 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
 
 
 def entered(file: Path, data: dict[str, Any]) -> Landmarks:
-    """Landmarks that the content of a landmark file, or of one like it, says.
-
-    Raises
-    ------
-    FormatError
-        If a pair or a curve is not of that form; it is named by its number.
-    """
+    """Landmarks that the content of a landmark file, or of one like it, says."""
     pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
     landmarks = Landmarks.of_points(
         tuple(name for name, _, _ in pairs),
@@ -88,13 +82,7 @@ def entries(landmarks: Landmarks) -> list[str]:
 
 
 def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = False) -> None:
-    """Write a landmark file.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
-    """
+    """Write a landmark file."""
     listed = ",\n  ".join(pair_entries(path, landmarks.curves))
     curves = f',\n "curves": [\n  {listed}\n ]' if listed else ""
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'

@@ -32,25 +32,14 @@ _MARKUPS_SCHEMA = (
 
 @dataclass(frozen=True)
 class PointForm:
-    """One form.
+    """One form."""
 
-    Attributes
-    ----------
-    ending : str
-        Of the names of its files.
-    title : str
-        What people call it.
-    names, curves : bool
-        Whether it can carry them.
-    text : callable
-        Content of a file for points of a mesh.
-    """
-
-    ending: str
-    title: str
+    ending: str  # of the names of its files
+    title: str  # what people call it
+    # `names`, `curves`: whether it can carry them
     names: bool
     curves: bool
-    text: Callable[[NamedPoints, ControlMesh], str]
+    text: Callable[[NamedPoints, ControlMesh], str]  # content of a file for points of a mesh
 
     def lost(self, points: NamedPoints) -> tuple[str, ...]:
         """What of some points it cannot carry, in sentences."""
@@ -69,13 +58,7 @@ def is_of_pairs(path: str | Path) -> bool:
 
 
 def point_form(path: str | Path) -> PointForm:
-    """The form that a file's name asks for; our own for every other ``.json``.
-
-    Raises
-    ------
-    FormatError
-        If the name asks for none.
-    """
+    """The form that a file's name asks for; our own for every other ``.json``."""
     name = Path(path).name.lower()
     found = next((form for form in POINT_FORMS if name.endswith(form.ending)), None)
     if found is None and name.endswith(".json"):
@@ -91,19 +74,7 @@ def point_form(path: str | Path) -> PointForm:
 def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, force: bool = False) -> None:
     """Write named points in the form that the file's name asks for.
 
-    Parameters
-    ----------
-    path : path
-    points : NamedPoints
-    mesh : ControlMesh
-        Other programs' points are places in space: those of its vertices, or, for Wrap, of its triangles.
-    force : bool
-        Write over a file that cagemap did not write; Wrap's form has no place that says so.
-
-    Raises
-    ------
-    FormatError
-        If the name asks for no form, the file cannot be written, or the form is asked for curves, which it has not.
+    ``mesh``: other programs' points are places in space: those of its vertices, or, for Wrap, of its triangles.
     """
     form = point_form(path)
     if points.curves and not form.curves:

@@ -1,4 +1,4 @@
-"""Points and curves of one mesh, by name, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
+"""Points, curves and symmetries of one mesh, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
 
 A file per mesh instead of one per pair: N meshes need N files, and any two of them are matched by the names they share.
 `cagemap.files.landmarks.point_formats` writes them.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 import re
 from pathlib import Path
@@ -18,11 +19,13 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.landmarks.curves import MESH_FORM, curve_through, mesh_curves
+from cagemap.files.npz import read_npy
 from cagemap.files.schema import parse_json
-from cagemap.files.text import read_text, whole_characters
+from cagemap.files.text import read_bytes, read_text, whole_characters
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
-from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
+from cagemap.numerics.arrays import IndexArray
 
 Named = list[tuple[str, int, tuple[float, float, float] | None]]
 
@@ -37,17 +40,8 @@ FORMS = (
 def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoints:
     """Read the named points of one mesh.
 
-    Parameters
-    ----------
-    path : path
-        A .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
-    mesh : ControlMesh, optional
-        Wrap's points are triangles of it, with coordinates; other forms do not ask.
-
-    Raises
-    ------
-    FormatError
-        If the file has none of these forms; the point is named.
+    ``path``: a .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
+    ``mesh``: Wrap's points are triangles of it, with coordinates; other forms do not ask.
     """
     file = Path(path)
     name = file.name.lower()
@@ -213,3 +207,40 @@ def _place(path: Path, name: str, values: Any) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (x, y, z))):
         raise FormatError(f"{path}: '{name}': expected finite numbers, got {values}.")
     return x, y, z
+
+
+_SYMMETRY_REMEDY = (
+    "A symmetry file has one vertex number for every control vertex, from 0, -1 where the image is not known: "
+    "a JSON list, text with a number a line, or .npy."
+)
+
+
+def read_symmetry(path: Path) -> IndexArray:
+    """Read the image of every control vertex from ``.npy``, ``.json`` or text."""
+    content = read_bytes(path, "a symmetry file")
+    if path.suffix == ".npy":
+        values = read_npy(content, path, _SYMMETRY_REMEDY)
+    else:
+        try:
+            text = content.decode("utf-8")
+            values = np.array(json.loads(text) if path.suffix == ".json" else [int(word) for word in text.split()])
+        except (ValueError, RecursionError) as error:
+            raise FormatError(f"{path}: is no list of whole numbers ({error}). {_SYMMETRY_REMEDY}") from None
+    if values.ndim != 1 or not len(values) or not np.issubdtype(values.dtype, np.integer):
+        raise FormatError(
+            f"{path}: expected a list of whole numbers, got {values.dtype} of shape {values.shape}. {_SYMMETRY_REMEDY}"
+        )
+    return values.astype(np.int64)
+
+
+def symmetry_on(images: IndexArray, control: ControlMesh) -> IndexArray:
+    """Images of a file's vertices on a mesh that is welded, or a part of the file; others as they are."""
+    first = control.file_vertices
+    if first is None or len(images) == control.n_vertices or len(images) <= first.max():
+        return images
+    number = np.full(len(images) + 1, -1, dtype=np.int64)  # the last: where the image is not known
+    number[first] = np.arange(control.n_vertices)
+    if control.file_copies is not None:
+        number[control.file_copies[:, 1]] = control.file_copies[:, 0]
+    inside = (images >= -1) & (images < len(images))
+    return np.asarray(np.where(inside, number[np.where(inside, images, -1)], images)[first])

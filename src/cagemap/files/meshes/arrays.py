@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError, InvalidMeshError
-from cagemap.files.array_specs import ArraySpec, check_arrays, check_offsets, lie_in_triangles
+from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints
-from cagemap.mesh.schemes import SCHEMES, Scheme
+from cagemap.mesh.schemes import SCHEMES, Scheme, scheme_name
 
 # Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
 CONTROL_FORMS = {
@@ -65,13 +65,7 @@ def control_from_arrays(
     remedy: str,
     scheme: Scheme | None = None,
 ) -> ControlMesh:
-    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with.
-
-    Raises
-    ------
-    FormatError
-        If arrays are missing, of another spec, or make no mesh that the method can take; says ``remedy``.
-    """
+    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with."""
     stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
     texts: dict[str, Any] = {
         key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
@@ -108,13 +102,7 @@ def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tu
 
 
 def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
-    """Points of a control mesh whose arrays have their specs already, if there are any.
-
-    Raises
-    ------
-    FormatError
-        If one array is missing or points lie outside their triangles; says ``remedy``.
-    """
+    """Points of a control mesh whose arrays have their specs already, if there are any."""
     corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
     if corners is None and weights is None:
         return None
@@ -138,20 +126,7 @@ def curves_from_arrays(
 ) -> Curves:
     """Undo `curves_to_arrays`.
 
-    Parameters
-    ----------
-    path : path
-    arrays : mapping of str to array
-    names : sequence of str
-        Of the curves.
-    vertices : (int, int)
-        Number of control vertices of target and source.
-    remedy : str
-
-    Raises
-    ------
-    FormatError
-        If arrays are missing, of another spec, or are no curves of the meshes; says ``remedy``.
+    ``vertices``: (int, int), number of control vertices of target and source.
     """
     if not names:
         return Curves.none()
@@ -176,18 +151,11 @@ def curves_from_arrays(
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
     """Name and settings of a scheme, for JSON."""
-    name = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
-    return {"name": name, **asdict(scheme)}
+    return {"name": scheme_name(scheme), **asdict(scheme)}
 
 
 def scheme_from_entry(path: Path, entry: Mapping[str, Any], remedy: str) -> Scheme:
-    """Undo `scheme_to_entry`.
-
-    Raises
-    ------
-    FormatError
-        If the entry lacks something, has too much or another value than the scheme knows; says ``remedy``.
-    """
+    """Undo `scheme_to_entry`."""
     settings = dict(entry)
     try:
         return SCHEMES[settings.pop("name")](**settings)

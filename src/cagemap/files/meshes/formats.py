@@ -9,10 +9,10 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.like import write_glb_like
 from cagemap.files.gltf.read import read_gltf
-from cagemap.files.gltf.write import write_glb
-from cagemap.files.meshes.obj import obj_files, read_obj, write_obj
+from cagemap.files.gltf.write import write_glb, write_glb_like
+from cagemap.files.meshes.obj import read_obj
+from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
@@ -84,7 +84,7 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in SCENE_SUFFIXES:
         write_glb_like(path, mesh, like, force=force)
     elif suffix == ".glb" and original is not None:
-        write_glb(path, mesh, to_metres=to_standard(original, mesh), force=force)
+        write_glb(path, mesh, to_metres=to_standard(original), force=force)
     else:
         _WRITERS[suffix](path, mesh, force=force)
 

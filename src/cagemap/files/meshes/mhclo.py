@@ -13,6 +13,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.ownership import mark
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.spectral import Surface
 from cagemap.transfer.locate import triangle_frames
 
 _AXES = "xyz"
@@ -20,27 +21,13 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """A mesh bound to a base mesh.
+    """A mesh bound to a base mesh."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) int64
-        Base vertices that each vertex follows.
-    weights : (n, 3) float64
-        Rows sum to 1; may be negative.
-    offsets : (n, 3) float64
-        Added, scaled axis by axis.
-    scales : (3, 2) int64
-        Two base vertices for each axis, whose distance along it scales the offsets.
-    lengths : (3,) float64
-        That distance in the base mesh at rest.
-    """
-
-    vertices: IndexArray
-    weights: FloatArray
-    offsets: FloatArray
-    scales: IndexArray
-    lengths: FloatArray
+    vertices: IndexArray  # (n, 3) base vertices that each vertex follows
+    weights: FloatArray  # (n, 3) rows sum to 1; may be negative
+    offsets: FloatArray  # (n, 3) added, scaled axis by axis
+    scales: IndexArray  # (3, 2) two base vertices for each axis, whose distance along it scales the offsets
+    lengths: FloatArray  # (3,) that distance in the base mesh at rest
 
     def positions(self, base: FloatArray) -> FloatArray:
         """(n, 3) where the mesh goes for base positions (n2, 3): what MakeHuman and MPFB do with the file."""
@@ -49,16 +36,18 @@ class Binding:
         return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
 
 
+def bind_on(positions: FloatArray, base: Surface, triangle: IndexArray) -> Binding:
+    """Bind a mesh to the control vertices of a surface, each vertex to the face that a finest triangle (n,) is of."""
+    finest = base.refinement.finest
+    per_face = len(base.finest_triangles.triangles) // finest.n_faces
+    return bind(positions, base.control, finest.face_parents[triangle // per_face])
+
+
 def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:
     """Bind a mesh to the control vertices of a base mesh that it lies on.
 
-    Parameters
-    ----------
-    positions : (n, 3) float64
-        Of the mesh, in the base's units.
-    base : ControlMesh
-    faces : (n,) int64
-        Face of the base that each vertex belongs to; of its triangles the nearest one is taken.
+    ``positions``: (n, 3), of the mesh, in the base's units. ``faces``: (n,), face of the base that each vertex belongs
+    to; of its triangles the nearest one is taken.
     """
     corners, sizes = base.face_indices, base.face_sizes[faces]
     begin = base.face_offsets[faces]
@@ -87,13 +76,7 @@ def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) 
 
 
 def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
-    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is another one, or the file cannot be written.
-    """
+    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``."""
     file = Path(path)
     if file.suffix.lower() not in (".mhclo", ".proxy"):
         raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")

@@ -13,14 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import require_replaceable, write_whole
-from cagemap.files.meshes.mtl import read_material_colors, write_materials
-from cagemap.files.meshes.obj_polypaint import KEYWORD, polypaint
+from cagemap.files.meshes.colors import KEYWORD, as_shares, polypaint, read_material_colors
 from cagemap.files.meshes.obj_tags import parse_tags
-from cagemap.files.meshes.obj_text import obj_statements
-from cagemap.files.ownership import mark
-from cagemap.files.text import at_line, check_writable_name, decoded, is_number, read_text
-from cagemap.files.values.colors import as_shares
+from cagemap.files.text import at_line, decoded, is_number, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import counted, first_few
@@ -65,12 +60,6 @@ def read_obj(path: str | Path) -> ControlMesh:
     a colour (else ZBrush's polypaint, `obj_polypaint`), and ``t`` lines creases, corners, holes and
     options (`obj_tags`). Normals, points, lines and smoothing groups are ignored; several objects become
     one mesh.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, a line is malformed (named by its number), an index is out of range, a coordinate
-        is not finite, or a face has texture coordinates at some corners only.
     """
     file = Path(path)
     statements = _split_statements(file, read_text(file, "an OBJ file"))
@@ -355,33 +344,3 @@ def named_material_files(name: str, content: bytes) -> list[str]:
     """Every name of a material file that `read_obj` would look for, if an OBJ file of this content were read."""
     statements = _split_statements(Path(name), decoded(content, Path(name), "an OBJ file"))
     return [one for row in statements.rows(_MATERIAL_FILE) for one in _material_names(statements.lines[row])]
-
-
-def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
-
-    Numbers are written with as many digits as it takes to read the same float64 back.
-
-    Raises
-    ------
-    FormatError
-        If a file cannot be written, or cagemap did not write the one that is there and ``force`` is not given; if a
-        material name has a line break.
-    """
-    file = Path(path)
-    for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
-        check_writable_name(name)
-    for written in obj_files(file, mesh):
-        require_replaceable(written, force=force)
-    library = file.with_suffix(".mtl")
-    parts = [f"# {mark()}\n"]
-    parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
-    parts += obj_statements(mesh)
-    if mesh.face_materials is not None:
-        write_materials(library, mesh.material_names, mesh.material_colors, force=force)
-    write_whole(file, "".join(parts), force=force)
-
-
-def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
-    """Files that `write_obj` writes for a mesh."""
-    return [path] if mesh.face_materials is None else [path.with_suffix(".mtl"), path]

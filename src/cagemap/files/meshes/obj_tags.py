@@ -24,7 +24,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop
+from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop, scheme_name
 
 _CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
     "interpolateboundary": ("boundary", ("none", "edge_and_corner", "edge_only")),
@@ -46,19 +46,8 @@ def parse_tags(
 ) -> dict[str, Any]:
     """Read all tag lines of a file, as fields of a control mesh; tags of other names are left alone.
 
-    Parameters
-    ----------
-    lines : sequence of str
-    fail : callable
-        Makes the error for line number i of ``lines``, given what was expected.
-    n_vertices, n_faces : int
-    triangles : bool
-        Whether all faces are: then options without a scheme are Loop's.
-
-    Raises
-    ------
-    FormatError
-        If a line is malformed, a number is out of range, or a word is none of those allowed.
+    ``fail``: makes the error for line number i of ``lines``, given what was expected. ``triangles``: whether all faces
+    are: then options without a scheme are Loop's.
     """
     sharp: dict[str, list[tuple[list[int], float]]] = {"crease": [], "corner": []}
     holes: list[int] = []
@@ -134,7 +123,7 @@ def format_tags(mesh: ControlMesh) -> str:
             for tag, (option, choices) in _CHOICES.items()
             if option in stated
         ]
-        stated["scheme"] = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
+        stated["scheme"] = scheme_name(scheme)
         for tag, (option, meanings) in _WORDS.items():
             words = [word for word, meaning in meanings.items() if meaning == stated.get(option)]
             lines += [f"t {tag} 0/0/1 {word}" for word in words]

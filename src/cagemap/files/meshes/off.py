@@ -21,13 +21,7 @@ _FORM = "OFF, then the numbers of vertices, faces and edges, then a line each: x
 
 
 def read_off(path: str | Path) -> ControlMesh:
-    """Read a control mesh from an OFF file in the file's own order; normals, colours and the like are ignored.
-
-    Raises
-    ------
-    FormatError
-        If the file is no OFF of places in space, is cut short, or holds indices out of range or positions not finite.
-    """
+    """Read a control mesh from an OFF file in the file's own order; normals, colours and the like are ignored."""
     file = Path(path)
     rows = [words for line in read_text(file, "an OFF file").splitlines() if (words := line.partition("#")[0].split())]
     first = _FIRST_WORD.match(rows[0][0]) if rows else None
@@ -57,13 +51,7 @@ def read_off(path: str | Path) -> ControlMesh:
 
 
 def write_off(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write positions and faces of a mesh; nothing else has a place in an OFF file.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
-    """
+    """Write positions and faces of a mesh; nothing else has a place in an OFF file."""
     lines = [f"{x!r} {y!r} {z!r}" for x, y, z in mesh.positions.tolist()]
     corners = np.split(mesh.face_indices, mesh.face_offsets[1:-1])
     lines += [f"{len(face)} {' '.join(map(str, face.tolist()))}" for face in corners]

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.colors import as_shares
 from cagemap.files.meshes.obj import warn_of_bare_faces
 from cagemap.files.meshes.ply_records import Column, read_columns
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes
-from cagemap.files.values.colors import as_shares
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import first_few
@@ -35,11 +35,6 @@ def read_ply(path: str | Path) -> ControlMesh:
     ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where that
     has one or two bytes, else from 0 to 1, or bytes where they go beyond as those do. Normals and other elements are
     ignored.
-
-    Raises
-    ------
-    FormatError
-        If the file is no PLY, is cut short, has no polygons, or holds indices out of range or positions not finite.
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))
@@ -142,11 +137,6 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
 
     Vertex colours are bytes, which every program reads.
     Materials have no place in this format and are left out.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
     content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
     write_whole(path, content, force=force)

@@ -61,13 +61,7 @@ class Column:
 
 
 def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
-    """Decode a PLY file into columns by element and property name.
-
-    Raises
-    ------
-    FormatError
-        If the header is malformed (named by line) or the body ends early (named by element and record).
-    """
+    """Decode a PLY file into columns by element and property name."""
     order, elements, start = _read_header(path, content)
     body = content[start:] if order else _pack_text(path, content[start:])
     columns, position = {}, 0

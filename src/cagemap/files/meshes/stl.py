@@ -27,11 +27,6 @@ def read_stl(path: str | Path) -> ControlMesh:
     """Read a triangle mesh from an STL file; corners at the very same place are one vertex.
 
     Vertices are numbered as they first appear in the file; normals and attributes are ignored.
-
-    Raises
-    ------
-    FormatError
-        If the file is no STL, is cut short, or has no triangles.
     """
     file = Path(path)
     content = read_bytes(file, "an STL file")

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import FormatError
-from cagemap.files.array_specs import ArraySpec, check_arrays, lie_in_triangles
 from cagemap.files.atomic import atomic_folder, require_own_folder
 from cagemap.files.meshes.arrays import (
     control_from_arrays,
@@ -26,31 +25,20 @@ from cagemap.files.meshes.arrays import (
     scheme_from_entry,
     scheme_to_entry,
 )
-from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.npz import ArraySpec, check_arrays, lie_in_triangles, read_npz, write_npz
 from cagemap.files.ownership import is_own, seal, stated_checksum
-from cagemap.files.result.level_maps import level_arrays, level_entries, read_level_maps
 from cagemap.files.result.manifest import (
     MANIFEST,
     REMEDY,
-    file_hash,
-    input_file,
-    mesh_hash,
-    note_transfer,
-    peak_memory,
-    read_files,
     read_manifest,
-    stated_path,
-    written_with,
-)
-from cagemap.files.result.manifest_values import (
-    assurance,
-    landmark_messages,
     stored_basis,
     stored_check,
     stored_confidence,
     stored_landmarks,
     stored_quality,
+    written_with,
 )
+from cagemap.files.result.maps import level_arrays, level_entries, read_level_maps
 from cagemap.files.schema import ResultRecord, SideRecord, checked_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
@@ -64,24 +52,6 @@ from cagemap.spectral import Surface
 from cagemap.subdivision import Scheme, refine
 from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
-
-__all__ = [
-    "ARRAYS",
-    "MANIFEST",
-    "assurance",
-    "check_result_folder",
-    "file_hash",
-    "input_file",
-    "landmark_messages",
-    "mesh_hash",
-    "note_transfer",
-    "peak_memory",
-    "read_files",
-    "read_manifest",
-    "read_result",
-    "stated_path",
-    "write_result",
-]
 
 ARRAYS = "map.npz"
 
@@ -148,7 +118,8 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
     arrays |= curves_to_arrays(result.curves)
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
-        write_npz(temporary / ARRAYS, arrays, lambda: _spectral_arrays(result))
+        names = _SPECTRAL_ARRAYS if result.has_spectral else ()
+        write_npz(temporary / ARRAYS, arrays, lambda: {name: getattr(result.spectral, name) for name in names})
         seal(temporary / ARRAYS)
         manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
         # The manifest comes last: a folder with one is complete, whoever copies it.
@@ -158,11 +129,6 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
 def _numbers(indices: IndexArray) -> NDArray[np.int32]:
     """Numbers of finest vertices and triangles as files hold them: they are below 2^31."""
     return indices.astype(np.int32)
-
-
-def _spectral_arrays(result: MatchResult) -> dict[str, Any]:
-    """The functional map and its eigenvalues, where both surfaces are prepared."""
-    return {name: getattr(result.spectral, name) for name in _SPECTRAL_ARRAYS} if result.has_spectral else {}
 
 
 def check_result_folder(folder: str | Path, *, force: bool = False) -> None:

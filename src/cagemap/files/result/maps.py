@@ -1,4 +1,4 @@
-"""Point maps in files: read from any program, written for others.
+"""Point maps in files: read from any program, written for others; those of all levels in a RESULT folder.
 
 Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,14 @@ from scipy import io, sparse
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
+from cagemap.files.npz import ArraySpec, check_arrays, lie_in_triangles, read_npy, read_npz, write_npy, write_npz
 from cagemap.files.ownership import mark
+from cagemap.files.schema import LevelMapRecord
 from cagemap.files.text import read_text, require_file
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import LevelMap, MatchResult
+from cagemap.numerics.arrays import FloatArray
+from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -41,13 +46,6 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     - ``.npz``: ``triangle`` and ``barycentric``, or a sparse matrix as SciPy writes it.
     - ``.mtx`` (Matrix Market): a matrix, each row the weights of the corners of one source triangle; its dense form
       (``array``) up to `DENSE_ENTRIES`.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or is no map.
-    ParameterError
-        If its points are not points of this source.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -215,11 +213,6 @@ def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurfac
     """A map of the target's finest vertices from images of these, or of its vertices at any coarser level.
 
     Images of a coarser level are refined like the surface itself, and put back onto the source.
-
-    Raises
-    ------
-    FormatError
-        If there is not one image for each vertex of some level.
     """
     sizes = [level.n_vertices for level in target.levels]
     if len(images) == sizes[-1]:
@@ -237,13 +230,7 @@ def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurfac
 
 
 def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> None:
-    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is unknown or the file cannot be written.
-    """
+    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
@@ -262,3 +249,71 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
             write_npz(
                 temporary, {"triangle": point_map.triangle, "barycentric": point_map.barycentric, SOURCE_SIZE: source}
             )
+
+
+def stored_levels(result: MatchResult) -> tuple[LevelMap, ...]:
+    """The maps that are stored; none where a side is a plain mesh, whose coarse levels no file knows."""
+    if result.target.refinement.is_plain or result.source.refinement.is_plain or not result.has_spectral:
+        return ()
+    if any(found.points is None for found in result.level_maps):
+        return ()
+    return result.level_maps
+
+
+def level_entries(result: MatchResult) -> list[dict[str, int]]:
+    """What a manifest says of them."""
+    return [{"target": found.levels[0], "source": found.levels[1]} for found in stored_levels(result)]
+
+
+def level_arrays(result: MatchResult) -> dict[str, NDArray[Any]]:
+    """Vertex matches of all of them; functional map, triangles and barycentric coordinates of all but the last."""
+    arrays: dict[str, NDArray[Any]] = {}
+    maps = stored_levels(result)
+    for i, found in enumerate(maps):
+        arrays[f"level_{i}_match"] = found.match
+        if found is not maps[-1] and found.points is not None:
+            arrays[f"level_{i}_functional_map"] = found.functional_map
+            arrays[f"level_{i}_triangle"] = found.points.triangle
+            arrays[f"level_{i}_barycentric"] = found.points.barycentric
+    return arrays
+
+
+def read_level_maps(
+    path: Path,
+    stored: dict[str, NDArray[Any]],
+    entries: list[LevelMapRecord],
+    surfaces: tuple[Surface, Surface],
+    point_map: PointMap,
+    functional_map: FloatArray | None,
+    remedy: str,
+) -> tuple[LevelMap, ...]:
+    """The maps that `level_arrays` wrote, the result's own last."""
+    if functional_map is None or not entries:
+        return ()
+    target, source = surfaces
+    levels = [(entry.target, entry.source) for entry in entries]
+    finest = target.refinement.n_levels, source.refinement.n_levels
+    if levels[-1] != finest or any(one > finest[0] or other > finest[1] for one, other in levels):
+        raise FormatError(f"{path}: expected levels of maps that end at {finest}, the manifest has {levels}. {remedy}")
+    maps = []
+    for i, entry in enumerate(entries):
+        last = i == len(entries) - 1
+        sides = target.triangles(entry.target), source.triangles(entry.source)
+        specs = {f"level_{i}_match": ArraySpec(("n1",), below="n2")}
+        if not last:
+            specs |= {
+                f"level_{i}_functional_map": ArraySpec((f"k1_{i}", f"k2_{i}")),
+                f"level_{i}_triangle": ArraySpec(("n1",), below="t2"),
+                f"level_{i}_barycentric": ArraySpec(("n1", 3)),
+            }
+        sizes = {"n1": sides[0].n, "n2": sides[1].n, "t2": len(sides[1].triangles)}
+        arrays = check_arrays(path, stored, specs, sizes, remedy)
+        points, c = point_map, functional_map
+        if not last:
+            c = arrays[f"level_{i}_functional_map"]
+            places = arrays[f"level_{i}_triangle"], arrays[f"level_{i}_barycentric"]
+            if not lie_in_triangles(places[1]):
+                raise FormatError(f"{path}: level_{i}_barycentric lie outside their triangles. {remedy}")
+            points = PointMap.from_arrays(*sides, *places)
+        maps.append(LevelMap((entry.target, entry.source), c, arrays[f"level_{i}_match"], points))
+    return tuple(maps)

@@ -46,17 +46,7 @@ class _Numbers:
 def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> MatchResult:
     """One result of several, whose meshes become pieces of one.
 
-    Parameters
-    ----------
-    parts : sequence of MatchResult
-        All of one level and scheme a side.
-    provenance : dict
-        Entries beside those of the first part.
-
-    Raises
-    ------
-    ParameterError
-        If levels or schemes differ.
+    ``parts``: all of one level and scheme a side. ``provenance``: entries beside those of the first part.
     """
     first, provenance = parts[0], parts[0].provenance | provenance
     if len(parts) == 1:

@@ -22,13 +22,11 @@ from scipy import sparse
 
 from cagemap import __version__
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.array_specs import ArraySpec, check_arrays, check_offsets
 from cagemap.files.atomic import atomic_path
-from cagemap.files.code_version import code_version
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
-from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, read_npz, write_npz
 from cagemap.files.ownership import is_own
-from cagemap.files.result.folder import mesh_hash
+from cagemap.files.result.manifest import code_version, mesh_hash
 from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
 from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain
@@ -55,16 +53,8 @@ Prepare = Callable[..., Surface]
 def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig = MAP_BASIS) -> str:
     """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    control : ControlMesh
-        All its arrays count, its name does not.
-    level : int
-        The finest level.
-    scheme : CatmullClark or Loop, optional
-        Default: the mesh's default scheme.
-    config : BasisConfig
-        Default: what `cagemap.pipeline.prepare_surface` makes.
+    ``control``: all its arrays count, its name does not. ``scheme``: default: the mesh's default scheme. ``config``:
+    default: what `cagemap.pipeline.prepare_surface` makes.
 
     Notes
     -----
@@ -83,13 +73,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 
 
 def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
-    """Write a prepared surface to one file, whole or not at all.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written.
-    """
+    """Write a prepared surface to one file, whole or not at all."""
     control, operators, basis = surface.control, surface.operators, surface.basis
     header = {
         "format": FORMAT,
@@ -125,26 +109,9 @@ def prepared(
     """A prepared surface from a folder of stored ones, or prepared now and stored there.
 
     A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced.
+    Nothing is stored where preparing fails.
 
-    Parameters
-    ----------
-    folder : path
-        Created if it does not exist.
-    control : ControlMesh
-    level : int
-        The finest level.
-    config : BasisConfig
-    progress : callable
-        Called with the name of each stage.
-    prepare : callable
-        What makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
-
-    Raises
-    ------
-    FormatError
-        If the folder cannot be made or written to.
-    CagemapError
-        Whatever preparing raises; nothing is stored then.
+    ``prepare``: what makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
     """
     key = surface_key(control, level, default_scheme(control), config)
     place = _usable_folder(Path(folder)) / (key + SUFFIX)
@@ -168,11 +135,6 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
     """Read a prepared surface; what is not stored, its refined levels, is made again.
 
     A control mesh known to be equal to the stored one takes its place, name and all.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, damaged, no stored surface, or of another format version.
     """
     path = Path(path)
     require_file(path, "a prepared surface")

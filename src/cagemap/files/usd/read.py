@@ -6,11 +6,16 @@ comes along.
 
 from __future__ import annotations
 
+import glob
 import itertools
 import logging
+import posixpath
+import re
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -18,80 +23,57 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.text import require_file, text_name
-from cagemap.files.usd.face_sets import face_sets
-from cagemap.files.usd.primvars import (
+from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     corner_primvars,
     corner_values,
+    face_sets,
     integers,
+    is_mirrored,
+    local_to_world,
+    moved,
     primvar_arrays,
     stated,
+    unflattened,
     uv_primvars,
 )
-from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved, unflattened
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
+from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import default_scheme
 
 logger = logging.getLogger(__name__)
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-_SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
-    "catmullClark": CatmullClark,
-    "loop": Loop,
-    "bilinear": Bilinear,
-    "none": Plain,
-}
-_BOUNDARIES = {"none": "none", "edgeOnly": "edge_only", "edgeAndCorner": "edge_and_corner"}
-_UVS = {
-    "none": "none",
-    "cornersOnly": "corners_only",
-    "cornersPlus1": "corners_plus1",
-    "cornersPlus2": "corners_plus2",
-    "boundaries": "boundaries",
-    "all": "all",
+# Words of USD; ours are the same in small letters, with "_" between them.
+_WORDS = {
+    "subdivisionScheme": ("catmullClark", "loop", "bilinear", "none"),
+    "interpolateBoundary": ("none", "edgeOnly", "edgeAndCorner"),
+    "faceVaryingLinearInterpolation": ("none", "cornersOnly", "cornersPlus1", "cornersPlus2", "boundaries", "all"),
+    "triangleSubdivisionRule": ("catmullClark", "smooth"),
 }
 # Purposes of meshes that stand for others.
 _STAND_INS = ("guide", "proxy")
-_TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
 
 
 @dataclass(frozen=True, eq=False)
 class UsdMesh:
-    """One mesh prim.
+    """One mesh prim."""
 
-    Attributes
-    ----------
-    path : str
-        Of the prim.
-    control : ControlMesh
-        In the prim's own space.
-    attributes : dict of str to array
-        Other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column
-        for each joint, blend shapes as ``blendShape:NAME``.
-    to_world : (4, 4) float64
-        Positions as rows, 1 appended, times this are in world space.
-    of_corners : frozenset of str
-        Names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex.
-    """
-
-    path: str
-    control: ControlMesh
+    path: str  # of the prim
+    control: ControlMesh  # in the prim's own space
+    # other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column for
+    # each joint, blend shapes as ``blendShape:NAME``
     attributes: dict[str, Any]
-    to_world: FloatArray
+    to_world: FloatArray  # (4, 4) positions as rows, 1 appended, times this are in world space
+    # names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex
     of_corners: frozenset[str] = frozenset()
 
 
 def usd_modules() -> Any:
-    """The ``pxr`` package.
-
-    Raises
-    ------
-    FormatError
-        If it is not installed.
-    """
+    """The ``pxr`` package."""
     try:
         import pxr
         import pxr.Usd
@@ -118,13 +100,7 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 
 def open_stage(path: str | Path) -> Any:
-    """Open a USD file; what it refers to and cannot be found is warned of.
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, there is no such file, or it is damaged.
-    """
+    """Open a USD file; what it refers to and cannot be found is warned of."""
     pxr = usd_modules()
     file = Path(path)
     require_file(file, "a USD file")
@@ -166,11 +142,6 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
     Stand-ins (purpose guide or proxy) are left out beside meshes that are none, and so are meshes that their transform
     flattens (as animators hide them) beside others; that is warned of.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, has no mesh with points and faces, or a mesh's arrays do not fit together.
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
@@ -206,11 +177,6 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
     """Read a control mesh from a USD file; several mesh prims become objects of one mesh, in world space.
 
     With ``mixed``, meshes that are subdivided in different ways come with their ``object_schemes``, to take parts of.
-
-    Raises
-    ------
-    FormatError
-        As `read_usd_meshes`, or if meshes are to be subdivided in different ways.
     """
     file = Path(path)
     meshes = read_usd_meshes(file)
@@ -229,13 +195,7 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
-    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to.
-
-    Raises
-    ------
-    FormatError
-        If there are several and it is of none or of several of them.
-    """
+    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to."""
     if len(meshes) == 1:
         return meshes[0]
     objects = None if control is None else control.face_objects
@@ -303,19 +263,16 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
-    words = {
-        "subdivisionScheme": (mesh.GetSubdivisionSchemeAttr().Get(), {name: name for name in _SCHEMES}),
-        "interpolateBoundary": (mesh.GetInterpolateBoundaryAttr().Get(), _BOUNDARIES),
-        "faceVaryingLinearInterpolation": (mesh.GetFaceVaryingLinearInterpolationAttr().Get(), _UVS),
-        "triangleSubdivisionRule": (mesh.GetTriangleSubdivisionRuleAttr().Get(), _TRIANGLES),
-    }
-    for name, (word, known) in words.items():
+    found = []
+    for name, known in _WORDS.items():
+        word = mesh.GetPrim().GetAttribute(name).Get()
         if str(word) not in known:
             raise FormatError(
                 f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."
             )
-    kind, boundary, uvs, triangles = (known[str(word)] for word, known in words.values())
-    return _SCHEMES[kind](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
+        found.append(re.sub("[A-Z]", lambda letter: f"_{letter[0].lower()}", str(word)))
+    kind, boundary, uvs, triangles = found
+    return SCHEMES[kind.replace("_", "-")](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
 
 
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
@@ -377,3 +334,44 @@ def reversed_corners(face_offsets: IndexArray) -> IndexArray:
 
 def _floats(values: Any) -> FloatArray:
     return np.array([] if values is None else values, dtype=np.float64)
+
+
+_LAYERS = (".usd", ".usda", ".usdc")
+
+
+def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
+    """Asset paths of a USD file, in any place that holds them, as they are written; none of them is opened.
+
+    Paths of a package to its own entries are left out.
+
+    ``name``: of the file; its ending says how it is read.
+    """
+    pxr = usd_modules()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"layer{Path(name).suffix}"
+        file.write_bytes(content)
+        try:
+            if file.suffix.lower() != ".usdz":
+                return _of_layer(str(file))
+            entries = list(pxr.Sdf.ZipFile.Open(str(file)).GetFileNames())
+            found = {entry: _of_layer(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
+        except (pxr.Tf.ErrorException, UnicodeDecodeError, AttributeError):
+            raise FormatError(f"{name}: cannot be read as USD. Export it again.") from None
+    if any(entry.lower().endswith(".usdz") for entry in entries):
+        raise FormatError(f"{name}: expected a package of layers and images, got a package within it. Flatten it.")
+    return tuple(path for entry, paths in found.items() for path in paths if not _is_entry(entry, path, entries))
+
+
+def _of_layer(path: str) -> tuple[str, ...]:
+    """Every asset path of one layer; expressions as they are written and as they read in this layer."""
+    pxr = usd_modules()
+    sublayers, references, payloads = pxr.UsdUtils.ExtractExternalReferences(path)
+    composed = pxr.Sdf.Layer.FindOrOpen(path).GetCompositionAssetDependencies()
+    return tuple(sorted({*sublayers, *references, *payloads, *composed}))
+
+
+def _is_entry(layer: str, path: str, entries: list[str]) -> bool:
+    """Whether a path of a package's layer is one of its entries, or of tiles among them."""
+    wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
+    pattern = glob.escape(wanted).replace("<UDIM>", "????")
+    return any(fnmatchcase(entry, pattern) for entry in entries)

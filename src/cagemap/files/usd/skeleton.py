@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd.primvars import integers
+from cagemap.files.usd.prims import integers, moved
 from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
-from cagemap.files.usd.transforms import moved
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton, tails_of
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -19,21 +18,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton | None:
     """The skeleton that a mesh of a USD file is bound to, as it was bound, in the space of what `read_usd` gives.
 
-    Parameters
-    ----------
-    path : path
-    control : ControlMesh, optional
-        Says which mesh, where the file has several.
-
-    Returns
-    -------
-    Skeleton or None
-        None where the mesh is bound to none.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or joints and transforms do not fit together.
+    ``control``: says which mesh, where the file has several. None where the mesh is bound to none.
     """
     meshes = read_usd_meshes(path)
     chosen = one_mesh(path, meshes, control)
@@ -76,15 +61,7 @@ def _parents(joints: list[str]) -> IndexArray:
 def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
     """Define a skeleton beside a mesh, in its `SkelRoot`, and bind the mesh to it; joints are in the order of weights.
 
-    Parameters
-    ----------
-    stage : Usd.Stage
-    prim : Usd.Prim
-        The mesh.
-    skeleton : Skeleton
-        In the mesh's own space.
-    to_root : (4, 4) float64
-        From there to the space of the topmost prim.
+    ``skeleton``: in the mesh's own space. ``to_root``: (4, 4), from there to the space of the topmost prim.
     """
     pxr = usd_modules()
     top = prim.GetPath().GetPrefixes()[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,21 +17,16 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd.earlier_results import add_earlier
-from cagemap.files.usd.face_sets import named_faces
-from cagemap.files.usd.material import bind_textures
-from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
 from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
+from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
-from cagemap.files.usd.space import StageSpace, StageUnits
-from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
+from cagemap.files.usd.space import StageSpace
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import scheme_name
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-_SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear", Plain: "none"}
-_BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
-_TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8
 _CORNERS = "faceVarying"
 _log = logging.getLogger(__name__)
@@ -38,29 +34,17 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class UsdResults:
-    """What came over from the source, to be said about a mesh prim.
+    """What came over from the source, to be said about a mesh prim."""
 
-    Attributes
-    ----------
-    textures : dict of str to str
-        Image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to
-        the layer.
-    attributes : dict of str to array
-        Values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
-        skinning and blend shapes.
-    points : (n, 3) float64 or None
-        New places of the vertices.
-    uvs : (name, values, indices) or None
-        A new UV set.
-    skeleton : Skeleton or None
-        That the weights are of; in the order of their columns.
-    """
-
+    # image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to the
+    # layer
     textures: Mapping[str, str] = field(default_factory=dict)
+    # values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
+    # skinning and blend shapes
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    points: FloatArray | None = None
-    uvs: tuple[str, FloatArray, IndexArray] | None = None
-    skeleton: Skeleton | None = None
+    points: FloatArray | None = None  # (n, 3) new places of the vertices
+    uvs: tuple[str, FloatArray, IndexArray] | None = None  # (name, values, indices) a new UV set
+    skeleton: Skeleton | None = None  # that the weights are of; in the order of their columns
 
     def turned_round(self, mesh: ControlMesh) -> UsdResults:
         """The same for a mesh whose faces were run through the other way when it was read."""
@@ -96,23 +80,18 @@ def write_usd(
     A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface. Without a
     ``space`` it is in metres with Y up. With ``add``, results that cagemap wrote to the file before stay in it; returns
     whether there were some.
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, or the file cannot be written; with ``add``, if it holds another mesh.
     """
     file = Path(path)
     check_usd_path(file)
     pxr = usd_modules()
     stage = pxr.Usd.Stage.CreateInMemory()
-    units = StageUnits("Y", 1.0) if space is None else space.units
-    pxr.UsdGeom.SetStageUpAxis(stage, units.up_axis)
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, units.meters_per_unit)
+    space = space or StageSpace("Y", 1.0)
+    pxr.UsdGeom.SetStageUpAxis(stage, space.up_axis)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, space.meters_per_unit)
     kind = "SkelRoot" if _needs_skeleton(results) else "Xform"
     root = stage.DefinePrim("/Asset", kind)
     stage.SetDefaultPrim(root)
-    if space is not None and not np.array_equal(space.to_world, np.eye(4)):
+    if not np.array_equal(space.to_world, np.eye(4)):
         pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
@@ -142,25 +121,9 @@ def write_usd_over(
 
     Results about this target that cagemap wrote to the layer before stay in it; returns whether there were some.
 
-    Parameters
-    ----------
-    path : path
-        The layer to write; it names the target relative to itself.
-    target : path
-        USD file that has the mesh.
-    prim_paths : sequence of str
-        The mesh's prim there; of several, each gets the textures.
-    mesh : ControlMesh
-        The mesh as it was read.
-    results : UsdResults
-    world : bool
-        Whether the mesh was read in world space, and not in the prim's own.
-
-    Raises
-    ------
-    FormatError
-        If USD is not installed, there is no such prim, or the file cannot be written; if the layer holds results about
-        another target, without ``force``.
+    ``path``: the layer to write; it names the target relative to itself. ``target``: USD file that has the mesh.
+    ``prim_paths``: the mesh's prim there; of several, each gets the textures. ``world``: whether the mesh was read in
+    world space, and not in the prim's own.
     """
     file = Path(path)
     check_usd_path(file)
@@ -209,12 +172,7 @@ def _ancestors(prim: Any) -> list[Any]:
 
 
 def check_usd_path(file: Path) -> None:
-    """Refuse a name that does not end as one of USD's layers, or is no text.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse a name that does not end as one of USD's layers, or is no text."""
     text_name(file.absolute())
     if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
         raise FormatError(
@@ -245,12 +203,11 @@ def _write_topology(prim: Any, mesh: ControlMesh) -> None:
     prim.CreateFaceVertexCountsAttr(_ints(mesh.face_sizes))
     prim.CreateFaceVertexIndicesAttr(_ints(mesh.face_indices))
     scheme = mesh.scheme
-    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _SCHEMES[type(scheme)])
+    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _camel_case(scheme_name(scheme)))
     if scheme is not None:
-        prim.CreateInterpolateBoundaryAttr(_BOUNDARIES[scheme.boundary])
-        words = scheme.uv_interpolation.split("_")
-        prim.CreateFaceVaryingLinearInterpolationAttr(words[0] + "".join(word.capitalize() for word in words[1:]))
-        prim.CreateTriangleSubdivisionRuleAttr(_TRIANGLES[scheme.triangles])
+        prim.CreateInterpolateBoundaryAttr(_camel_case(scheme.boundary))
+        prim.CreateFaceVaryingLinearInterpolationAttr(_camel_case(scheme.uv_interpolation))
+        prim.CreateTriangleSubdivisionRuleAttr(_camel_case(scheme.triangles))
     if mesh.crease_edges is not None and mesh.crease_sharpness is not None and len(mesh.crease_edges):
         prim.CreateCreaseIndicesAttr(_ints(mesh.crease_edges.ravel()))
         prim.CreateCreaseLengthsAttr(_ints(np.full(len(mesh.crease_edges), 2)))
@@ -263,6 +220,12 @@ def _write_topology(prim: Any, mesh: ControlMesh) -> None:
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         color = prim.CreateDisplayColorPrimvar("vertex")
         color.Set(pxr.Vt.Vec3fArray.FromNumpy(mesh.vertex_colors.astype(np.float32)))
+
+
+def _camel_case(word: str) -> str:
+    """A word of ours, such as "edge_and_corner", as USD writes it."""
+    first, *others = re.split("[_-]", word)
+    return first + "".join(other.capitalize() for other in others)
 
 
 def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:

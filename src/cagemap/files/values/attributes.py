@@ -5,23 +5,26 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cagemap.errors import FormatError
+from cagemap.files import VALUE_SUFFIXES
 from cagemap.files.atomic import atomic_path
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.values import gltf_weights
+from cagemap.files.gltf.read import gltf_weights
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
-from cagemap.files.suffixes import VALUE_SUFFIXES
-from cagemap.files.text import is_number, require_file
-from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.ownership import mark
+from cagemap.files.schema import Record, checked_record, parse_json, to_json
+from cagemap.files.text import is_number, read_text, require_file
+from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
 from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
-from cagemap.files.values.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
 
 Attributes = dict[str, NDArray[Any]]
 
@@ -32,25 +35,11 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
     its first line, or one array of all columns, named like the file, without. A ``.json`` holds vertex groups
     (`vertex_groups`), each a weight for every vertex of the mesh. A USD file holds the primvars of its
-    mesh, skinning and blend shapes (`cagemap.files.usd.primvars`), a glTF file the skinning weights of its meshes.
+    mesh, skinning and blend shapes (`cagemap.files.usd.prims`), a glTF file the skinning weights of its meshes.
 
-    Parameters
-    ----------
-    path : path
-    control : ControlMesh, optional
-        The mesh whose values are meant, which says which one where a USD file has several.
-    rows : FileRows, optional
-        Of a mesh that is a part of a file: values numbered as the file are taken at the part.
-
-    Returns
-    -------
-    dict of str -> (n,) or (n, q) array
-        Integers stay integers; all others are float64.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or an array is empty, not numeric, not finite or of more than two dimensions.
+    ``control``: the mesh whose values are meant, which says which one where a USD file has several. ``rows``: of a mesh
+    that is a part of a file: values numbered as the file are taken at the part. Integers stay integers; all
+    others are float64.
     """
     file = Path(path)
     require_file(file, "a file of attributes")
@@ -94,12 +83,6 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
 
     A ``.json`` holds vertex groups. An ``.npy`` or ``.csv`` has no place for cagemap's mark: an existing one is
     replaced with ``force`` alone.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is unknown, several arrays are to go into an ``.npy``, or rows differ in a ``.csv``; if the file
-        cannot be written (see `cagemap.files.atomic.require_replaceable`).
     """
     file = Path(path)
     check_attribute_path(file)
@@ -182,3 +165,55 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
             f"{file}: expected finite numbers in '{name}', found others in rows {bad[:5].tolist()} (0-based)"
         )
     return values
+
+
+_REMEDY = 'Expected {"groups": [{"name": "lips", "vertices": [0, 5], "weights": [1.0, 0.5]}, ...]}.'
+# Weights below this are no membership: rounding of the map's barycentric coordinates.
+_NOTHING = 1e-9
+
+
+class GroupRecord(Record):
+    """Some vertices by number from 0, each with a weight; 1 where none are given."""
+
+    name: str
+    vertices: list[Annotated[int, Field(ge=0)]]
+    weights: list[float] | None = None
+
+
+class GroupsRecord(Record):
+    """All groups of a file."""
+
+    groups: list[GroupRecord]
+
+
+def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
+    """Read vertex groups as a weight (count,) for every vertex of a mesh, 0 where it is not in the group."""
+    stated = parse_json(read_text(path, "vertex groups"), path, _REMEDY)
+    found: dict[str, FloatArray] = {}
+    for group in checked_record(GroupsRecord, stated, path, _REMEDY).groups:
+        vertices = np.array(group.vertices, dtype=np.float64)
+        weights = [1.0] * len(vertices) if group.weights is None else group.weights
+        if group.name in found or len(weights) != len(vertices) or len(np.unique(vertices)) != len(vertices):
+            raise FormatError(
+                f"{path}: group {group.name}: expected a name of its own, every vertex once and a weight for each, got "
+                f"{len(vertices)} vertices and {len(weights)} weights. {_REMEDY}"
+            )
+        if len(vertices) and vertices.max() >= count:
+            raise FormatError(
+                f"{path}: group {group.name}: expected vertices 0 to {count - 1}, got {vertices.max():.0f}. Is it of "
+                "another mesh?"
+            )
+        found[group.name] = np.zeros(count)
+        found[group.name][vertices.astype(np.int64)] = weights
+    return found
+
+
+def groups_text(attributes: Mapping[str, NDArray[Any]], path: Path) -> str:
+    """Text of a file of groups: of every array, the vertices whose weight is not 0."""
+    groups = []
+    for name, array in attributes.items():
+        if array.ndim != 1:
+            raise FormatError(f"{path}: vertex groups have one weight a vertex, {name} has shape {array.shape}.")
+        inside = np.flatnonzero(np.abs(array) > _NOTHING)
+        groups.append({"name": name, "vertices": inside, "weights": array[inside].astype(np.float64)})
+    return to_json({"written_by": mark(), "groups": groups})

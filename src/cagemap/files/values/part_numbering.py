@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, UsdMesh, in_world, read_usd, read_usd_meshes
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -24,23 +25,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
-    """How the rows of a file's mesh and those of a part of it go together.
+    """How the rows of a file's mesh and those of a part of it go together."""
 
-    Attributes
-    ----------
-    part : ControlMesh
-        With ``file_vertices`` and ``file_faces``, ``file_copies`` where it was welded; its order may be another than
-        the file's.
-    whole : ControlMesh
-        The file's mesh.
-    """
-
+    # with ``file_vertices`` and ``file_faces``, ``file_copies`` where it was welded; its order may be another than the
+    # file's
     part: ControlMesh
-    whole: ControlMesh
-
-    def __post_init__(self) -> None:
-        assert self.part.file_vertices is not None
-        assert self.part.file_faces is not None
+    whole: ControlMesh  # the file's mesh
 
     @property
     def vertices(self) -> IndexArray:
@@ -125,19 +115,15 @@ class FileRows:
         return self._spread(np.array(self.whole.positions), positions)
 
 
-def file_rows(folder: str | Path, manifest: dict[str, Any], side: str, control: ControlMesh) -> FileRows | None:
+def file_rows(folder: str | Path, result: MatchResult, side: str) -> FileRows | None:
     """The rows of a side's file; None if a result is about the whole of it, or, with a warning, the file is gone.
 
     In a USD file with several meshes, those of the one that the part lies in.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
     """
+    control = (result.target if side == "target" else result.source).control
     if control.file_vertices is None:
         return None
-    file = input_file(folder, manifest, side)
+    file = input_file(folder, result.manifest, side)
     if file is None:
         _log.warning(
             "%s: was matched %s, and is not where the match read it, or has changed: values of the %s are "

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.values import gltf_shapes, gltf_skeleton
+from cagemap.files.gltf.read import gltf_shapes, gltf_skeleton
 from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
-from cagemap.files.usd.primvars import BLEND_SHAPE
+from cagemap.files.usd.prims import BLEND_SHAPE
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.values.attributes import read_attributes
@@ -35,16 +35,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to, a
     glTF file the joints of all its skins.
 
-    Parameters
-    ----------
-    path : path
-    control : ControlMesh, optional
-        The mesh that it moves, which says which one where a USD file has several.
-
-    Raises
-    ------
-    FormatError
-        If the file is no such list, a name comes twice, or a parent is missing.
+    ``control``: the mesh that it moves, which says which one where a USD file has several.
     """
     file = Path(path)
     if file.suffix.lower() in SCENE_SUFFIXES:
@@ -100,19 +91,8 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
 def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:
     """Read shapes of a cage as displacements (n, 3) by name.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
-        and glTF files.
-    rest : ControlMesh
-    rows : FileRows, optional
-        Of a cage that is a part of a file: shapes of the whole file are taken at the part.
-
-    Raises
-    ------
-    FormatError
-        If a file has other vertices or faces than the cage, a name comes twice, or there is no shape.
+    ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
+    and glTF files. ``rows``: of a cage that is a part of a file: shapes of the whole file are taken at the part.
     """
     files: list[Path] = []
     for path in paths:
@@ -131,10 +111,13 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
 
 
 def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
+    arrays = None
     if file.suffix.lower() == ".npz":
-        return _read_offsets(file, rest, rows)
-    if file.suffix.lower() in SCENE_SUFFIXES:
-        return {name: _checked_offsets(file, name, a, rest) for name, a in to_part(gltf_shapes(file), rows).items()}
+        arrays = read_npz(file, "Write it again, with one array (vertices, 3) for each shape.")
+    elif file.suffix.lower() in SCENE_SUFFIXES:
+        arrays = dict(gltf_shapes(file))
+    if arrays is not None:
+        return {name: _checked_offsets(file, name, array, rest) for name, array in to_part(arrays, rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}
     own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
@@ -158,11 +141,6 @@ def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray
             "Export it from the same cage, with vertices in their order."
         )
     return mesh.positions - rest.positions
-
-
-def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
-    arrays = to_part(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
-    return {name: _checked_offsets(file, name, array, rest) for name, array in arrays.items()}
 
 
 def _checked_offsets(file: Path, name: str, array: NDArray[Any], rest: ControlMesh) -> FloatArray:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass
 from enum import StrEnum
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin
 
 from pydantic import TypeAdapter
 
 from cagemap.errors import ParameterError
+from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf
-from cagemap.tasks.requests.report import ReportRequest
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
+from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
 
 Request = MatchRequest | TransferRequest | WrapRequest | ReportRequest
 COMMANDS: dict[str, type] = {
@@ -44,28 +44,15 @@ _NOT = "not:"
 
 @dataclass(frozen=True)
 class CommandOption:
-    """One option of a command.
+    """One option of a command."""
 
-    Attributes
-    ----------
-    command, name : str
-        Name of the request's field.
-    flag : str
-        How it is typed; of a switch that is on by default, what turns it off.
-    help : str
-        As the command line explains it.
-    kind : str
-        "several" are some of ``choices``; "name or file" is a file where it ends in one of ``suffixes``; "output" names
-        a file to write, and is asked for with True.
-    default : value
-    choices, suffixes : tuple of str
-    least, most : float or None
-    """
-
+    # `command`, `name`: name of the request's field
     command: str
     name: str
-    flag: str
-    help: str
+    flag: str  # how it is typed; of a switch that is on by default, what turns it off
+    help: str  # as the command line explains it
+    # "several" are some of ``choices``; "name or file" is a file where it ends in one of ``suffixes``; "output" names a
+    # file to write, and is asked for with True
     kind: Kind
     default: Value = None
     choices: tuple[str, ...] = ()
@@ -79,12 +66,7 @@ class CommandOption:
         return self.command, self.name
 
     def require(self, value: Value) -> None:
-        """Refuse a number outside its range.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """Refuse a number outside its range."""
         if not isinstance(value, int | float):
             return
         if (self.least is not None and value < self.least) or (self.most is not None and value > self.most):
@@ -92,13 +74,7 @@ class CommandOption:
             raise ParameterError(f"{self.flag}: expected {self.least} {most}, got {value}. Correct it.")
 
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
-        """A value with its paths as ``require`` gives them; files in a folder as well.
-
-        Raises
-        ------
-        ParameterError
-            If one lies elsewhere.
-        """
+        """A value with its paths as ``require`` gives them; files in a folder as well."""
         if isinstance(value, Path):
             return _placed(value, require)
         if self.kind == "name or file" and isinstance(value, str):
@@ -125,18 +101,19 @@ def all_options() -> Options:
 
 
 def request_of(options: Options, command: str, values: Mapping[str, Value]) -> Request:
-    """The request of a command with some values of its fields.
-
-    Raises
-    ------
-    ParameterError
-        If a number is outside its range.
-    """
+    """The request of a command with some values of its fields."""
     for name, value in values.items():
         if (command, name) in options:
             options[command, name].require(value)
     request: Request = _validator(COMMANDS[command]).validate_python(dict(values))
     return request
+
+
+def run_request(request: Request, stages: Stages) -> Outcome:
+    """Do a request of `COMMANDS`; returns a summary and warnings."""
+    command = next(name for name, kind in COMMANDS.items() if isinstance(request, kind))
+    run: Callable[[Request, Stages], Outcome] = getattr(import_module(f"cagemap.tasks.{command}"), f"run_{command}")
+    return run(request, stages)
 
 
 @cache
@@ -147,17 +124,10 @@ def _validator(request: type) -> TypeAdapter[Any]:
 @cache
 def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     """Options of one command; what is no option of the command line is left out."""
-    hints = get_type_hints(request, include_extras=True)
-    found = []
-    for field in fields(request):
-        if get_origin(hints[field.name]) is not Annotated:
-            continue
-        kind, *said = get_args(hints[field.name])
-        info = next((one for one in said if type(one) is Option), None)
-        if info is not None:
-            default = None if field.default is MISSING else field.default
-            found.append(_option(command, field.name, kind, info, said, default))
-    return tuple(found)
+    return tuple(
+        _option(command, field.name, kind, info, said, None if field.default is MISSING else field.default)
+        for field, kind, said, info in options_in(request)
+    )
 
 
 def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], default: Any) -> CommandOption:

@@ -1,4 +1,4 @@
-"""Request of `cagemap match`, annotated with its options."""
+"""Requests of commands that make a RESULT: match, map, run, studio; annotated with their options."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from cagemap.tasks.requests.options import (
     LANDMARKS,
     OUTPUT,
     RESEARCH,
+    Argument,
     BoundaryOption,
     CreasingOption,
     Force,
     MaskEdgeOption,
     Method,
+    OneOf,
     Option,
     SchemeOption,
     SourceMaskOption,
@@ -28,6 +30,7 @@ from cagemap.tasks.requests.options import (
     TargetWeldOption,
     UvOption,
     WeldOption,
+    setting,
 )
 
 
@@ -38,15 +41,15 @@ class MatchRequest:
     target: Annotated[
         Path,
         Option(
-            "--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."
+            ("--target", "-t"), group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."
         ),
     ]
     source: Annotated[
         Path,
-        Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
+        Option(("--source", "-s"), group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
     ]
     landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
-    output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="RESULT folder to write.")]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="RESULT folder to write.")]
     level: Annotated[
         int | None,
         Option(group=INPUT, min=1, help="Subdivision level of both surfaces.  [default: chosen by --vertices]"),
@@ -58,136 +61,67 @@ class MatchRequest:
         ),
     ] = None
     k: Annotated[
-        int | None,
-        Option(
-            "-k",
-            group=RESEARCH,
-            min=3,
-            help="Basis functions of each surface.  [default: 100]",
-        ),
+        int | None, Option(("-k",), group=RESEARCH, min=3, help="Basis functions of each surface.  [default: 100]")
     ] = None
     schedule: Annotated[
-        str | None,
-        Option(
-            group=RESEARCH,
-            setting=True,
-            help="Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.",
-        ),
+        str | None, setting("Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.")
     ] = None
-    target_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="level of the target alone.")] = None
-    target_vertices: Annotated[
-        int | None, Option(group=RESEARCH, setting=True, min=1, help="vertices of the target alone.")
-    ] = None
-    target_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="k of the target alone.")] = None
-    target_schedule: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="schedule of the target alone.")
-    ] = None
-    source_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="level of the source alone.")] = None
-    source_vertices: Annotated[
-        int | None, Option(group=RESEARCH, setting=True, min=1, help="vertices of the source alone.")
-    ] = None
-    source_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="k of the source alone.")] = None
-    source_schedule: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="schedule of the source alone.")
-    ] = None
+    target_level: Annotated[int | None, setting("level of the target alone.")] = None
+    target_vertices: Annotated[int | None, setting("vertices of the target alone.", min=1)] = None
+    target_k: Annotated[int | None, setting("k of the target alone.")] = None
+    target_schedule: Annotated[str | None, setting("schedule of the target alone.")] = None
+    source_level: Annotated[int | None, setting("level of the source alone.")] = None
+    source_vertices: Annotated[int | None, setting("vertices of the source alone.", min=1)] = None
+    source_k: Annotated[int | None, setting("k of the source alone.")] = None
+    source_schedule: Annotated[str | None, setting("schedule of the source alone.")] = None
     laplacian: Annotated[
         str | None,
-        Option(
-            group=RESEARCH,
-            setting=True,
-            help="Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]",
-        ),
+        setting("Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]"),
     ] = None
-    accuracy: Annotated[
-        float | None,
-        Option(group=RESEARCH, setting=True, help="Convergence of the eigensolver.  [default: 1e-5]"),
-    ] = None
-    literal: Annotated[
-        bool,
-        Option(
-            "--literal",
-            group=RESEARCH,
-            setting=True,
-            help="With schedule: the paper's Definition 2 exactly as printed.",
-        ),
-    ] = False
-    target_laplacian: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="laplacian of the target alone.")
-    ] = None
-    target_accuracy: Annotated[
-        float | None, Option(group=RESEARCH, setting=True, help="accuracy of the target alone.")
-    ] = None
-    target_literal: Annotated[
-        bool, Option("--target-literal", group=RESEARCH, setting=True, help="literal of the target alone.")
-    ] = False
-    source_laplacian: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="laplacian of the source alone.")
-    ] = None
-    source_accuracy: Annotated[
-        float | None, Option(group=RESEARCH, setting=True, help="accuracy of the source alone.")
-    ] = None
-    source_literal: Annotated[
-        bool, Option("--source-literal", group=RESEARCH, setting=True, help="literal of the source alone.")
-    ] = False
+    accuracy: Annotated[float | None, setting("Convergence of the eigensolver.  [default: 1e-5]")] = None
+    literal: Annotated[bool, setting("With schedule: the paper's Definition 2 exactly as printed.", "--literal")] = (
+        False
+    )
+    target_laplacian: Annotated[str | None, setting("laplacian of the target alone.")] = None
+    target_accuracy: Annotated[float | None, setting("accuracy of the target alone.")] = None
+    target_literal: Annotated[bool, setting("literal of the target alone.", "--target-literal")] = False
+    source_laplacian: Annotated[str | None, setting("laplacian of the source alone.")] = None
+    source_accuracy: Annotated[float | None, setting("accuracy of the source alone.")] = None
+    source_literal: Annotated[bool, setting("literal of the source alone.", "--source-literal")] = False
     method: Annotated[
-        Method,
-        Option(group=RESEARCH, help="elastic maps landmarks exactly; hfm and paper compute functional maps."),
+        Method, Option(group=RESEARCH, help="elastic maps landmarks exactly; hfm and paper compute functional maps.")
     ] = Method.ELASTIC
     parameter: Annotated[
         tuple[str, ...],
-        Option(
-            group=RESEARCH,
-            setting=True,
-            metavar="NAME=VALUE",
-            help="A parameter of the method, such as search_vertices=6000; repeat it for more.",
-        ),
+        setting("A parameter of the method, such as search_vertices=6000; repeat it for more.", metavar="NAME=VALUE"),
     ] = ()
     symmetry: Annotated[
         bool,
         Option(
-            "--symmetry/--no-symmetry",
+            ("--symmetry/--no-symmetry",),
             group=RESEARCH,
             help="--method paper: use mirror symmetry where both meshes have it.",
         ),
     ] = True
     target_symmetry: Annotated[
-        tuple[Path, ...],
-        Option(
-            group=RESEARCH, setting=True, help="--method paper or hfm: image of every control vertex of the target."
-        ),
+        tuple[Path, ...], setting("--method paper or hfm: image of every control vertex of the target.")
     ] = ()
-    source_symmetry: Annotated[
-        tuple[Path, ...],
-        Option(group=RESEARCH, setting=True, help="The same symmetry of the source; repeat both for more."),
-    ] = ()
+    source_symmetry: Annotated[tuple[Path, ...], setting("The same symmetry of the source; repeat both for more.")] = ()
     exchange_landmarks: Annotated[
         bool,
-        Option("--exchange-landmarks", group=LANDMARKS, help="The landmark file was made for the other direction."),
+        Option(("--exchange-landmarks",), group=LANDMARKS, help="The landmark file was made for the other direction."),
     ] = False
     trust_landmarks: Annotated[
         bool,
-        Option(
-            "--trust-landmarks",
-            group=LANDMARKS,
-            help="Keep every landmark; by default, outliers are left out.",
-        ),
+        Option(("--trust-landmarks",), group=LANDMARKS, help="Keep every landmark; by default, outliers are left out."),
     ] = False
-    answer: Annotated[
-        int,
-        Option(
-            group=OUTPUT,
-            min=0,
-            help="Use another of the reported alignments: 1, 2, ...",
-        ),
-    ] = 0
+    answer: Annotated[int, Option(group=OUTPUT, min=0, help="Use another of the reported alignments: 1, 2, ...")] = 0
     target_points: Annotated[
-        Path | None,
-        Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks."),
+        Path | None, Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks.")
     ] = None
     source_points: Annotated[Path | None, Option(group=LANDMARKS, help="Named points of the source.")] = None
     curves: Annotated[
-        Path | None,
-        Option(group=LANDMARKS, help="JSON file of corresponding curves: eyelids, lips, hems."),
+        Path | None, Option(group=LANDMARKS, help="JSON file of corresponding curves: eyelids, lips, hems.")
     ] = None
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None
@@ -220,3 +154,75 @@ class MatchRequest:
         Path | None, Option(group=INPUT, help="Folder that keeps prepared surfaces, so that each is prepared once.")
     ] = None
     force: Force = False
+
+
+@dataclass(frozen=True)
+class MapRequest:
+    """What the user asked for, as said on the command line."""
+
+    map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
+    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]
+    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that the map goes to; it gives.")]
+    output: Annotated[Path, Option(("-o", "--output"), help="RESULT folder to write.")]
+    level: Annotated[int | None, Option(min=1, help="Level of both surfaces.  [default: about 50000 vertices]")] = None
+    weld: WeldOption = None
+    target_weld: TargetWeldOption = None
+    source_weld: SourceWeldOption = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What the user asked for, as said on the command line."""
+
+    job: Annotated[Path, Argument(help="Job file, .toml.")]
+    scheduler: Annotated[
+        str | None,
+        Option(
+            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes on this machine]"
+        ),
+    ] = None
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
+        None
+    )
+    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list the tasks and estimate their time.")] = False
+    task: Annotated[
+        str | None,
+        Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),
+    ] = None
+    export: Annotated[
+        str | None,
+        Option(metavar="openjd|slurm", help="Print a template or script that runs each task by its number."),
+        OneOf(("openjd", "slurm")),
+    ] = None
+
+
+@dataclass(frozen=True)
+class StudioRequest:
+    """What the user asked for, as said on the command line."""
+
+    target: Annotated[Path | None, Option(("--target", "-t"), help="Control mesh that receives.")] = None
+    source: Annotated[Path | None, Option(("--source", "-s"), help="Control mesh that gives.")] = None
+    landmarks: Annotated[Path | None, Option(help="Landmark file to open and save.")] = None
+    texture: Annotated[Path | None, Option(help="Image over the source's UVs.")] = None
+    result: Annotated[Path | None, Option(help="RESULT folder to write; without models, the one to open.")] = None
+    folder: Annotated[tuple[Path, ...], Option(help="Folder that the page may open and write; may be repeated.")] = ()
+    host: Annotated[str, Option(help="Address to serve; other machines need the printed token.")] = "127.0.0.1"
+    port: Annotated[int, Option(min=0, max=65535, help="Port; if it is in use, the next free one.")] = 8765
+    vertices: Annotated[int, Option(min=1, help="About this many displayed vertices per model.")] = 25_000
+    no_browser: Annotated[bool, Option(("--no-browser",), help="Do not open the page.")] = False
+    scheme: SchemeOption = None
+    target_scheme: TargetSchemeOption = None
+    source_scheme: SourceSchemeOption = None
+    part: Annotated[
+        str | None,
+        Option(
+            help="Open this object, group, material or component of both files.  "
+            "[default: all of a file in one piece, else its largest]"
+        ),
+    ] = None
+    target_part: TargetPartOption = None
+    source_part: SourcePartOption = None

@@ -2,57 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
+from cagemap.files import IMAGE_SUFFIXES, VALUE_SUFFIXES
 from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
+# Headings of `--help`.
+INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
-@dataclass(frozen=True, init=False)
+
+@dataclass(frozen=True)
 class Option:
-    """How a field of a request is said.
+    """How a field of a request is said."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As typed; a switch may have ``--on/--off``. None: ``--`` and the field's name.
-    help : str
-    min, max : float or None
-        Least and largest value.
-    metavar : str or None
-        What help calls the value.
-    group : str or None
-        Heading of `--help` that it stands under.
-    setting : bool
-        Said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before.
-    """
+    names: tuple[str, ...] = ()  # as typed; a switch may have ``--on/--off``. None: ``--`` and the field's name
+    help: str = ""
+    min: float | None = None  # least and largest value
+    max: float | None = None
+    metavar: str | None = None  # what help calls the value
+    group: str | None = None  # heading of `--help` that it stands under
+    # Said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before.
+    setting: bool = False
 
-    names: tuple[str, ...]
-    help: str
-    min: float | None
-    max: float | None
-    metavar: str | None
-    group: str | None
-    setting: bool
 
-    def __init__(
-        self,
-        *names: str,
-        help: str = "",
-        min: float | None = None,
-        max: float | None = None,
-        metavar: str | None = None,
-        group: str | None = None,
-        setting: bool = False,
-    ) -> None:
-        vars(self).update(names=names, help=help, min=min, max=max, metavar=metavar, group=group, setting=setting)
+def comma_words(text: str) -> list[str]:
+    """Words of an option with commas between them."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
+    """A research option, said as ``--set NAME=VALUE``."""
+    return Option(names, help, min=min, metavar=metavar, group=RESEARCH, setting=True)
 
 
 class Argument(Option):
     """A field of a request that is said without a name."""
+
+
+def options_in(request: type) -> Iterator[tuple[Field[Any], Any, list[Any], Option]]:
+    """Fields of a request that are options: the field, its type, all annotations, and the option among them."""
+    hints = get_type_hints(request, include_extras=True)
+    for field in fields(request):
+        if get_origin(hints[field.name]) is Annotated:
+            kind, *said = get_args(hints[field.name])
+            yield from ((field, kind, said, one) for one in said if type(one) is Option)
 
 
 @dataclass(frozen=True)
@@ -79,8 +76,6 @@ class NameOrFile:
 # What a mask's name ends in where it is a file.
 MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 
-# Headings of `--help`.
-INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 Space = Annotated[
     str, Option(help="Space of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
@@ -91,7 +86,7 @@ MeshFile = Annotated[
 ]
 Force = Annotated[
     bool,
-    Option("--force", group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
+    Option(("--force",), group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
 ]
 ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
 

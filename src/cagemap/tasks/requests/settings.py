@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_origin
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.text import require_file
-from cagemap.tasks.requests.options import Option
+from cagemap.tasks.requests.options import Option, options_in
 
 _SIDES = ("target", "source")
 # The field that holds parameters of the method, and what stands before their names.
@@ -19,37 +19,21 @@ _PARAMETERS, _METHOD = "parameter", "method"
 
 @dataclass(frozen=True)
 class Setting:
-    """One research option.
+    """One research option."""
 
-    Attributes
-    ----------
-    name : str
-        As said after ``--set``, such as "target.schedule".
-    field : str
-        Of the request.
-    kind : type
-        Without its bounds, which are the option's.
-    option : Option
-        Its words; its names are those that it had as an option of its own.
-    """
-
-    name: str
-    field: str
-    kind: Any
-    option: Option
+    name: str  # as said after ``--set``, such as "target.schedule"
+    field: str  # of the request
+    kind: Any  # without its bounds, which are the option's
+    option: Option  # its words; its names are those that it had as an option of its own
 
 
 def settings_of(request: type) -> dict[str, Setting]:
     """Research options of a request, by name; parameters of the method are not listed."""
-    hints = get_type_hints(request, include_extras=True)
-    found = {}
-    for field in fields(request):
-        kind, *said = get_args(hints[field.name]) if get_origin(hints[field.name]) is Annotated else (None,)
-        option = next((one for one in said if isinstance(one, Option) and one.setting), None)
-        if option is not None and field.name != _PARAMETERS:
-            name = setting_name(field.name)
-            found[name] = Setting(name, field.name, kind, option)
-    return found
+    return {
+        (name := setting_name(field.name)): Setting(name, field.name, kind, option)
+        for field, kind, _, option in options_in(request)
+        if option.setting and field.name != _PARAMETERS
+    }
 
 
 def bounded(setting: Setting) -> Any:
@@ -77,18 +61,7 @@ def moved_options(request: type) -> dict[str, str]:
 def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     """Fields of a request from what was said after ``--set``; of one name the last counts.
 
-    Parameters
-    ----------
-    request : dataclass
-    words : sequence of str
-        ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
-
-    Raises
-    ------
-    ParameterError
-        If a name is not known or a value does not fit.
-    FormatError
-        If a file cannot be read.
+    ``words``: ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
     """
     if not words:
         return {}

@@ -1,4 +1,4 @@
-"""An OBJ file with another UV layout or other positions: every line stays as it is but those that hold them."""
+"""Wavefront OBJ written: a mesh, or another file's text with other UVs or positions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,98 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from cagemap.errors import FormatError
-from cagemap.files.atomic import write_whole
+from cagemap.files.atomic import require_replaceable, write_whole
+from cagemap.files.meshes.colors import write_materials
 from cagemap.files.meshes.obj import read_obj
+from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
-from cagemap.files.text import read_text
+from cagemap.files.text import check_writable_name, read_text
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
+
+
+def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+    """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
+
+    Numbers are written with as many digits as it takes to read the same float64 back.
+    """
+    file = Path(path)
+    for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
+        check_writable_name(name)
+    for written in obj_files(file, mesh):
+        require_replaceable(written, force=force)
+    library = file.with_suffix(".mtl")
+    parts = [f"# {mark()}\n"]
+    parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
+    parts += obj_statements(mesh)
+    if mesh.face_materials is not None:
+        write_materials(library, mesh.material_names, mesh.material_colors, force=force)
+    write_whole(file, "".join(parts), force=force)
+
+
+def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
+    """Files that `write_obj` writes for a mesh."""
+    return [path] if mesh.face_materials is None else [path.with_suffix(".mtl"), path]
+
+
+def obj_statements(mesh: ControlMesh) -> list[str]:
+    """Vertices, texture vertices, faces with their objects, groups and materials, and subdivision tags."""
+    parts = [_format_vertices(mesh)]
+    if mesh.uvs is not None:
+        parts.append(_format_lines("vt %r %r\n", mesh.uvs))
+    parts.extend(_format_faces(mesh))
+    parts.append(format_tags(mesh))
+    return parts
+
+
+def _format_lines(pattern: str, table: FloatArray) -> str:
+    return (pattern * len(table)) % tuple(np.asarray(table, dtype=np.float64).ravel().tolist())
+
+
+def _format_vertices(mesh: ControlMesh) -> str:
+    if mesh.vertex_colors is None:
+        return _format_lines("v %r %r %r\n", mesh.positions)
+    colored = np.asarray(np.isfinite(mesh.vertex_colors).all(axis=1))
+    if colored.all():
+        return _format_lines("v %r %r %r %r %r %r\n", np.column_stack([mesh.positions, mesh.vertex_colors]))
+    rows = zip(mesh.positions.tolist(), mesh.vertex_colors.tolist(), colored.tolist(), strict=True)
+    lines = (position + color if known else position for position, color, known in rows)
+    return "".join("v " + " ".join(map(repr, line)) + "\n" for line in lines)
+
+
+def _format_faces(mesh: ControlMesh) -> list[str]:
+    """Format the faces in order, with an ``o``, ``g`` or ``usemtl`` wherever the name changes."""
+    indices = mesh.face_indices[:, None] + 1
+    corner = " %d"
+    if mesh.uv_indices is not None:
+        indices = np.column_stack([indices, mesh.uv_indices + 1])
+        corner = " %d/%d"
+    named = [
+        ("o", mesh.face_objects, mesh.object_names),
+        ("g", mesh.face_groups, mesh.group_names),
+        ("usemtl", mesh.face_materials, mesh.material_names),
+    ]
+    labels = [(keyword, numbers, names) for keyword, numbers, names in named if numbers is not None and mesh.n_faces]
+    changes = [np.flatnonzero(np.diff(numbers)) + 1 for _, numbers, _ in labels]
+    runs = np.unique(np.concatenate([[0, mesh.n_faces], *changes])).astype(np.int64)
+    patterns = {size: "f" + corner * size + "\n" for size in np.unique(mesh.face_sizes).tolist()}
+    sizes = mesh.face_sizes.tolist()
+    parts = []
+    for first, last in zip(runs[:-1].tolist(), runs[1:].tolist(), strict=True):
+        for keyword, numbers, names in labels:
+            name = names[numbers[first]]
+            changed = not first or numbers[first] != numbers[first - 1]
+            # Faces above the first statement are those without a name.
+            if changed and (first or name or len(names) == 1):
+                parts.append(f"{keyword} {name}\n")
+        pattern = "".join([patterns[size] for size in sizes[first:last]])
+        numbers_here = indices[mesh.face_offsets[first] : mesh.face_offsets[last]]
+        parts.append(pattern % tuple(numbers_here.ravel().tolist()))
+    return parts
+
 
 _UV_LINE = re.compile(r"(?m)^[ \t]*vt\b[^\n]*\n?")
 # A position may be continued on the next line; what follows its three numbers is kept.
@@ -30,21 +116,7 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
     Groups, objects, normals, names, materials, comments and the number of every vertex and face stay. Material
     libraries are named relative to the new file.
 
-    Parameters
-    ----------
-    path : path
-        The file to write.
-    original : path
-        The file that ``laid_out`` was read from.
-    laid_out : ControlMesh
-        With texture coordinates.
-    force : bool
-        Replace a file that cagemap did not write.
-
-    Raises
-    ------
-    FormatError
-        If the mesh has no texture coordinates, the file has other faces than the mesh, or cannot be written.
+    ``original``: the file that ``laid_out`` was read from. ``laid_out``: with texture coordinates.
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:
@@ -69,20 +141,7 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     Groups, objects, texture coordinates, materials, creases, comments and the number of every vertex and face stay.
     Normals go: they were those of the old shape. What follows a position on its line (a colour) stays.
 
-    Parameters
-    ----------
-    path : path
-        The file to write.
-    original : path
-        The file that ``moved`` was read from.
-    moved : ControlMesh
-    force : bool
-        Replace a file that cagemap did not write.
-
-    Raises
-    ------
-    FormatError
-        If the file has other faces or vertices than the mesh, or cannot be written.
+    ``original``: the file that ``moved`` was read from.
     """
     file, kept = Path(path), Path(original)
     known = read_obj(kept)

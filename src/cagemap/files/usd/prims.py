@@ -1,8 +1,9 @@
-"""Primvars of USD meshes: UV sets, and everything else as named arrays."""
+"""What USD mesh prims hold: UV sets and other primvars as arrays, subsets of faces, transforms."""
 
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import merged_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 logger = logging.getLogger(__name__)
@@ -50,11 +52,6 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
 
     Where a file gives each corner a value of its own, as Blender does, equal ones at one vertex become one: otherwise
     every face would be an island.
-
-    Raises
-    ------
-    FormatError
-        If there are too few values or indices, or some are not finite.
     """
     values, numbers, interpolation = _values(where, primvar)
     values = values.astype(np.float64)
@@ -70,15 +67,8 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     if not np.isfinite(values).all():
         _refuse(where, primvar, "got values that are not numbers")
     if interpolation == "faceVarying" and not primvar.IsIndexed():
-        return _joined(values[owners], control.face_indices)
+        return merged_corners(control.face_indices, values[owners])
     return values, numbers[owners]
-
-
-def _joined(values: FloatArray, vertices: IndexArray) -> tuple[FloatArray, IndexArray]:
-    """Pairs (c, 2) without those that are equal at the same vertex (c,), and the number of each."""
-    _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)
-    _, first, numbers = np.unique(vertices * len(values) + equal, return_index=True, return_inverse=True)
-    return values[first], numbers
 
 
 def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
@@ -214,3 +204,128 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
         table[numbers] = offsets
         arrays[f"{BLEND_SHAPE}{name}"] = table
     return arrays
+
+
+def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
+    """Material of every face, by the mesh's binding and those of its subsets; other subsets become groups.
+
+    Faces in several of those belong to a group of all their names, as OBJ's ``g one two`` says it.
+    """
+    from pxr import UsdGeom, UsdShade
+
+    materials = np.full(n_faces, -1, dtype=np.int64)
+    names: list[str] = []
+    paths: list[str] = []
+    groups: list[tuple[str, IndexArray]] = []
+    colors: list[FloatArray] = []
+
+    def number(material: Any) -> int:
+        path = material.GetPath()
+        if path.pathString not in paths:
+            paths.append(path.pathString)
+            names.append(path.name if path.name not in names else path.pathString)  # of another scope
+            colors.append(_diffuse_color(material))
+        return paths.index(path.pathString)
+
+    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    if bound:
+        materials[:] = number(bound)
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
+        faces = integers(stated(subset.GetIndicesAttr()))
+        if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
+            continue
+        own = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
+        if own:
+            materials[faces] = number(own)
+        elif subset.GetFamilyNameAttr().Get() != "materialBind":
+            groups.append((subset.GetPrim().GetName(), faces))
+    result: dict[str, Any] = {}
+    if names:
+        unbound = materials < 0
+        if unbound.any():
+            materials[unbound] = len(names)
+            names.append("")
+            colors.append(np.full(3, np.nan))
+        result |= {"face_materials": materials, "material_names": tuple(names), "material_colors": np.array(colors)}
+    if groups:
+        result |= _joined_groups(groups, n_faces)
+    return result
+
+
+def _joined_groups(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
+    """Groups that may overlap as groups that do not: the given ones first, then the others that faces are in."""
+    names, inside = [name for name, _ in groups], np.zeros((n_faces, len(groups)), dtype=np.bool_)
+    for group, (_, faces) in enumerate(groups):
+        inside[faces, group] = True
+    _, first, which = np.unique(np.packbits(inside, axis=1), axis=0, return_index=True, return_inverse=True)
+    titles = [" ".join(names[group] for group in np.flatnonzero(inside[face])) for face in first.tolist()]
+    in_order = [titles[k] for k in np.argsort(first)]  # by the first face of each
+    every = {title: number for number, title in enumerate(dict.fromkeys([*names, *in_order]))}
+    numbers = np.array([every[title] for title in titles], dtype=np.int64)
+    return {"face_groups": numbers[which.ravel()], "group_names": tuple(every)}
+
+
+def _diffuse_color(material: Any) -> FloatArray:
+    """Constant diffuse colour of a UsdPreviewSurface, NaN where there is none."""
+    surface = material.ComputeSurfaceSource()[0]
+    color = surface.GetInput("diffuseColor") if surface else None
+    value = color.Get() if color and not color.HasConnectedSource() else None
+    return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
+
+
+def named_faces(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
+    """Name and faces of every material, with its colour, and of every group."""
+    found: list[tuple[str, IndexArray, FloatArray | None]] = []
+    if mesh.face_materials is not None:
+        for number, name in enumerate(mesh.material_names):
+            color = np.full(3, np.nan) if mesh.material_colors is None else mesh.material_colors[number]
+            found.append((name, np.flatnonzero(mesh.face_materials == number), color))
+    if mesh.face_groups is not None:
+        found += [(n, np.flatnonzero(mesh.face_groups == i), None) for i, n in enumerate(mesh.group_names)]
+    return [(name, faces, color) for name, faces, color in found if name and len(faces)]
+
+
+# Condition from which on a transform counts as one that flattens: float32 scales hold seven digits.
+_FLATTENING = 1e12
+
+
+def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(n, 3) points through a (4, 4) matrix of USD, which takes rows."""
+    return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
+
+
+def is_mirrored(matrix: FloatArray) -> bool:
+    """Whether a (4, 4) transform makes left hands of right ones."""
+    return bool(np.linalg.det(matrix[:3, :3]) < 0)
+
+
+def local_to_world(prim: Any) -> FloatArray:
+    """(4, 4) from a prim's own space to the world's."""
+    matrix = _to_world(prim)
+    if not np.isfinite(matrix).all() or _is_flattening(matrix):
+        raise FormatError(
+            f"{prim.GetStage().GetRootLayer().realPath}: {prim.GetPath()}: expected a transform that can be undone, "
+            "got one that flattens the mesh or holds no numbers. Repair its scale and export again."
+        )
+    return matrix
+
+
+def unflattened(file: Path, prims: list[Any]) -> list[Any]:
+    """Meshes that are no points, lines or planes in world space; all of them where none is."""
+    flat = [_is_flattening(_to_world(prim)) for prim in prims]
+    if not any(flat) or all(flat):
+        return prims
+    names = ", ".join(str(prim.GetPath()) for prim, flattened in zip(prims, flat, strict=True) if flattened)
+    logger.warning("%s: left out what its transform flattens (a scale of 0): %s", file, names)
+    return [prim for prim, flattened in zip(prims, flat, strict=True) if not flattened]
+
+
+def _to_world(prim: Any) -> FloatArray:
+    from pxr import Usd, UsdGeom
+
+    time = Usd.TimeCode.EarliestTime()
+    return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time), dtype=np.float64)
+
+
+def _is_flattening(matrix: FloatArray) -> bool:
+    return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix[:3, :3]) > _FLATTENING)

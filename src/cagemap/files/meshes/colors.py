@@ -1,8 +1,8 @@
-"""The material files beside an OBJ: of all they hold, only the diffuse colour ``Kd``, taken as linear RGB."""
+"""Colours in mesh files: shares or bytes, ZBrush's polypaint, materials' diffuse colour in .mtl files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +13,58 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import at_line, read_text
 from cagemap.numerics.arrays import FloatArray
 
+_BYTE = 255.0
+# No light is so many times as bright as white, and bytes that end below are all but black.
+_BRIGHTEST = 16.0
+
+
+def as_shares(colors: FloatArray, largest: float | None = None) -> FloatArray:
+    """Colours where 1 is full.
+
+    ``colors``: (n, 3), NaN where a vertex has none. ``largest``: what stands for 1, where the file says it. Otherwise
+    whole numbers that go beyond 1, and all that go far beyond (means of bytes), are taken for bytes.
+    """
+    known = colors[np.isfinite(colors)]
+    if largest is None:
+        most = known.max(initial=0.0)
+        bytes_ = most > _BRIGHTEST or bool(most > 1.0 and np.all(known == np.rint(known)))
+        largest = _BYTE if bytes_ else 1.0
+    return colors / largest
+
+
+KEYWORD = "#MRGB"
+_VALUE = 4  # bytes: mask, red, green, blue
+
+
+def polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], FormatError]) -> FloatArray | None:
+    """Colours (n, 3) of ZBrush's lines ``#MRGB``, up to 64 values MMRRGGBB each, from 0 to 1; None without such lines.
+
+    ``lines``: all that begin with `KEYWORD`. ``fail``: makes the error about a line, given its number among these and
+    what was expected.
+    """
+    if not lines:
+        return None
+    values = []
+    for number, line in enumerate(lines):
+        try:
+            row = bytes.fromhex(line[len(KEYWORD) :])
+        except ValueError:
+            row = b"?"
+        if len(row) % _VALUE:
+            raise fail(number, f"{KEYWORD} and eight hexadecimal digits for each vertex")
+        values.append(row)
+    colors = np.frombuffer(b"".join(values), dtype=np.uint8).reshape(-1, _VALUE)[:, 1:]
+    if len(colors) != n_vertices:
+        raise fail(len(lines) - 1, f"{KEYWORD} values of all {n_vertices} vertices, there are {len(colors)}")
+    return np.asarray(colors / 255.0)
+
+
 Color = tuple[float, float, float]
 _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))
 
 
 def read_material_colors(path: Path) -> dict[str, Color]:
-    """Diffuse colour of every material of a ``.mtl`` file; NaN where it gives none as RGB.
-
-    Raises
-    ------
-    FormatError
-        If the file is no text or a ``Kd`` line is malformed.
-    """
+    """Diffuse colour of every material of a ``.mtl`` file; NaN where it gives none as RGB."""
     colors: dict[str, Color] = {}
     name = None
     for number, line in enumerate(read_text(path, "a material file").split("\n"), start=1):

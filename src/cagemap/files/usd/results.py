@@ -1,0 +1,173 @@
+"""Results in USD layers: textures of a mesh as a UsdPreviewSurface, and the results of earlier transfers kept."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import FormatError
+from cagemap.files.ownership import MARKED
+from cagemap.files.text import text_name
+from cagemap.files.usd.read import usd_modules
+
+# Input of UsdPreviewSurface: its type, the texture's output, whether values are colours to be seen, and the usual names
+# of maps for it, in small letters without spaces, "_" and "-".
+_INPUTS = {
+    "diffuseColor": ("Color3f", "rgb", True, ("albedo", "basecolor", "color", "diffuse", "diffusecolor", "texture")),
+    "emissiveColor": ("Color3f", "rgb", True, ("emission", "emissive", "emissivecolor")),
+    "roughness": ("Float", "r", False, ("roughness",)),
+    "metallic": ("Float", "r", False, ("metallic", "metalness")),
+    "occlusion": ("Float", "r", False, ("occlusion", "ao", "ambientocclusion")),
+    "opacity": ("Float", "r", False, ("opacity", "alpha")),
+    "displacement": ("Float", "r", False, ("displacement", "height")),
+    "normal": ("Normal3f", "rgb", False, ("normal",)),
+}
+MATERIAL = "cagemap_material"
+
+
+def preview_inputs(roles: Iterable[str]) -> dict[str, str]:
+    """Inputs of UsdPreviewSurface that maps are for, by map; case, spaces, ``_`` and ``-`` do not count.
+
+    Maps that no input is known for are left out, and of several for one input all but the first.
+
+    Examples
+    --------
+    >>> preview_inputs(["Base_Color", "AO", "gloss", "albedo"])
+    {'Base_Color': 'diffuseColor', 'AO': 'occlusion'}
+    """
+    found: dict[str, str] = {}
+    for role in roles:
+        plain = re.sub(r"[\s_-]", "", role.lower())
+        name = next((name for name, (*_, usual) in _INPUTS.items() if plain in usual), None)
+        if name is not None and name not in found.values():
+            found[role] = name
+    return found
+
+
+def unbound_maps(roles: Iterable[str]) -> list[str]:
+    """A sentence for each map that `bind_textures` leaves out."""
+    given = list(roles)
+    bound = preview_inputs(given)
+    usual = ", ".join(names[0] for *_, names in _INPUTS.values())
+    return [
+        f"{role}: the map is written but not bound in the USD material, which binds one map each for {usual} (and "
+        "other usual names of these). Give it another name, or bind it yourself"
+        for role in given
+        if role not in bound
+    ]
+
+
+def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: str) -> None:
+    """Make a material of some images and bind it to a mesh, those of `preview_inputs`.
+
+    ``stage``, ``prim``: the mesh's prim, on the layer that is written. ``textures``: image by what it is for; paths
+    relative to the layer, ``<UDIM>`` for a set. ``uv_name``: primvar of the texture coordinates.
+    """
+    from pxr import Sdf, Tf, UsdShade
+
+    root = prim.GetPath().GetPrefixes()[0]
+    material = UsdShade.Material.Define(stage, root.AppendChild(MATERIAL))
+    surface = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    # By its UV set: textures of an earlier transfer may lie over another one.
+    label = Tf.MakeValidIdentifier(f"uv_{uv_name}")
+    reader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild(label))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(uv_name)
+    for role, name in preview_inputs(textures).items():
+        kind, output, is_color, _ = _INPUTS[name]
+        texture = UsdShade.Shader.Define(stage, material.GetPath().AppendChild(f"{name}_texture"))
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(textures[role])
+        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("auto" if is_color else "raw")
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        if name == "normal":
+            texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set((2, 2, 2, 1))
+            texture.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set((-1, -1, -1, 0))
+        value_kind = Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
+        texture.CreateOutput(output, value_kind)
+        made = surface.CreateInput(name, getattr(Sdf.ValueTypeNames, kind))
+        made.ConnectToSource(texture.ConnectableAPI(), output)
+    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+_SKINNING = ("skel:joints", "skel:skeleton", "skel:geomBindTransform")
+_SHAPES, _SHAPE_TARGETS = "skel:blendShapes", "skel:blendShapeTargets"
+
+
+def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: bool) -> bool:
+    """Add to a new layer what cagemap wrote to its file before; of two values of one name the new one counts.
+
+    ``layer``: the new one, with its final sublayers. ``file``: where it will be written. A file that cagemap did not
+    write adds nothing. ``prim_paths``: the meshes that the results are about. Returns whether there was something to
+    add.
+    """
+    pxr = usd_modules()
+    try:
+        earlier = pxr.Sdf.Layer.OpenAsAnonymous(text_name(file)) if file.is_file() else None
+    except pxr.Tf.ErrorException:  # no USD: it is replaced with force, or refused
+        earlier = None
+    # A .usdc is compressed and has no checksum: it is replaced with force alone, and its words are believed.
+    if earlier is None or not earlier.comment.startswith(MARKED):
+        return False
+    if _subject(earlier, prim_paths) != _subject(layer, prim_paths):
+        if force:
+            return False
+        raise FormatError(
+            f"{file}: holds results about another mesh, which would be lost. Give another name, or allow it "
+            "(`force=True`)."
+        )
+    for path in prim_paths:
+        new, old = layer.GetPrimAtPath(path), earlier.GetPrimAtPath(path)
+        if old and new:
+            _join_shapes(new, old)
+            if "primvars:skel:jointIndices" in new.properties:  # numbers of other joints than the earlier ones
+                _remove(old, _SKINNING)
+    # What both say is the new layer's alone: the parts of two values do not mix.
+    layer.Traverse("/", lambda path: _replaced(layer, earlier, path))
+    pxr.UsdUtils.StitchLayers(layer, earlier)
+    return True
+
+
+def _subject(layer: Any, prim_paths: Sequence[str]) -> tuple[object, ...]:
+    """What results are about: the file below, or the mesh that the layer holds itself."""
+    if layer.subLayerPaths:
+        return tuple(layer.subLayerPaths)
+    names = ("points", "faceVertexCounts", "faceVertexIndices")
+    found = (layer.GetAttributeAtPath(f"{path}.{name}") for path in prim_paths for name in names)
+    return tuple(attribute and attribute.default for attribute in found)
+
+
+def _join_shapes(new: Any, old: Any) -> None:
+    """Put the earlier blend shapes of a prim before its new ones, but for those that these replace."""
+    if not all(name in prim.properties for prim in (new, old) for name in (_SHAPES, _SHAPE_TARGETS)):
+        return
+    given, kept = (
+        dict(zip(prim.properties[_SHAPES].default, _targets(prim).explicitItems, strict=False)) for prim in (new, old)
+    )
+    kept = {name: path for name, path in kept.items() if name in given or path not in given.values()} | given
+    new.properties[_SHAPES].default = usd_modules().Vt.TokenArray(list(kept))
+    _targets(new).explicitItems = list(kept.values())
+
+
+def _targets(prim: Any) -> Any:
+    return prim.properties[_SHAPE_TARGETS].targetPathList
+
+
+def _replaced(layer: Any, earlier: Any, path: Any) -> None:
+    """Remove from an earlier prim the properties that the new layer's has, and keep the type of a `SkelRoot`."""
+    new, old = layer.GetPrimAtPath(path), earlier.GetPrimAtPath(path)
+    if path.IsPrimPath() and new and old:
+        _remove(old, new.properties.keys())
+        if old.typeName == "SkelRoot":
+            new.typeName = old.typeName
+
+
+def _remove(prim: Any, names: Any) -> None:
+    for name in names:
+        if name in prim.properties:
+            prim.RemoveProperty(prim.properties[name])

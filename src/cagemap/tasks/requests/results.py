@@ -1,0 +1,257 @@
+"""Requests of commands that work on a RESULT: transfer, wrap, report; annotated with their options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.errors import ParameterError
+from cagemap.tasks.requests.options import (
+    Argument,
+    Force,
+    Green,
+    MaskEdgeOption,
+    OneOf,
+    Option,
+    ResultFolder,
+    SchemeOption,
+    SomeOf,
+    SourceMaskOption,
+    SourceSchemeOption,
+    SourceWeldOption,
+    Space,
+    TargetMaskOption,
+    TargetSchemeOption,
+    TargetWeldOption,
+    WeldOption,
+)
+
+
+@dataclass(frozen=True)
+class TransferRequest:
+    """What the user asked for; several images have names, and a base without one lies under all of them."""
+
+    result: ResultFolder
+    output: Annotated[
+        Path,
+        Option(("-o", "--output"), help="Image, values or mesh to write."),
+    ]
+    texture: Annotated[
+        Path | None,
+        Option(help="Source texture, any image; for several, repeat it with NAME=IMAGE."),
+    ] = None
+    maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
+    usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
+    displacement: Annotated[Path | None, Option(help="Source displacement along the normal.")] = None
+    normal_map: Annotated[
+        Path | None, Option(help="Source normal map; its directions are converted for the target.")
+    ] = None
+    vector_displacement: Annotated[Path | None, Option(help="Source vector displacement.")] = None
+    space: Space = "tangent"
+    green: Green = "up"
+    as_color: Annotated[
+        bool, Option(("--as-color",), help="Texture: treat an image that looks like a normal map as colours.")
+    ] = False
+    filter: Annotated[
+        str,
+        Option(help="Sampling of enlarged images: smooth, linear, or nearest for labels."),
+        OneOf(("smooth", "linear", "nearest")),
+    ] = "smooth"
+    attribute: Annotated[
+        Path | None,
+        Option(help="Values at the source's control vertices, faces or corners."),
+    ] = None
+    material_colors: Annotated[bool, Option(("--material-colors",), help="Bake the source's material colours.")] = False
+    bake: Annotated[
+        tuple[str, ...],
+        Option(help="Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture."),
+        SomeOf(("normal", "displacement", "vector-displacement", "ao", "colors", "texture")),
+    ] = ()
+    detail: Annotated[
+        Path | None,
+        Option(
+            help="Detailed mesh for --bake, at the same place as the source.  [default: the source, for ao and colors]"
+        ),
+    ] = None
+    detail_texture: Annotated[Path | None, Option(help="Image of the detailed mesh, for --bake texture.")] = None
+    rays: Annotated[int, Option(min=1, help="Rays per vertex, for --bake ao.")] = 128
+    source_uvs: Annotated[
+        bool, Option(("--source-uvs",), help="Give the target the source's UVs; -o is the mesh to write.")
+    ] = False
+    weights: Annotated[
+        Path | None, Option(help="Skinning weights of the source, a column per joint: .csv, .npz, glTF.")
+    ] = None
+    influences: Annotated[int, Option(min=0, help="Weights: most joints per vertex; 0 for all.")] = 4
+    only: Annotated[str | None, Option(help="Weights: only these joints, with commas; --base has the others.")] = None
+    mirror: Annotated[
+        bool, Option(("--mirror",), help="Weights: make left and right symmetric, by the joints' names.")
+    ] = False
+    joints: Annotated[
+        Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights, names the columns.")
+    ] = None
+    blend_shapes: Annotated[
+        tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
+    ] = ()
+    passenger: Annotated[Path | None, Option(help="Mesh on the source to carry: clothes, eyes, hair, a prop.")] = None
+    kind: Annotated[
+        str | None,
+        Option(("--as",), help="Passenger: cloth, rigid or similarity.  [default: chosen for each piece]"),
+        OneOf(("cloth", "rigid", "similarity")),
+    ] = None
+    write_map: Annotated[
+        bool,
+        Option(("--write-map",), help="Write the map itself, for other programs."),
+    ] = False
+    level: Annotated[
+        int | None,
+        Option(min=0, help="Map of this level of the target (methods hfm, paper).  [default: the finest]"),
+    ] = None
+    size: Annotated[
+        int | None,
+        Option(min=1, max=65_536, help="Width and height in texels.  [default: the source image's, or 2048]"),
+    ] = None
+    bits: Annotated[
+        int | None,
+        Option(help="Bits per channel: 8, 16 or 32 (float).  [default: as the source image]"),
+        OneOf((8, 16, 32)),
+    ] = None
+    scale: Annotated[float, Option(help="Displacement: source height between the values 0 and 1.")] = 1.0
+    midlevel: Annotated[
+        float | None,
+        Option(help="Displacement: value of zero displacement.  [default: 0.5 for integers, 0 for floats]"),
+    ] = None
+    bases: Annotated[
+        tuple[tuple[str, Path], ...],
+        Option(
+            ("--base",),
+            help="The target's own image or values outside the masks; [NAME=]IMAGE.  [default: transparent]",
+        ),
+    ] = ()
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
+    unwrap: Annotated[
+        bool,
+        Option(("--unwrap",), help="Make UVs where the target has none; writes that mesh too."),
+    ] = False
+    force: Force = False
+
+
+def texture_and_maps(
+    given: Sequence[str], option: str = "--texture"
+) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
+    """Tell a single image from the named maps of a material: ``albedo=skin.png``."""
+    named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
+    if len(given) == 1 and (not named or Path(given[0]).exists()):
+        return Path(given[0]), ()
+    if not given:
+        return None, ()
+    require_map_names(named if len(named) == len(given) else [("", Path(text)) for text in given], option)
+    return None, tuple(named)
+
+
+def require_map_names(maps: Sequence[tuple[str, Path]], option: str = "--texture") -> None:
+    """Refuse several images that their names do not tell apart."""
+    names = [name for name, _ in maps]
+    if not all(names) or len({name.casefold() for name in names}) != len(names):
+        given = ", ".join(f"{name}={path}" if name else str(path) for name, path in maps)
+        raise ParameterError(
+            f"{option}: expected one image, or several as NAME=IMAGE with a name of its own each, got {given}."
+        )
+    if any(not name.replace("_", "").replace("-", "").isalnum() for name in names):
+        raise ParameterError(f"{option}: expected names of letters, digits, - and _, since files are named by them.")
+
+
+def base_of(request: TransferRequest, name: str = "") -> Path | None:
+    """What lies outside the masks of a map, or of all of them."""
+    given = dict(request.bases)
+    return given.get(name, given.get(""))
+
+
+@dataclass(frozen=True)
+class WrapRequest:
+    """What the user asked for."""
+
+    results: Annotated[tuple[Path, ...], Argument(metavar="[RESULT]...", help="Folder that `cagemap match` wrote.")]
+    output: Annotated[
+        Path, Option(("-o", "--output"), help="Mesh to write: .obj, .ply, .off, .usd; a folder with --blend-shapes.")
+    ]
+    target: Annotated[
+        Path | None, Option(("--target", "-t"), help="Instead of RESULT: cage to match first, then to wrap.")
+    ] = None
+    source: Annotated[Path | None, Option(("--source", "-s"), help="With --target: mesh to wrap it onto.")] = None
+    landmarks: Annotated[Path | None, Option(help="JSON file of pairs of corresponding points.")] = None
+    map: Annotated[
+        Path | None,
+        Option(help="Point map of any method, instead of a match."),
+    ] = None
+    scheme: SchemeOption = None
+    target_scheme: TargetSchemeOption = None
+    source_scheme: SourceSchemeOption = None
+    weld: WeldOption = None
+    target_weld: TargetWeldOption = None
+    source_weld: SourceWeldOption = None
+    fit_level: Annotated[int, Option(min=0, help="Level whose vertices are fitted; 0 moves the control points.")] = 0
+    amount: Annotated[float, Option(help="From 0, the target, to 1, the source's shape.")] = 1.0
+    fairness: Annotated[float, Option(help="Larger: smoother edge flow; smaller: closer to the source.")] = 1e-4
+    weights: Annotated[
+        Path | None, Option(help="Weight of each control vertex: 1 follows the source, 0 its surroundings.")
+    ] = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
+    symmetric: Annotated[bool, Option(("--symmetric",), help="Keep a mirror symmetric cage symmetric.")] = False
+    blend_shapes: Annotated[
+        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, and each RESULT's mesh.")
+    ] = False
+    displacement: Annotated[
+        Path | None, Option(help="Image to write: missing detail, as heights along the normal.")
+    ] = None
+    vector_displacement: Annotated[Path | None, Option(help="Image to write: missing detail, as vectors.")] = None
+    normal_map: Annotated[Path | None, Option(help="Image to write: the source's normals on the wrapped cage.")] = None
+    occlusion: Annotated[Path | None, Option(help="Image to write: the source's ambient occlusion.")] = None
+    colors: Annotated[Path | None, Option(help="Image to write: the source's vertex colours.")] = None
+    texture: Annotated[Path | None, Option(help="The source's texture, to bake into the target's layout.")] = None
+    baked: Annotated[Path | None, Option(help="Image to write: the baked texture.")] = None
+    detail: Annotated[Path | None, Option(help="More detailed mesh to bake from, instead of the source.")] = None
+    detail_texture: Annotated[Path | None, Option(help="Image of the detailed mesh, baked into --baked.")] = None
+    space: Space = "tangent"
+    green: Green = "up"
+    rays: Annotated[int, Option(min=1, help="Occlusion: rays per vertex.")] = 128
+    size: Annotated[int | None, Option(min=1, help="Width and height of the images.  [default: 2048]")] = None
+    mhclo: Annotated[
+        Path | None,
+        Option(help="Clothes file to write for MakeHuman and MPFB: .mhclo, .proxy."),
+    ] = None
+    force: Force = False
+
+
+class UpAxis(StrEnum):
+    """Axis of the target's file that points up in the pictures."""
+
+    Y = "y"
+    Z = "z"
+
+
+@dataclass(frozen=True)
+class ReportRequest:
+    """What the user asked for; without a texture the last one that was baked is shown, if its files are there."""
+
+    result: ResultFolder
+    output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")
+    texture: Annotated[Path | None, Option(help="Source texture to show.  [default: that of the last transfer]")] = None
+    force: Force = False
+    level: Annotated[
+        int | None,
+        Option(min=0, help="Map of this level of the target (methods hfm, paper).  [default: the finest]"),
+    ] = None
+    up: Annotated[
+        UpAxis | None,
+        Option(
+            help="Axis of the target that is up in the pictures.  "
+            "[default: from the USD file, or guessed from the shape]"
+        ),
+    ] = None
