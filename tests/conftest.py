@@ -57,6 +57,16 @@ def one_start(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"cagemap.deform.multi_start.{measure}", lambda *given: 0.0)
 
 
+@pytest.fixture(scope="module")
+def fbx_server() -> Iterator[None]:
+    """FBX files are converted by processes that have the library loaded: a tenth of the time."""
+    from fbx_server import Server
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cagemap.files.fbx.read.subprocess", Server)
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of real control meshes beside the checkout; tests that need it skip where it is absent."""

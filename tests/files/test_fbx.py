@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from fbx_scenes import Fbx, fbx_arm, geometry, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
+pytestmark = pytest.mark.usefixtures("fbx_server")
 PNG = b"\x89PNG" + bytes(60)
 
 
@@ -279,11 +281,20 @@ def test_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         read_mesh(_file(tmp_path, fbx_arm()))
 
 
-def test_modules_in_the_working_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_process_answers_as_the_server_and_runs_no_modules_of_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """A folder of downloads may hold anything."""
+    monkeypatch.setattr(fbx_read, "subprocess", subprocess)
     (tmp_path / "ufbx.py").write_text("raise SystemExit(9)")
     monkeypatch.chdir(tmp_path)
-    read_mesh(_file(tmp_path, fbx_arm()))
+    made = fbx_arm()
+    made.add("NodeAttribute", "lamp", "Light", to=made.add("Model", "lamp", "Light"))
+    assert read_mesh(_file(tmp_path, made)).n_faces == 2
+    assert "left out: 1 light" in caplog.text
+    (tmp_path / "arm.fbx").write_bytes(made.bytes()[:900])
+    with pytest.raises(FormatError, match="cannot be read as FBX"):
+        read_mesh(tmp_path / "arm.fbx")
 
 
 FOREIGN = ("quaternius_Pug.fbx", "quaternius_Female_Dress.fbx", "mh_male_young_blender.fbx")

@@ -157,6 +157,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     files = [folder / f"{side}{kind.suffix}" for side in ("target", "source")]
     if kind.suffix == ".fbx":
         pytest.importorskip("ufbx")
+        request.getfixturevalue("fbx_server")
     for file, mesh in zip(files, (target.mesh, source), strict=True):
         (write_fbx if kind.suffix == ".fbx" else write_mesh)(file, mesh)
     np.savetxt(folder / "mask.csv", target.mesh.positions[:, 0] > 0.5, fmt="%.1f")
