@@ -138,9 +138,7 @@ def test_texture_coordinates_without_indices_are_one_island_where_they_agree(tmp
     stage.Save()
     mesh = read_usd(tmp_path / "blender.usda")
     islands = uv_islands(mesh)
-    assert islands is not None
     assert islands.max() + 1 == 2
-    assert mesh.uvs is not None
     assert len(mesh.uvs) == 2 * 3 * 4
     np.testing.assert_array_equal(mesh.uvs[mesh.uv_indices], uvs)
 

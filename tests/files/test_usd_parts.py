@@ -263,7 +263,6 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     mesh = full_cube()
-    assert mesh.uvs is not None
     write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"fur_length": np.arange(8.0)}))
     given = {"fur length": -np.arange(8.0), mesh.uv_name or "st": np.zeros((8, 2))}
     write_usd_over(tmp_path / "over.usda", tmp_path / "cube.usda", ["/Asset/mesh"], mesh, UsdResults(attributes=given))

@@ -63,7 +63,6 @@ def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
     turn = axis_rotations()[-1]
     twin = bent(creature())
     result = matched(twin.with_positions(twin.positions @ turn.T))
-    assert result.confidence is not None
     assert result.confidence.verdict == SURE, result.confidence.summary()
     assert errors(result).mean() < 0.02
     assert result.confidence.readings[0].name == rotation_name(turn)
@@ -77,12 +76,10 @@ def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -
     longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003) + 5.0)
     target, source = prepare_surface(cage, 3), prepare_surface(longer, 3)
     undecided = match(target, source)
-    assert undecided.confidence is not None
     assert undecided.confidence.verdict == TWO
     # The message counts as the file does, also in a result of several parts, which stand one after another.
     assert f"vertex {int(undecided.confidence.deciding or 0) + creature().n_vertices} " in undecided.confidence.message
     merged = merge_results([undecided, undecided], {}).confidence
-    assert merged is not None
     assert merged.message == f"the part of 6 faces: {undecided.confidence.message}"
     # Any corner may come to lie on any other, and an edge then on any of the three that leave it.
     other = cage.positions[0] * (-1, 1, 1)
@@ -104,7 +101,6 @@ def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alik
     # Elsewhere: surfaces that lie on each other are known at once.
     longer = prepare_surface(control.with_positions(centred * (1.4003, 0.8, 1.0) + 5.0), 2)
     result = match(box, longer)
-    assert result.confidence is not None
     assert result.confidence.readings[0].name == AS_FILED
     assert errors(result).max() < 1e-3
 
@@ -123,7 +119,6 @@ def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_s
 @pytest.mark.slow
 def test_what_looks_different_is_not_sure() -> None:
     result = match(prepare_surface(cube(), 3), prepare_surface(creature(), 2))
-    assert result.confidence is not None
     assert result.confidence.verdict != SURE
 
 

@@ -86,7 +86,5 @@ def place(result_folder: Path) -> Path:
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_cannot_be_done_is_refused(run: Run, place: Path, words: str) -> None:
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
-    refused = run(*words.split())
-    assert refused.code == 2, refused.out
-    assert REFUSED[words] in refused.err
+    run.refused(*words.split(), says=REFUSED[words])
     assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before

@@ -124,7 +124,6 @@ def test_parts_of_one_triangle_are_found_in_it_and_others_in_none() -> None:
 def test_what_rounding_puts_outside_does_not_cross_a_seam() -> None:
     """Every edge is a seam, and lies a ten-millionth of a texel beside the centres that it takes."""
     level = refine(crossed_cube(), 1).finest
-    assert level.uvs is not None
     shifted = level.with_uvs(level.uvs + np.array([(0.5 + 2e-7) / 90, 0.0]), level.uv_indices)
     surface = TexturedSurface.from_level(shifted)
     transfer = prepare_transfer(shifted, shifted, identity_map(shifted))
