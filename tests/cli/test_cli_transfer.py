@@ -36,22 +36,6 @@ def test_transfer_bakes_and_report_shows_it(run: Run, result_folder: Path, monke
     assert shown["texture"] is None
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--texture", "none.png", "-o", "o.png"], "none.png: expected an image, there is no such file"),
-        (["--texture", "t.png", "-o", "o.exr"], "choose 16 or 32 bits"),
-        (["--texture", "t.png", "-o", "o.png", "--bits", "12"], "8, 16 or 32"),
-        (["--texture", "t.png", "-o", "."], "got no suffix"),
-        (["--texture", "t.png", "-o", "o"], "got no suffix"),
-    ],
-)
-def test_images_that_cannot_be_are_refused_in_words(
-    run: Run, result_folder: Path, words: list[str], expected: str
-) -> None:
-    run.refused("transfer", result_folder.name, *words, says=expected)
-
-
 def test_report_is_written(run: Run, result_folder: Path) -> None:
     outcome = run.done("report R -o r.html")
     assert "r.html" in outcome.out
@@ -80,31 +64,6 @@ def test_material_colours_are_baked(run: Run, result_folder: Path) -> None:
     red, green, _ = pixels[45, 10].astype(int)  # face 0: the lower left cell of the layout
     assert red > green + 50
     assert np.ptp(pixels[45, 30].astype(int)) <= 1  # face 1: unknown, grey
-
-
-def test_attributes_arrive_at_the_same_kind_of_place(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    result = read_result(result_folder)
-    rng = np.random.default_rng(31)
-    values = {
-        "weight": rng.random((8, 2)),
-        "label": rng.integers(0, 4, 8),
-        "group": rng.integers(0, 4, 6),
-        "corner": rng.random((24, 3)),
-        "dense": rng.random(len(result.source.vertices)),
-    }
-    np.savez(place / "in.npz", **values)
-    run.done("transfer R --attribute in.npz -o out.npz")
-    with np.load(place / "out.npz") as carried:
-        np.testing.assert_allclose(carried["dense"], values["dense"], atol=1e-12)
-        # The map is the identity, so each comes back as it was: no smoothing, labels as labels.
-        for name in ("group", "label"):
-            np.testing.assert_array_equal(carried[name], values[name])
-            assert carried[name].dtype == values[name].dtype
-        for name in ("weight", "corner"):
-            np.testing.assert_allclose(carried[name], values[name], atol=1e-12)
-    np.save(place / "seven.npy", np.arange(7))
-    run.refused("transfer R --attribute seven.npy -o out.npz", says="7 rows")
 
 
 def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,20 +97,6 @@ def test_a_normal_map_is_not_taken_for_colours_without_a_word(run: Run, result_f
         assert run("transfer R --texture", name, "--size", 16, "-o", "o.png").err == "", name
     assert run("transfer R --normal-map n.png --size 16 -o o.png").err == ""
     assert "is it a normal map" in run("transfer R --normal-map sky.png --size 16 -o o.png").err
-
-
-@pytest.mark.parametrize("option", ["--scale", "--midlevel"])
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
-def test_heights_have_finite_scales(run: Run, result_folder: Path, option: str, value: str) -> None:
-    write_image(result_folder.parent / "h.exr", np.zeros((4, 4, 1), np.float32))
-    run.refused(
-        "transfer R --displacement h.exr", option, value, "-o", "d.exr", says=f"{option}: expected a finite number"
-    )
-
-
-def test_one_thing_at_a_time(run: Run, result_folder: Path) -> None:
-    for words in ([], ["--texture", "t.png", "--material-colors"]):
-        run.refused("transfer R", *words, "-o", "o.png", says="expected one of")
 
 
 def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path) -> None:

@@ -25,13 +25,14 @@ from example_result import identity_result, textured_cube
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdSkel
-from test_usd import complaints
 
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
 from cagemap.files.usd.transforms import local_to_world, moved
 from cagemap.files.usd.write import UsdResults, write_usd
+
+from usd_scenes import complaints
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 

@@ -211,6 +211,7 @@ def test_values_at_vertices_faces_and_corners(case: Case) -> None:
             place = name.removesuffix("_labels")
             expected = np.where(case.share[place] >= 0.5, values[getattr(case.target, place)], 0)
             np.testing.assert_array_equal(carried[name], expected, err_msg=name)
+            assert carried[name].dtype == values.dtype
 
 
 def test_skin_weights(case: Case) -> None:

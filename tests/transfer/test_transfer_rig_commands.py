@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-from examples.shapes import cube, torus
 
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -96,31 +95,6 @@ def test_maps_through_the_command_line(run: Run, result_folder: Path) -> None:
     write_image(place / "t2.png", np.zeros((16, 16, 3), np.uint8))
     assert run("transfer Q --texture t2.png -o b2.png").code == 0
     assert run("report Q -o q.html").code == 0
-
-
-def test_refused_rigs_write_nothing(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    (place / "w.csv").write_text("hip,knee\n" + "\n".join(["0.5,0.5"] * 8))
-    (place / "short.csv").write_text("hip\n" + "\n".join(["1.0"] * 7))
-    (place / "s.json").write_text('[{"name": "hip", "parent": null, "head": [0, 0, 0], "tail": [0, 1, 0]}]')
-    (place / "orphan.json").write_text('[{"name": "hip", "parent": "root", "head": [0, 0, 0], "tail": [0, 1, 0]}]')
-    write_mesh(place / "other.obj", torus(6, 5))
-    np.save(place / "m.npy", np.arange(5))
-    write_mesh(place / "box.obj", cube())
-    before = sorted(place.rglob("*"))
-    for words, message in (
-        (("transfer", "R", "--weights", "w.csv", "--joints", "s.json", "-o", "o.npz"), "knee"),
-        (("transfer", "R", "--weights", "short.csv", "-o", "o.npz"), "one a vertex"),
-        (("transfer", "R", "--joints", "orphan.json", "-o", "o.json"), "root"),
-        (("transfer", "R", "--blend-shapes", "other.obj", "-o", "faces"), "8 vertices"),
-        (("transfer", "R", "--write-map", "-o", "m.txt"), ".npz"),
-        (("map", "m.npy", "-t", "box.obj", "-s", "box.obj", "--level", "2", "-o", "Q"), "each vertex of the target"),
-        (("transfer", "R", "--weights", "w.csv", "--texture", "t.png", "-o", "o.png"), "Run once"),
-    ):
-        refused = run(*words)
-        assert refused.code == 2, (words, refused.err)
-        assert message in refused.err, refused.err
-    assert sorted(place.rglob("*")) == before
 
 
 def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Path) -> None:

@@ -306,28 +306,6 @@ def test_the_command_writes_cage_and_displacement(run: Run, result_folder: Path)
     assert (place / "shapes/small.obj").is_file()
 
 
-def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    np.save(place / "w.npy", np.ones(5))
-    before = sorted(place.rglob("*"))
-    for arguments, message in (
-        (("R", "-o", "n.obj", "--amount", "2"), "--amount"),
-        (("R", "-o", "n.obj", "--weights", "w.npy"), "8 control vertices of large.obj, the target, got 5"),
-        (("R", "-o", "n.obj", "--fit-level", "3"), "level below"),
-        (("R", "R", "-o", "n.obj"), "--blend-shapes"),
-        (("-t", "t.obj", "-s", "s.obj", "--scheme", "none", "-o", "n.obj"), "(--target-scheme): catmull-clark, loop"),
-        (("-o", "n.obj"), "RESULT"),
-        (("R", "-o", "n.obj", "--target", "t.obj"), "--target and --source"),
-        (("R", "-o", "n.obj", "--amount", "0.5", "--displacement", "d.exr"), "whole --amount"),
-        (("R", "-o", "n", "--blend-shapes", "--displacement", "d.exr"), "no --blend-shapes"),
-        (("R", "-o", "n.stl"), "n.stl"),
-    ):
-        refused = run("wrap", *arguments)
-        assert refused.code == 2, (arguments, refused.err)
-        assert message in refused.err, refused.err
-    assert sorted(place.rglob("*")) == before
-
-
 def test_a_fit_that_went_astray_is_tried_with_more_pull_of_the_map(
     ring: tuple[Refinement, Refinement], monkeypatch: pytest.MonkeyPatch
 ) -> None:
