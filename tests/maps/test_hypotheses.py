@@ -22,11 +22,7 @@ from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Scheme
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 
-
-def bent(control: ControlMesh) -> ControlMesh:
-    """The same cage, swollen and bent: every vertex keeps its meaning."""
-    x, y, z = (control.positions / np.ptp(control.positions)).T
-    return control.with_positions(np.column_stack([x * (1 + 0.3 * z), y + 0.2 * z**2, z * (1 + 0.2 * y)]))
+from plain_meshes import bent
 
 
 def matched(source: ControlMesh, landmarks: Landmarks | None = None) -> MatchResult:
