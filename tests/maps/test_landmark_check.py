@@ -290,7 +290,7 @@ def followed(pair) -> MatchResult:
 def misled(pair) -> tuple[int, Landmarks, MatchResult]:
     target, source, landmarks = pair
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
-    return 3, wrong, match(target, source, wrong)
+    return 3, wrong, match(target, source, wrong, QUICK)
 
 
 def test_correct_pairs_are_all_met(followed):

@@ -31,6 +31,7 @@ from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 
 from example_result import identity_result
+from quick_match import from_one_start
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     behind = mesh.positions[:, 0] < np.median(mesh.positions[:, 0])
     swollen = mesh.positions * np.where(behind[:, None], [1.0, 1.6, 1.6], 1.0)
     write_obj(folder / "source.obj", mesh.with_positions(swollen))
-    front = np.flatnonzero(~behind)[:: max(1, int((~behind).sum()) // 8)]
+    front = np.flatnonzero(~behind)[:: max(1, int((~behind).sum()) // 16)]
     names = tuple(f"p{k}" for k in range(len(front)))
     write_landmarks(folder / "landmarks.json", Landmarks(names, front, front, "target.obj", "source.obj"))
     write_image(folder / "texture.png", np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8))
@@ -122,7 +123,8 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
 @pytest.fixture(scope="module")
 def whole(scene: Path) -> Path:
     """The same pair matched without masks."""
-    _run_match(scene, "WHOLE")
+    with from_one_start():
+        _run_match(scene, "WHOLE")
     return scene / "WHOLE"
 
 

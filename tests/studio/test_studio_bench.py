@@ -95,10 +95,10 @@ def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Be
 
 def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
-    taken: list[int] = []
+    taken = [0, 3, 5]
     for step in range(3):
         if step == 1:  # all but two of the eight
-            taken += [vertex for vertex in range(8) if vertex not in taken][:5]
+            taken += [vertex for vertex in range(8) if vertex not in taken][:2]
         bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken)), lambda _: None)
         assert isinstance(found, Found)
         assert found.known.suggestion not in (None, *taken)
