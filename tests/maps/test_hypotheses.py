@@ -23,11 +23,12 @@ from cagemap.mesh.schemes import Scheme
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 
 from plain_meshes import bent
+from quick_match import SEARCHED
 
 
 def matched(source: ControlMesh, landmarks: Landmarks | None = None) -> MatchResult:
     target = prepare_surface(creature(), 1)
-    return match(target, prepare_surface(source, 1), landmarks)
+    return match(target, prepare_surface(source, 1), landmarks, SEARCHED)
 
 
 def errors(result: MatchResult) -> np.ndarray:
