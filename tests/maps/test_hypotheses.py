@@ -51,6 +51,7 @@ def test_boxes_agree_and_no_start_mirrors() -> None:
     for start in rigid_starts(points, others):
         linear = np.linalg.lstsq(centred, start.positions - start.positions.mean(axis=0), rcond=None)[0]
         assert np.linalg.det(linear) > 0, start.name
+    assert len(rigid_starts(points, others)) == 2 * 24 + 4  # boxes of one scale and of three, and principal frames
     stretched = rigid_starts(points, others)[1].positions
     np.testing.assert_allclose(np.ptp(stretched, axis=0), np.ptp(others, axis=0))
     np.testing.assert_allclose(stretched.min(axis=0), others.min(axis=0), atol=1e-12)
