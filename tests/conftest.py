@@ -51,10 +51,22 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def one_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def one_start() -> Iterator[None]:
     """Matches from one start, where a test asks for something else than the best map: half the time."""
-    for measure in ("mean_distance", "largest_limb_rotation"):  # both starts agree
-        monkeypatch.setattr(f"cagemap.deform.multi_start.{measure}", lambda *given: 0.0)
+    from quick_match import from_one_start
+
+    with from_one_start():
+        yield
+
+
+@pytest.fixture(scope="module")
+def fbx_server() -> Iterator[None]:
+    """FBX files are converted by processes that have the library loaded: a tenth of the time."""
+    from fbx_server import Server
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cagemap.files.fbx.read.subprocess", Server)
+        yield
 
 
 @pytest.fixture(scope="session")

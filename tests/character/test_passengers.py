@@ -238,7 +238,7 @@ def test_the_command_writes_the_mesh_with_its_uvs_and_materials(tmp_path: Path, 
     patch = cube().with_uvs(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.tile([0, 1, 2, 3], 6))
     shirt = replace(patch, face_materials=np.array([0, 0, 1, 1, 0, 1]), material_names=("red", "blue"))
     write_mesh(tmp_path / "shirt.obj", shirt)
-    assert not run("transfer", "R", "--passenger", "shirt.obj", "--as", "rigid", "-o", "on.obj").code
+    assert not run("transfer R --passenger shirt.obj --as rigid -o on.obj").code
     given, carried = (read_mesh(tmp_path / name) for name in ("shirt.obj", "on.obj"))
     np.testing.assert_allclose(carried.positions, 2.0 * given.positions, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(carried.uvs, given.uvs)
@@ -250,11 +250,8 @@ def test_the_command_refuses_idle_options_and_warns_of_a_passenger_elsewhere(tmp
     write_result(tmp_path / "R", identity_result())
     write_mesh(tmp_path / "far.obj", moved(cube(), (99.0, 0.0, 0.0)))
     np.save(tmp_path / "v.npy", np.arange(8.0))
-    refused = run("transfer", "R", "--attribute", "v.npy", "--as", "rigid", "-o", "o.npy")
-    assert refused.code
-    assert "--as: expected it beside --passenger" in refused.err
-    warned = run("transfer", "R", "--passenger", "far.obj", "-o", "on.obj")
-    assert not warned.code
+    run.refused("transfer R --attribute v.npy --as rigid -o o.npy", says="--as: expected it beside --passenger")
+    warned = run.done("transfer R --passenger far.obj -o on.obj")
     assert "same units and place" in warned.err + warned.out
-    same = run("transfer", "R", "--passenger", "far.obj", "-o", "far.obj")
+    same = run("transfer R --passenger far.obj -o far.obj")
     assert same.code

@@ -30,8 +30,7 @@ COARSE = ["--level", 1, "-k", 20, "--set", "method.search_vertices=300"]
 
 @pytest.mark.slow
 def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
-    outcome = run("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
-    assert outcome.code == 0, outcome.err
+    outcome = run.done("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
     assert "no landmarks" in outcome.out
     result = read_result(pair_files / "R")
     said = result.manifest["confidence"]
@@ -39,7 +38,7 @@ def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Pat
     told = said["message"]
     assert told in (outcome.out if said["verdict"] == "sure" else outcome.err)
     assert len(result.runner_up_images) == len(said["readings"]) - 1
-    assert run("report", "R").code == 0
+    assert run("report R").code == 0
 
 
 def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path, one_start: None) -> None:
@@ -50,8 +49,7 @@ def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path, 
         points = NamedPoints(names, np.append(vertices, 0), np.full((len(names), 3), np.nan))
         write_points(pair_files / f"{side}.pp", points, mesh)
     files = ["--target-points", "deer.pp", "--source-points", "pony.pp"]
-    outcome = run("match", *MATCH[:4], *files, *COARSE, "-o", "R")
-    assert outcome.code == 0, outcome.err
+    outcome = run.done("match", *MATCH[:4], *files, *COARSE, "-o", "R")
     assert "only deer" in outcome.err
     found = read_result(pair_files / "R")
     assert found.landmark_names == landmarks.names
@@ -61,8 +59,7 @@ def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path, 
 
 
 def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: None) -> None:
-    outcome = run("match", *MATCH, *COARSE, "-o", "R")
-    assert outcome.code == 0, outcome.err
+    outcome = run.done("match", *MATCH, *COARSE, "-o", "R")
     assert "deer.obj" in outcome.out
     result = read_result(pair_files / "R")
     assert (result.target.finest, result.functional_map.shape) == (1, (20, 20))
@@ -88,8 +85,7 @@ def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
     away[source] = 0.0
     source[wrong] = np.argmax(away)
     write_landmarks(pair_files / "landmarks.json", replace(pair.landmarks, source=source))
-    outcome = run("match", *MATCH, *COARSE, "-o", "R")
-    assert outcome.code == 0, outcome.err
+    outcome = run.done("match", *MATCH, *COARSE, "-o", "R")
     said = " ".join(outcome.err.split())
     assert "landmark 'hoof_hind_L' looks wrong and was left out" in said
     assert "--trust-landmarks" in said
@@ -107,9 +103,9 @@ def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
 
 
 def test_exchanged_meshes_are_refused_and_other_names_noted(run: Run, pair_files: Path) -> None:
-    refused = run("match", "--target", "pony.obj", "--source", "deer.obj", *MATCH[4:], "--level", 1, "-o", "R")
-    assert refused.code == 2
-    assert "other way round" in refused.err
+    run.refused(
+        "match --target pony.obj --source deer.obj", *MATCH[4:], "--level", 1, "-o", "R", says="other way round"
+    )
     assert not (pair_files / "R").exists()
     (pair_files / "deer.obj").rename(pair_files / "stag.obj")
     request = MatchRequest(*(pair_files / name for name in ("stag.obj", "pony.obj", "landmarks.json", "R")))
@@ -142,7 +138,5 @@ def test_a_broken_mesh_is_refused_before_any_work(run: Run, pair_files: Path) ->
     faces = [number for number, line in enumerate(lines) if line.startswith("f ")]
     lines[faces[3]] = "f " + " ".join(reversed(lines[faces[3]].split()[1:]))
     (pair_files / "deer.obj").write_text("\n".join(lines) + "\n")
-    refused = run("match", *MATCH, "--level", 1, "-o", "R")
-    assert refused.code == 2
-    assert "inconsistent orientation" in refused.err
+    refused = run.refused("match", *MATCH, "--level", 1, "-o", "R", says="inconsistent orientation")
     assert "3" in refused.err

@@ -40,7 +40,9 @@ def test_match_has_at_most_35_options_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_option_has_a_short_line_and_shows_its_default(command: str) -> None:
+def test_every_option_has_a_short_line_of_its_own_and_shows_its_default(command: str) -> None:
+    said = [option.help for option in options(command)]
+    assert len(set(said)) == len(said)
     context = COMMANDS[command].make_context(command, [], resilient_parsing=True)
     for option in options(command):
         words = option.help.partition("  [default")[0]

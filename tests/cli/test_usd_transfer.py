@@ -22,12 +22,13 @@ from example_result import identity_result, textured_cube
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Usd, UsdShade
-from test_usd import complaints
 
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.results import MATERIAL
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
+
+from usd_scenes import complaints
 
 
 @pytest.fixture

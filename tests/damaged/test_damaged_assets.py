@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_damaged_files import mutated_bytes, outcome
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.images.image import read_texture, udim_path, write_image
@@ -20,7 +19,9 @@ from cagemap.subdivision import limit_positions, refine
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from test_usd import full_cube
+
+from damage import mutated_bytes, outcome
+from usd_scenes import full_cube
 
 
 def _everything() -> ControlMesh:

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import struct
-import warnings
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -55,112 +54,14 @@ from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.run_job import cycle_notes
 from cagemap.tasks.transfer import run_transfer
 
+from damage import mutated_arrays, mutated_bytes, mutated_entries, outcome
 from example_result import identity_result, textured_cube
 from ply_text import write_text_ply
 
 TASK = Task("match", "a", "k", (), {}, ())
 MATCHES = {"match": "k"}
 NOTE = f".cagemap/done/{TASK.slug}.json"  # what a run of a job keeps of a task that is done
-Generator = np.random.Generator
 SEED = 2019
-# What an entry of a JSON file may be instead.
-OTHERS: list[Any] = [None, True, -1, 0, 7, 2**70, 1e300, float("nan"), "", "x" * 300, "\ud800", "a\0b", "../.."]
-OTHERS += [[], [[]], {}, {"a": 1}, [1, "b"], float("inf")]
-WORDS = [
-    b"nan",
-    b"1e400",
-    b"-1",
-    b"99999999999999999999",
-    b"/",
-    b"\0",
-    b"\xff",
-    b"f 1 2",
-    b"\n",
-    b"\xed\xa0",
-    b"a = " + b"[" * 20_000,
-    b"{",
-    b"",
-]
-
-
-def outcome(call: Callable[[], object]) -> bool:
-    """Whether a call went through; the command line answers these errors in words, and no others."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            call()
-        except (CagemapError, OSError, MemoryError):
-            return False
-    return True
-
-
-def mutated_bytes(content: bytes, rng: Generator) -> bytes:
-    data = bytearray(content)
-    for _ in range(rng.integers(1, 4)):
-        kind, at = rng.integers(5), int(rng.integers(0, max(len(data), 1)))
-        if kind == 0 and data:
-            data[at % len(data)] = rng.integers(256)
-        elif kind == 1:
-            del data[at : at + int(rng.integers(1, 40))]
-        elif kind == 2:
-            data[at:at] = WORDS[rng.integers(len(WORDS))]
-        elif kind == 3:
-            word = WORDS[rng.integers(len(WORDS))]
-            data[at : at + len(word)] = word
-        else:
-            data[at:at] = data[at // 2 : at // 2 + 60]
-    return bytes(data if rng.random() < 0.8 else data[: rng.integers(0, len(data) + 1)])
-
-
-def mutated_entries(entries: Any, rng: Generator) -> Any:
-    """JSON with one value, anywhere inside, replaced or removed."""
-    copied = json.loads(json.dumps(entries))
-    node = copied
-    while True:
-        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
-        key = keys[rng.integers(len(keys))]
-        if isinstance(node[key], dict | list) and node[key] and rng.random() < 0.7:
-            node = node[key]
-            continue
-        if rng.random() < 0.3:
-            del node[key]
-        else:
-            node[key] = OTHERS[rng.integers(len(OTHERS))]
-        return copied
-
-
-def mutated_arrays(arrays: dict[str, Any], rng: Generator) -> dict[str, Any]:
-    """Arrays with one removed, reshaped, of another type, or with a few impossible numbers."""
-    copied = dict(arrays)
-    name = list(copied)[rng.integers(len(copied))]
-    array = np.array(copied[name])
-    kind = rng.integers(8)
-    if kind == 0:
-        del copied[name]
-        return copied
-    if kind == 1:
-        array = array.astype([np.float32, np.int8, np.uint64, np.complex64, bool, "U3"][rng.integers(6)])
-    elif kind == 2:
-        array = [
-            array[:-1],
-            array[:0],
-            array.ravel(),
-            array[None],
-            array.T,
-            np.array(array.ravel()[0] if array.size else 0),
-        ][rng.integers(6)]
-    elif kind == 3 and array.size:
-        array = np.resize(array.ravel(), (len(np.atleast_1d(array)) + 1, *array.shape[1:]))
-    elif kind == 4:
-        array = rng.permutation(array)
-    elif array.size:
-        flat = array.reshape(-1)
-        wrong = [np.nan, np.inf, 1e300, -1e-3] if array.dtype.kind == "f" else [-1, 2**62, len(flat), 0]
-        if array.dtype.itemsize < 8 and array.dtype.kind != "f":
-            wrong = [0, 1]
-        flat[rng.integers(len(flat), size=rng.integers(1, 4))] = wrong[rng.integers(len(wrong))]
-    copied[name] = array
-    return copied
 
 
 def write_guests(place: Path) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_damaged_files import mutated_bytes, mutated_entries, outcome
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, humanoid_bones
@@ -23,6 +22,7 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.mesh.checks import check_mesh
 from cagemap.tasks.mesh_commands import check_files
 
+from damage import mutated_bytes, mutated_entries, outcome
 from fbx_scenes import fbx_arm
 from gltf_scenes import arm
 

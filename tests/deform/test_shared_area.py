@@ -118,7 +118,6 @@ def found() -> dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]:
 def test_a_cap_goes_where_it_was_cut_off(found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]) -> None:
     result, points, _ = found["part"]
     assert np.linalg.norm(result.image() - points, axis=1).mean() < 0.05
-    assert result.shared is not None
     assert result.shared.target_share == pytest.approx(1.0, abs=0.05)
     # A ball has no features: the landmarks alone keep the cap from sliding and stretching.
     assert result.shared.source_share == pytest.approx(share_of_cap(), abs=0.1)
@@ -133,7 +132,6 @@ def test_a_ball_on_a_cap_keeps_what_the_cap_lacks(found: dict[str, tuple[MatchRe
     away = np.linalg.norm(result.image()[kept] - part, axis=1)
     # The rest of a featureless ball pulls its rim outwards in the coarse stage.
     assert away.mean() < 0.08 * SCALE
-    assert result.shared is not None
     assert result.shared.target_share == pytest.approx(share_of_cap(), abs=0.1)
     assert result.shared.source_share == pytest.approx(1.0, abs=0.05)
 
@@ -145,8 +143,6 @@ def test_the_order_of_vertices_does_not_matter(found: dict[str, tuple[MatchResul
     at[second[2]] = np.arange(len(second[2]))
     # Samples of the source are taken along its numbering, the target's clusters are not.
     assert np.linalg.norm(first[0].image() - second[0].image()[at[first[2]]], axis=1).mean() < 0.01
-    assert first[0].shared is not None
-    assert second[0].shared is not None
     assert first[0].shared.source_share == pytest.approx(second[0].shared.source_share, abs=0.01)
 
 
@@ -167,8 +163,6 @@ def test_a_result_keeps_its_shared_area(
     result = found["whole"][0]
     write_result(tmp_path / "result", result)
     read = read_result(tmp_path / "result")
-    assert result.shared is not None
-    assert read.shared is not None
     np.testing.assert_array_equal(read.shared.target, result.shared.target)
     np.testing.assert_array_equal(read.shared.source, result.shared.source)
     assert read.manifest["shared_area"] == pytest.approx(result.manifest["shared_area"])

@@ -118,20 +118,6 @@ def test_links_between_documents_resolve(document: Path) -> None:
 COMMANDS: dict[str, click.Command] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 
 
-# Options that the command line still leaves without words.
-UNSAID = {"--force", "--output", "--scheme", "--weld", "--boundary", "--uv-interpolation", "--creasing"}
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_has_a_line_of_its_own_in_help(name: str) -> None:
-    """No option is without words, and the words of no option are those of another."""
-    options = {option.opts[-1]: option for option in COMMANDS[name].params if option.param_type_name == "option"}
-    words = {flag: getattr(option, "help", None) for flag, option in options.items()}
-    assert {flag for flag, said in words.items() if not said} <= UNSAID
-    said = [line for line in words.values() if line]
-    assert len(set(said)) == len(said)
-
-
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
 def test_commands_and_options_that_pages_name_exist(document: Path) -> None:
     text = document.read_text(encoding="utf-8")

@@ -133,8 +133,6 @@ def write_fbx(path: Path, mesh: ControlMesh) -> None:
     """Write a mesh in metres with Y up, with its UVs."""
     made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
     faces = [mesh.face(number).tolist() for number in range(mesh.n_faces)]
-    assert mesh.uvs is not None
-    assert mesh.uv_indices is not None
     uv = layer("UV", "map", "ByPolygonVertex", UV=mesh.uvs.ravel(), UVIndex=mesh.uv_indices.astype("<i4"))
     model = made.add("Model", mesh.name, "Mesh")
     made.add("Geometry", mesh.name, "Mesh", *geometry(mesh.positions, faces, uv), to=model)

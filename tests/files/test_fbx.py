@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from fbx_scenes import Fbx, fbx_arm, geometry, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
+pytestmark = pytest.mark.usefixtures("fbx_server")
 PNG = b"\x89PNG" + bytes(60)
 
 
@@ -51,17 +53,13 @@ def test_a_made_file_holds_what_its_gltf_twin_holds(tmp_path: Path) -> None:
     np.testing.assert_allclose(strip.mesh.positions, twin.mesh.positions, atol=1e-6)
     np.testing.assert_array_equal(strip.mesh.face_indices, [0, 2, 3, 1, 2, 4, 5, 3])
     np.testing.assert_array_equal(strip.mesh.face_sizes, [4, 4])
-    assert strip.mesh.uvs is not None
     np.testing.assert_allclose(
         strip.mesh.uvs[strip.mesh.uv_indices], strip.mesh.positions[strip.mesh.face_indices, :2] / 2, atol=1e-6
     )
-    assert strip.weights is not None
-    assert twin.weights is not None
     np.testing.assert_allclose(strip.weights.toarray(), twin.weights.toarray(), atol=1e-6)
     np.testing.assert_allclose(strip.shapes["raise"], twin.shapes["raise"], atol=1e-6)
     assert strip.mesh.material_names == ("skin",)
     np.testing.assert_allclose(strip.mesh.material_colors, [[0.5, 0.25, 1.0]], atol=1e-6)
-    assert character.rig is not None
     assert character.rig.names == ("upper", "lower")
     np.testing.assert_allclose(character.rig.heads, [[0, 0, 0], [1, 0, 0]], atol=1e-6)
 
@@ -80,7 +78,6 @@ def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) ->
     """Also the animation is what it is with an unposed file, where it moves the joint and where it does not."""
     plain, turned = (read_character(_file(tmp_path, fbx_arm(posed=posed))) for posed in (False, True))
     for one in (plain, turned):
-        assert one.rig is not None
         np.testing.assert_allclose(one.rig.local, parent_transforms(one.rig.bind, one.rig.parents), atol=1e-6)
     np.testing.assert_allclose(_at_half_a_second(turned), _at_half_a_second(plain), atol=1e-6)
     made = fbx_arm(posed=True)
@@ -93,7 +90,6 @@ def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) ->
 def test_leaf_bones_that_move_nothing_are_no_joints(tmp_path: Path) -> None:
     path = _file(tmp_path, fbx_arm(leaf=True))
     rig = read_character(path).rig
-    assert rig is not None
     assert rig.names == ("upper", "lower")
     assert "lower_end" in [node["name"] for node in read_document(path).json["nodes"]]
 
@@ -280,11 +276,20 @@ def test_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         read_mesh(_file(tmp_path, fbx_arm()))
 
 
-def test_modules_in_the_working_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_process_answers_as_the_server_and_runs_no_modules_of_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """A folder of downloads may hold anything."""
+    monkeypatch.setattr(fbx_read, "subprocess", subprocess)
     (tmp_path / "ufbx.py").write_text("raise SystemExit(9)")
     monkeypatch.chdir(tmp_path)
-    read_mesh(_file(tmp_path, fbx_arm()))
+    made = fbx_arm()
+    made.add("NodeAttribute", "lamp", "Light", to=made.add("Model", "lamp", "Light"))
+    assert read_mesh(_file(tmp_path, made)).n_faces == 2
+    assert "left out: 1 light" in caplog.text
+    (tmp_path / "arm.fbx").write_bytes(made.bytes()[:900])
+    with pytest.raises(FormatError, match="cannot be read as FBX"):
+        read_mesh(tmp_path / "arm.fbx")
 
 
 FOREIGN = ("quaternius_Pug.fbx", "quaternius_Female_Dress.fbx", "mh_male_young_blender.fbx")
@@ -316,15 +321,11 @@ def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
     place = shared_data / "characters"
     fbx = read_character(place / "foreign" / "mh_male_young_blender.fbx")
     glb = read_character(place / "rigs" / "character_A.glb")
-    assert fbx.rig is not None
-    assert glb.rig is not None
     joints = [glb.rig.names.index(name) for name in fbx.rig.names]
     np.testing.assert_allclose(fbx.rig.heads, glb.rig.heads[joints], atol=2e-6)
     for part in fbx.parts:
         twin = next(one for one in glb.parts if one.name == part.name)
         np.testing.assert_allclose(part.mesh.positions, twin.mesh.positions, atol=2e-6)
-        assert part.weights is not None
-        assert twin.weights is not None
         assert np.abs(part.weights - twin.weights[:, joints]).max() < 1e-6
         for name, offsets in part.shapes.items():
             np.testing.assert_allclose(offsets, twin.shapes[name], atol=2e-6)

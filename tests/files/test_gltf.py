@@ -11,7 +11,7 @@ import pytest
 from examples.shapes import pyramid
 from scipy.spatial import cKDTree
 
-from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.subdivision import finest_mesh, refine
 
@@ -66,15 +66,6 @@ def test_a_refined_mesh_with_uvs_and_materials(tmp_path: Path) -> None:
         assert cKDTree(one).query(other)[0].max() < 1e-6
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
     assert np.einsum("nx,nx->n", normals, places).min() > 0  # a cube about the origin: outwards
-
-
-def test_polygons_become_fans(tmp_path: Path) -> None:
-    path = tmp_path / "pyramid.glb"
-    write_mesh(path, pyramid())
-    document, blob = _parts(path)
-    indices = _array(document, blob, document["meshes"][0]["primitives"][0]["indices"])
-    assert len(indices) == 3 * sum(size - 2 for size in pyramid().face_sizes)
-    assert read_mesh(path).n_vertices == pyramid().n_vertices
 
 
 def test_another_library_reads_it(tmp_path: Path) -> None:

@@ -175,7 +175,6 @@ def test_joints_move_and_join() -> None:
     document = arm()
     character = character_of(document)
     rig = character.rig
-    assert rig is not None
     lifted, tip = rig.local.copy(), np.eye(4)
     lifted[1, 3, 1] = 0.25
     tip[3, 0] = 1.0
@@ -189,7 +188,6 @@ def test_joints_move_and_join() -> None:
     )
     parts = tuple(replace(part, weights=None) for part in character.parts)
     again = character_of(character_glb(replace(character, rig=grown, parts=parts), document))
-    assert again.rig is not None
     assert again.rig.names == ("upper", "lower", "tip")
     np.testing.assert_allclose(again.rig.bind, bind, atol=1e-6)
     np.testing.assert_allclose(again.rig.local, grown.local, atol=1e-6)
@@ -257,7 +255,6 @@ def test_more_than_four_influences_and_256_joints(tmp_path: Path) -> None:
     part = replace(strip, weights=sparse.csr_array(table))
     write_document(tmp_path / "many.glb", character_glb(Character((part,), many)))
     again = read_character(tmp_path / "many.glb").parts[0].weights
-    assert again is not None
     np.testing.assert_allclose(again.toarray(), table, atol=1e-7)
 
 

@@ -48,13 +48,6 @@ def test_two_dimensional_16_bit_pixels_are_one_channel(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "a.png").pixels[:, :, 0], pixels)
 
 
-def test_colours_under_zero_alpha_survive(tmp_path: Path) -> None:
-    pixels = np.full((4, 4, 4), 200, dtype=np.uint8)
-    pixels[:, :, 3] = 0
-    write_image(tmp_path / "a.png", pixels)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.png").pixels, pixels)
-
-
 def test_jpeg_is_close_and_takes_no_alpha(tmp_path: Path) -> None:
     ramp = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 64, axis=0).repeat(3, axis=2)
     write_image(tmp_path / "a.jpg", ramp)

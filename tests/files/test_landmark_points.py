@@ -19,11 +19,11 @@ from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.point_formats import POINT_FORMS, PointForm, write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.maps.pair import NEAR_VERTICES
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
 
+from plain_meshes import bent
 from quick_match import QUICK
 
 NOWHERE = (np.nan,) * 3
@@ -236,11 +236,6 @@ def test_landmarks_keep_their_points_through_reversal_and_selection() -> None:
         check_landmarks(wrong, cube(), cube())
 
 
-def bent(control: ControlMesh) -> ControlMesh:
-    x, y, z = (control.positions / np.ptp(control.positions)).T
-    return control.with_positions(np.column_stack([x * (1 + 0.3 * z), y + 0.2 * z**2, z * (1 + 0.2 * y)]))
-
-
 def test_the_map_meets_landmarks_between_vertices() -> None:
     cage = creature()
     target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
@@ -273,7 +268,6 @@ def test_coarse_search_levels_have_landmarks_between_vertices() -> None:
     landmarks = Landmarks.of_points(tuple(map(str, chosen)), points, points, "t", "s")
     config = replace(QUICK, start=StartConfig(search_vertices=100))
     found = match(target, source, landmarks, config)
-    assert found.prepared is not None
     assert found.prepared.mesh.n < NEAR_VERTICES
     assert found.quality.landmark_errors.max() < 1e-3
     moved = CagePoints(triangles[chosen], np.tile([0.5, 0.3, 0.2], (len(chosen), 1)))

@@ -112,18 +112,10 @@ def test_real_meshes_read_as_a_plain_reader_does_and_round_trip(shared_data: Pat
         assert_same(read_mesh(tmp_path / "again.obj"), mesh)
 
 
-def test_material_colours_of_the_cow(shared_data: Path) -> None:
-    cow = read_obj(shared_data / "animals/cow.obj")
-    assert cow.material_names == ("White", "Black", "Pink")
-    assert cow.material_colors is not None
-    np.testing.assert_array_equal(cow.material_colors[0], [0.8, 0.8, 0.8])  # as its .mtl states
-
-
 def test_negative_indices_count_back_from_their_own_line(tmp_path: Path) -> None:
     text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nf -3/-1 -2/-1 -1/-1\nv 5 5 5\nvt 1 1\nf -4/1 -1/-1 2/2\n"
     mesh = read_text(tmp_path, text)
     assert mesh.face_indices.tolist() == [0, 1, 2, 0, 3, 1]
-    assert mesh.uv_indices is not None
     assert mesh.uv_indices.tolist() == [0, 0, 0, 0, 1, 1]
 
 
@@ -163,14 +155,8 @@ def test_one_square_in_many_spellings(tmp_path: Path, text: str) -> None:
     assert mesh.name == "mesh.obj"
 
 
-def test_several_objects_are_one_mesh(tmp_path: Path) -> None:
-    mesh = read_text(tmp_path, "o a\n" + SQUARE + "f 1 2 3 4\no b\n" + SQUARE + "f 5 6 7 8\nf -1 -2 -3\n")
-    assert (mesh.n_vertices, mesh.n_faces) == (8, 3)
-
-
 def test_short_texture_vertices_are_completed_with_zero(tmp_path: Path) -> None:
     mesh = read_text(tmp_path, SQUARE + "vt 0.5\nvt 0.25 0.75 0\nf 1/1 2/2 3/2\n")
-    assert mesh.uvs is not None
     assert mesh.uvs.tolist() == [[0.5, 0.0], [0.25, 0.75]]
 
 
@@ -183,9 +169,7 @@ def test_materials_with_blanks_accents_and_missing_colours(tmp_path: Path) -> No
     )
     mesh = read_text(tmp_path, "mtllib my materials.mtl\n" + SQUARE + faces)
     assert mesh.material_names == ("", "Äußere Haut", "grey", "glow", "nowhere")
-    assert mesh.face_materials is not None
     assert mesh.face_materials.tolist() == [0, 1, 2, 3, 4]
-    assert mesh.material_colors is not None
     np.testing.assert_array_equal(mesh.material_colors[1:3], [[0.1, 0.2, 0.3], [0.5, 0.5, 0.5]])
     assert np.isnan(mesh.material_colors[[0, 3, 4]]).all()
 
@@ -200,7 +184,6 @@ def test_several_material_files_on_one_line(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / f"{name}.mtl").write_text(f"newmtl {name}\nKd 1 0 0\n")
     mesh = read_text(tmp_path, "mtllib a.mtl b.mtl\n" + SQUARE + "usemtl b\nf 1 2 3\n")
-    assert mesh.material_colors is not None
     assert mesh.material_colors.tolist() == [[1.0, 0.0, 0.0]]
 
 

@@ -197,7 +197,6 @@ def test_a_colour_with_opacity_or_a_weighted_position_is_read(
 ) -> None:
     (tmp_path / "a.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
     colors = read_obj(tmp_path / "a.obj").vertex_colors
-    assert colors is not None
     np.testing.assert_allclose(colors[0], first)
     (tmp_path / "a.obj").write_text("v 0 0 0 1 1 1 x\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(FormatError, match="three colour values"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -113,7 +112,6 @@ def test_texture_coordinates_at_vertices(tmp_path: Path) -> None:
         header = HEADER + "".join(f"property float {name}\n" for name in names) + FACES
         body = "0 0 0 .5 0\n1 0 0 1 0\n1 1 0 1 1\n0 1 0 0 1\n3 0 1 2\n3 0 2 3\n"
         mesh = read_bytes(tmp_path, header + body)
-        assert mesh.uvs is not None
         assert mesh.uvs.tolist() == [[0.5, 0], [1, 0], [1, 1], [0, 1]]
         np.testing.assert_array_equal(mesh.uv_indices, mesh.face_indices)
 
@@ -130,14 +128,6 @@ def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, capl
 def test_line_ends(tmp_path: Path, line_end: str) -> None:
     mesh = read_bytes(tmp_path, (HEADER + FACES + BODY).replace("\n", line_end))
     assert mesh.face_indices.tolist() == [0, 1, 2, 0, 2, 3]
-
-
-def test_binary_body_that_begins_with_a_line_end(tmp_path: Path) -> None:
-    header = (HEADER + FACES).replace("ascii", "binary_little_endian").replace("float x", "uchar x").encode()
-    vertices = b"".join(struct.pack("<Bff", x, y, 0) for x, y in [(10, 0), (11, 0), (11, 1), (10, 1)])  # 10 is \n
-    body = vertices + struct.pack("<Biii", 3, 0, 1, 2) + struct.pack("<Biii", 3, 0, 2, 3)
-    mesh = read_bytes(tmp_path, header + body)
-    assert mesh.positions[:, 0].tolist() == [10, 11, 11, 10]
 
 
 BAD_FILES = {
@@ -227,19 +217,3 @@ def test_vertex_colours_come_back_as_bytes(tmp_path: Path, text: bool) -> None:
         read = read_ply(tmp_path / "c.ply")
         np.testing.assert_allclose(read.vertex_colors, colors, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(read.positions, cube().positions)
-
-
-@pytest.mark.parametrize("kind", ["uchar", "float"])
-def test_vertex_colours_are_read(tmp_path: Path, kind: str) -> None:
-    lines = [
-        "ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz"),
-        *(f"property {kind} {channel}" for channel in ("red", "green", "blue")), "element face 1",
-        "property list uchar int vertex_indices", "end_header",
-    ]  # fmt: skip
-    colors = np.array([(1.0, 0.0, 0.2), (0.4, 0.6, 0.8), (0.0, 0.0, 0.0)])
-    shown = (255 * colors).round().astype(int) if kind == "uchar" else colors
-    places = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
-    rows = [" ".join(map(str, (*place, *color))) for place, color in zip(places, shown.tolist(), strict=True)]
-    file = tmp_path / "c.ply"
-    file.write_text("\n".join([*lines, *rows, "3 0 1 2", ""]))
-    np.testing.assert_allclose(read_ply(file).vertex_colors, colors, rtol=0, atol=1e-12)

@@ -14,39 +14,19 @@ from examples.shapes import cube, grid, icosahedron
 from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
-from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract, find_part
 from cagemap.mesh.topology import uv_islands
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.tasks.mesh_commands import check_files
 
-pxr = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+from usd_scenes import complaints, full_cube, usd_mesh
 
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt  # noqa: E402
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from cagemap.files.usd.read import in_world, named_damage, read_usd, read_usd_meshes  # noqa: E402
-from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over  # noqa: E402
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-
-def full_cube() -> ControlMesh:
-    """A cube with everything that a USD mesh keeps; values are exact in single precision."""
-    mesh = cube()
-    corners = np.arange(len(mesh.face_indices))
-    rng = np.random.default_rng(5)
-    edges = np.column_stack([mesh.face(1), np.roll(mesh.face(1), -1)])
-    return replace(
-        mesh.with_creases(edges, [0.5, 1.25, 2.5, 10]).with_corners([0, 6], [1.5, 10]),
-        uvs=rng.integers(0, 64, (len(corners), 2)) / 64,
-        uv_indices=corners,
-        uv_name="st",
-        uv_sets=(UvSet("lightmap", rng.integers(0, 64, (8, 2)) / 64, mesh.face_indices.copy()),),
-        hole_faces=np.array([3]),
-        face_materials=np.array([0, 0, 1, 1, 1, 0]),
-        material_names=("skin", "cloth"),
-        material_colors=np.array([[0.5, 0.25, 0.125], [np.nan] * 3]),
-        vertex_colors=rng.integers(0, 8, (8, 3)) / 8,
-        scheme=CatmullClark("edge_only", "corners_plus2", triangles="smooth"),
-    )
+from cagemap.files.usd.read import in_world, named_damage, read_usd, read_usd_meshes
+from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 
 def assert_same(one: ControlMesh, other: ControlMesh) -> None:
@@ -61,14 +41,6 @@ def assert_same(one: ControlMesh, other: ControlMesh) -> None:
     for mine, theirs in zip(one.uv_sets, other.uv_sets, strict=True):
         assert mine.name == theirs.name
         np.testing.assert_array_equal(mine.uvs[mine.uv_indices], theirs.uvs[theirs.uv_indices])
-
-
-def complaints(path: Path) -> list[str]:
-    """What usdchecker says: every validator of USD, on the composed stage."""
-    validation = pytest.importorskip("pxr.UsdValidation")
-    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
-    errors = validation.ValidationContext(validators).Validate(Usd.Stage.Open(str(path)))
-    return [f"{error.GetName()}: {error.GetMessage()}" for error in errors]
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
@@ -92,23 +64,15 @@ def test_schemes_are_kept(scheme: Loop | Bilinear, tmp_path: Path) -> None:
 
 def test_defaults_are_those_of_usd(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "bare.usda"))
-    _mesh(stage, "/m", grid(2, 2))
+    usd_mesh(stage, "/m", grid(2, 2))
     stage.Save()
     assert read_usd(tmp_path / "bare.usda").scheme == CatmullClark("edge_and_corner", "corners_plus1")
-
-
-def _mesh(stage: Usd.Stage, path: str, control: ControlMesh) -> UsdGeom.Mesh:
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(control.positions.astype(np.float32)))
-    mesh.CreateFaceVertexCountsAttr(control.face_sizes.tolist())
-    mesh.CreateFaceVertexIndicesAttr(control.face_indices.tolist())
-    return mesh
 
 
 def test_uvs_of_every_interpolation(tmp_path: Path) -> None:
     control = grid(2, 1)
     stage = Usd.Stage.CreateNew(str(tmp_path / "uvs.usda"))
-    api = UsdGeom.PrimvarsAPI(_mesh(stage, "/m", control))
+    api = UsdGeom.PrimvarsAPI(usd_mesh(stage, "/m", control))
     counts = {"constant": 1, "uniform": 2, "varying": 6, "vertex": 6, "faceVarying": 8}
     for name, count in counts.items():
         values = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
@@ -132,22 +96,20 @@ def test_texture_coordinates_without_indices_are_one_island_where_they_agree(tmp
     right = np.repeat(np.arange(control.n_faces) >= 6, 4)  # columns 2 and 3
     uvs[right] += [np.float32(2.0), np.float32(0.0)]  # a seam down the middle
     stage = Usd.Stage.CreateNew(str(tmp_path / "blender.usda"))
-    api = UsdGeom.PrimvarsAPI(_mesh(stage, "/m", control))
+    api = UsdGeom.PrimvarsAPI(usd_mesh(stage, "/m", control))
     kind = Sdf.ValueTypeNames.TexCoord2fArray
     api.CreatePrimvar("st", kind, "faceVarying").Set(Vt.Vec2fArray.FromNumpy(uvs))
     stage.Save()
     mesh = read_usd(tmp_path / "blender.usda")
     islands = uv_islands(mesh)
-    assert islands is not None
     assert islands.max() + 1 == 2
-    assert mesh.uvs is not None
     assert len(mesh.uvs) == 2 * 3 * 4
     np.testing.assert_array_equal(mesh.uvs[mesh.uv_indices], uvs)
 
 
 def test_creases_along_chains_and_a_left_handed_mesh(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "chain.usda"))
-    mesh = _mesh(stage, "/m", cube())
+    mesh = usd_mesh(stage, "/m", cube())
     mesh.CreateOrientationAttr("leftHanded")
     ring = cube().face(0).tolist()
     mesh.CreateCreaseIndicesAttr([*ring, ring[0], ring[2], int(cube().face(5)[0])])
@@ -169,8 +131,8 @@ def _character(path: Path) -> None:
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     root = UsdSkel.Root.Define(stage, "/hero")
     stage.SetDefaultPrim(root.GetPrim())
-    body = _mesh(stage, "/hero/body", cube())
-    eye = _mesh(stage, "/hero/eye", grid(2, 2))
+    body = usd_mesh(stage, "/hero/body", cube())
+    eye = usd_mesh(stage, "/hero/eye", grid(2, 2))
     UsdGeom.XformCommonAPI(eye).SetTranslate(Gf.Vec3d(0, 5, 0))
     binding = UsdSkel.BindingAPI.Apply(body.GetPrim())
     binding.CreateJointIndicesPrimvar(False, 2).Set([0, 2] * 8)
@@ -332,11 +294,7 @@ def test_a_flattened_mesh_beside_others_is_left_out_aloud(tmp_path: Path, caplog
     write_usd(file, full_cube())
     whole = read_usd(file)
     stage = Usd.Stage.Open(str(file))
-    hidden = UsdGeom.Mesh.Define(stage, "/World/hidden")
-    hidden.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
-    hidden.CreateFaceVertexCountsAttr([3])
-    hidden.CreateFaceVertexIndicesAttr([0, 1, 2])
-    hidden.AddScaleOp().Set((0.0, 0.0, 0.0))
+    usd_mesh(stage, "/World/hidden", cube()).AddScaleOp().Set((0.0, 0.0, 0.0))
     stage.Save()
     read = read_usd(file)
     np.testing.assert_array_equal(read.positions, whole.positions)
@@ -390,7 +348,7 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
 )
 def test_meshes_that_do_not_fit_together_are_refused(change: object, message: str, tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "mesh.usda"))
-    change(_mesh(stage, "/m", cube()))
+    change(usd_mesh(stage, "/m", cube()))
     stage.Save()
     with pytest.raises(FormatError, match=message):
         read_usd(tmp_path / "mesh.usda")
@@ -413,12 +371,7 @@ def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) ->
     path = tmp_path / "mixed.usda"
     write_usd(path, replace(cube(), scheme=CatmullClark("edge_only")))
     stage = Usd.Stage.Open(str(path))
-    eye = UsdGeom.Mesh.Define(stage, "/Asset/eye")
-    ball = icosahedron()
-    eye.CreatePointsAttr([tuple(map(float, point)) for point in ball.positions + np.array([9.0, 0, 0])])
-    eye.CreateFaceVertexCountsAttr(ball.face_sizes.tolist())
-    eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
-    eye.CreateSubdivisionSchemeAttr("loop")
+    usd_mesh(stage, "/Asset/eye", icosahedron()).CreateSubdivisionSchemeAttr("loop")
     stage.Save()
     with pytest.raises(FormatError, match="`find_part` NAME"):
         read_usd(path)

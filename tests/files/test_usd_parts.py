@@ -27,10 +27,11 @@ from cagemap.tasks.wrap import run_wrap
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
-from test_usd import complaints, full_cube
 
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
+
+from usd_scenes import complaints, full_cube, usd_mesh
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
 
@@ -122,17 +123,8 @@ def test_refined_files_keep_units_axis_and_place(suffix: str, tmp_path: Path) ->
     assert complaints(tmp_path / f"fine{suffix}") == []
 
 
-def _faces(stage: Usd.Stage, path: str, mesh: ControlMesh) -> UsdGeom.Mesh:
-    made = UsdGeom.Mesh.Define(stage, path)
-    made.CreatePointsAttr(mesh.positions.tolist())
-    made.CreateFaceVertexCountsAttr(mesh.face_sizes.tolist())
-    made.CreateFaceVertexIndicesAttr(mesh.face_indices.tolist())
-    made.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(made.GetPointsAttr().Get()))
-    return made
-
-
 def _volume(mesh: ControlMesh) -> float:
-    surface = TriangleSurface.from_faces(mesh.positions, mesh.face_indices.reshape(-1, 4))
+    surface = TriangleSurface.fromusd_mesh(mesh.positions, mesh.face_indices.reshape(-1, 4))
     a, b, c = (surface.positions[surface.triangles[:, k]] for k in range(3))
     return float(np.einsum("td,td->", a, np.cross(b, c)))
 
@@ -140,7 +132,7 @@ def _volume(mesh: ControlMesh) -> float:
 def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "moving.usda"))
     shift = UsdGeom.Xform.Define(stage, "/A").AddTranslateOp()
-    mesh = _faces(stage, "/A/m", cube())
+    mesh = usd_mesh(stage, "/A/m", cube())
     for time in (3, 9):
         shift.Set((5.0 * time, 0, 0), time)
     for attribute in (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
@@ -169,7 +161,7 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
         parent = UsdGeom.Xform.Define(stage, f"/Root/{name}")
         parent.AddTranslateOp().Set((9.0 * ord(name), 0, 0))
         parent.AddScaleOp().Set((scale, 1, 1))
-        made = _faces(stage, f"/Root/{name}/m", reversed_cube if left else cube())
+        made = usd_mesh(stage, f"/Root/{name}/m", reversed_cube if left else cube())
         if left:
             made.CreateOrientationAttr("leftHanded")
     stage.Save()
@@ -198,7 +190,7 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
 def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
     prototype = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
     prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
-    _faces(prototype, "/Box/m", cube())
+    usd_mesh(prototype, "/Box/m", cube())
     prototype.Save()
     stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
     UsdGeom.SetStageUpAxis(stage, "Y")
@@ -222,9 +214,9 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
 
 def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
-    mesh = _faces(stage, "/A/m", cube())
+    mesh = usd_mesh(stage, "/A/m", cube())
     for purpose in ("guide", "proxy"):
-        UsdGeom.Imageable(_faces(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
+        UsdGeom.Imageable(usd_mesh(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
     api, names = UsdGeom.PrimvarsAPI(mesh), Sdf.ValueTypeNames
     api.CreatePrimvar("empty", names.FloatArray, "vertex").Set([])
     api.CreatePrimvar("frames", names.Matrix4dArray, "vertex").Set([Gf.Matrix4d(1)] * 8)
@@ -237,7 +229,7 @@ def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) ->
 
 def test_subsets_that_overlap_are_parts_of_their_own(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
-    mesh = _faces(stage, "/A/m", cube())
+    mesh = usd_mesh(stage, "/A/m", cube())
     for name, faces in (("one", [0, 5]), ("two", [5, 4]), ("three", [1])):
         UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "picked")
     stage.Save()
@@ -261,7 +253,6 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     mesh = full_cube()
-    assert mesh.uvs is not None
     write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"fur_length": np.arange(8.0)}))
     given = {"fur length": -np.arange(8.0), mesh.uv_name or "st": np.zeros((8, 2))}
     write_usd_over(tmp_path / "over.usda", tmp_path / "cube.usda", ["/Asset/mesh"], mesh, UsdResults(attributes=given))
@@ -274,7 +265,7 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(
 
 def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
-    mesh = _faces(stage, "/m", cube())
+    mesh = usd_mesh(stage, "/m", cube())
     for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
         material = UsdShade.Material.Define(stage, f"/{scope}/metal")
         shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
@@ -294,7 +285,7 @@ def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_p
     """Faces that share no vertex, in a left-handed mesh: numbers of rows do not say what is a vertex's."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "soup.usda"))
     soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), np.arange(6))
-    mesh = _faces(stage, "/m", soup)
+    mesh = usd_mesh(stage, "/m", soup)
     mesh.CreateOrientationAttr("leftHanded")
     for kind in ("vertex", "faceVarying"):
         primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(f"of_{kind}", Sdf.ValueTypeNames.FloatArray, kind)

@@ -26,13 +26,14 @@ from example_result import identity_result, textured_cube
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdSkel
-from test_usd import complaints
 
 from cagemap.files.usd.prims import local_to_world, moved
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
 from cagemap.files.usd.write import UsdResults, write_usd
+
+from usd_scenes import complaints
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
@@ -86,7 +87,6 @@ def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> Non
     _write(path, "rigged.usda")
     assert complaints(path) == []
     found, given = read_usd_skeleton(path), _skeleton()
-    assert found is not None
     order = [found.names.index(name) for name in given.names]
     assert [found.parents[k] for k in order] == list(given.parents)
     np.testing.assert_allclose(found.heads[order], given.heads, atol=1e-6)
@@ -118,7 +118,6 @@ def test_the_parent_of_a_joint_is_its_nearest_listed_ancestor(tmp_path: Path) ->
     UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetJointsAttr().Clear()
     stage.Save()
     found, given = read_usd_skeleton(path), _skeleton()
-    assert found is not None
     parents = dict(zip(found.names, found.parents, strict=True))
     assert parents == dict(zip(given.names, given.parents, strict=True))
     tails = dict(zip(found.names, found.tails.tolist(), strict=True))
@@ -174,7 +173,6 @@ def test_joints_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) ->
         UsdResults(attributes={"skel:jointWeights": weights}, skeleton=skeleton),
     )
     found = read_usd_skeleton(tmp_path / "rig.usda")
-    assert found is not None
     assert len(set(found.names)) == 4
     table = read_attributes(tmp_path / "rig.usda")["skel:jointWeights"]
     heads = table @ found.heads
@@ -214,8 +212,6 @@ def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
     assert complaints(folder / "rig.usda") == []
     own = read_usd_skeleton(folder / "rig.usda")
     given = read_usd_skeleton(folder / "small.usda")
-    assert own is not None
-    assert given is not None
     assert own.names == given.names
     assert own.parents == given.parents
     # The target is the source twice as large: so is its rig, in the mesh's own space, wherever the mesh stands.
@@ -245,7 +241,6 @@ def test_tables_of_weights_name_their_columns_by_joints(folder: Path, output: st
     run_transfer(TransferRequest(folder / "RESULT", folder / output, weights=folder / "small.usda"), Stages())
     found, table = read_attributes(folder / output), read_attributes(folder / "small.usda")["skel:jointWeights"]
     skeleton = read_usd_skeleton(folder / "small.usda")
-    assert skeleton is not None
     assert set(found) == {"chest", "hips", "left", "right"}
     for name, column in zip(skeleton.names, table.T, strict=True):
         np.testing.assert_allclose(found[name], column, atol=1e-5)

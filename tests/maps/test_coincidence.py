@@ -55,7 +55,6 @@ def is_identity(found: MatchResult) -> bool:
 def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface: Surface, count: int) -> None:
     found = match(surface, surface, marked(MARKS[:count], MARKS[:count]))
     assert is_identity(found)
-    assert found.confidence is not None
     assert found.confidence.verdict == SURE
     more = update_match(found, marked(MARKS, MARKS))
     assert is_identity(more)
@@ -71,10 +70,8 @@ def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
     """Its answer was given for all vertices, where those of the fitted level were expected: an error."""
     scan = prepare_surface(animal(3), 0)
     found = match(scan, scan)
-    assert found.prepared is not None
     assert found.prepared.mesh.n < len(found.point_map.triangle)
     assert is_identity(found)
-    assert found.confidence is not None
     np.testing.assert_allclose(
         found.confidence.readings[0].positions[:5], found.point_map.images.positions[:5], atol=0.05
     )
@@ -111,7 +108,6 @@ def unprepared(mesh: ControlMesh, vertices: int = 6000) -> Surface:
 def closest(target: Surface, source: Surface) -> sparse.csr_array:
     """Weights of the source's control vertices at the target's, of surfaces that lie on each other."""
     found = Coincidence.find(target, source)
-    assert found is not None
     point_map = PointMap(target.triangles(target.finest), found.images(source.triangles(source.finest)))
     sides = target.refinement, source.refinement
     return control_weights(prepare_transfer(sides[0].finest, sides[1].finest, point_map), *sides)
@@ -129,7 +125,6 @@ def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_place
 ) -> None:
     for target, source in ((surface, retopology), (retopology, surface)):
         found = match(target, source)
-        assert found.confidence is not None
         assert found.confidence.verdict == SURE
         assert "as it stands, 0.0" in found.confidence.message
         sides = target.refinement, source.refinement
@@ -150,7 +145,6 @@ def test_landmarks_move_closest_points_or_contradict_them(surface: Surface, reto
         return None if found is None else landmark_errors(found[0], landmarks)
 
     off = known(np.array([*MARKS, middle]), np.array([*MARKS, vertex]))
-    assert off is not None
     assert off.max() < 1e-9
     assert (
         np.linalg.norm(retopology.control.positions[middle] - surface.control.positions[vertex]) * surface.scale > 0.01

@@ -2,79 +2,32 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube, icosahedron, voxels
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from typer.testing import CliRunner
+from examples.shapes import cube, icosahedron
 
-from cagemap.cli.app import app
 from cagemap.deform.config import StartConfig
 from cagemap.deform.constraints import Anchors, CurveConstraint
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.errors import FormatError, InvalidLandmarksError
-from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
-from cagemap.files.landmarks.point_formats import write_points
-from cagemap.files.landmarks.points import read_points
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
-from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, paired
-from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.topology import mesh_topology
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
-from cagemap.tasks.match_parts import PartInputs, ready_inputs
 
-LENGTH = 6
-# Heights that the rings of the source's bar stand at instead of 0 to 6: a slide along a bar that looks the same.
-SLID = np.array([0.0, 0.7, 1.4, 2.3, 3.6, 4.9, 6.0])
-RINGS = (2, 3, 4)
-
-
-def bar() -> ControlMesh:
-    """A bar of cubes along z, featureless between its ends."""
-    mesh = voxels(np.column_stack([np.zeros((LENGTH, 2), dtype=np.int64), np.arange(LENGTH)]))
-    return replace(mesh, positions=mesh.positions + 0.5, name="bar.obj")
-
-
-def ring(mesh: ControlMesh, height: float) -> np.ndarray:
-    """Vertices around a bar at a height, in order."""
-    here = np.flatnonzero(np.isclose(mesh.positions[:, 2], height))
-    centre = mesh.positions[here].mean(axis=0)
-    return here[np.argsort(np.arctan2(*(mesh.positions[here] - centre).T[:2]))]
-
-
-def slid(mesh: ControlMesh) -> ControlMesh:
-    """The bar with its rings slid along it: the same shape, other places."""
-    positions = mesh.positions.copy()
-    positions[:, 2] = np.interp(positions[:, 2], np.arange(LENGTH + 1), SLID)
-    return replace(mesh, positions=positions, name="slid.obj")
-
-
-def rings_of(mesh: ControlMesh) -> Curves:
-    """The rings in the middle of a bar, the same control vertices on both sides."""
-    chains = [ring(mesh, height) for height in RINGS]
-    lines = CageCurves.of_vertices(chains, [True] * len(chains))
-    return Curves(tuple(f"ring {height}" for height in RINGS), lines, lines)
-
-
-def ends_of(mesh: ControlMesh) -> Landmarks:
-    """The eight corners of a bar as landmarks."""
-    corners = np.concatenate([ring(mesh, 0), ring(mesh, LENGTH)])
-    return Landmarks(tuple(map(str, corners)), corners, corners, "bar.obj", "slid.obj")
+from curved_bar import RINGS, bar, ends_of, ring, rings_of, slid
 
 
 @pytest.fixture(scope="module")
@@ -211,64 +164,6 @@ def test_ends_of_open_curves_pull_at_each_other() -> None:
     np.testing.assert_allclose(forces[1:-1], 0.0, atol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(4, 30), st.booleans(), st.integers(0, 2**32 - 1))
-def test_nearest_points_of_a_polyline_are_nearest(count: int, closed: bool, seed: int) -> None:
-    """Against dense points of it."""
-    random = np.random.default_rng(seed)
-    angles = np.linspace(0, 2 * np.pi if closed else 4.0, count, endpoint=not closed)
-    line = Polyline(np.column_stack([np.cos(angles), np.sin(angles), 0.2 * np.sin(2 * angles)]), closed)
-    points = line.positions[random.integers(count, size=20)] + 0.05 * random.normal(size=(20, 3))
-    feet = line.nearest(points)
-    dense = np.vstack([line.finer(500), line.positions[-1:]])
-    expected = np.linalg.norm(points[:, None] - dense[None], axis=2).min(axis=1)
-    np.testing.assert_allclose(np.linalg.norm(feet.places - points, axis=1), expected, atol=4e-3)
-    first, second = (line.positions[feet.ends[:, side]] for side in (0, 1))
-    mixed = first + feet.share[:, None] * (second - first)
-    np.testing.assert_allclose(mixed, feet.places, atol=1e-12)
-
-
-def test_the_nearest_point_may_lie_on_a_piece_away_from_the_nearest_vertex() -> None:
-    """Thin closed curves, such as eyelids: the nearest vertex is the other lid's."""
-    lid = np.array([[0.0, 0, 0], [10, 0, 0], [10, 1, 0], [5, 1, 0]])
-    feet = Polyline(lid, closed=False).nearest(np.array([[5, 0.4, 0.0]]))
-    np.testing.assert_allclose(feet.places, [[5, 0, 0]], atol=1e-12)
-    np.testing.assert_array_equal(feet.ends, [[0, 1]])
-    np.testing.assert_allclose(feet.share, [0.5])
-    np.testing.assert_allclose(feet.tangents, [[1, 0, 0]])
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(2, 30), st.booleans(), st.integers(0, 2**32 - 1))
-def test_nearest_points_are_the_best_of_all_pieces(count: int, closed: bool, seed: int) -> None:
-    """Tangled lines, some of whose pieces have no length."""
-    random = np.random.default_rng(seed)
-    positions = random.normal(size=(count, 3))
-    positions[1:][random.random(count - 1) < 0.2] = positions[0]
-    points = random.normal(size=(20, 3))
-    feet = Polyline(positions, closed).nearest(points)
-    starts, stops = positions if closed else positions[:-1], np.roll(positions, -1, axis=0)[: count - (not closed)]
-    along = stops - starts
-    share = ((points[:, None] - starts) * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-300)
-    places = starts + np.clip(share, 0, 1)[:, :, None] * along
-    expected = np.linalg.norm(points[:, None] - places, axis=2).min(axis=1)
-    np.testing.assert_allclose(np.linalg.norm(feet.places - points, axis=1), expected, atol=1e-12)
-
-
-def test_a_line_without_length_has_one_nearest_point() -> None:
-    for closed in (False, True):
-        feet = Polyline(np.ones((2, 3)), closed).nearest(np.zeros((1, 3)))
-        np.testing.assert_array_equal(feet.places, [[1, 1, 1]])
-        np.testing.assert_array_equal(feet.tangents, [[0, 0, 0]])
-
-
-def test_lengths_of_a_polyline_are_shared_out() -> None:
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    assert Polyline(square, closed=True).length == pytest.approx(4.0)
-    np.testing.assert_allclose(Polyline(square, closed=False).shares, [0.5, 1.0, 1.0, 0.5])
-    assert len(Polyline(square, closed=False).spread(2)) == 2
-
-
 # ---- curves on refined surfaces
 
 
@@ -337,148 +232,3 @@ def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> N
 
 
 # ---- files and checks
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.integers(3, 12), st.booleans(), st.integers(0, 2**32 - 1))
-def test_edges_in_any_order_make_the_chain(count: int, closed: bool, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    chain = random.permutation(100)[:count]
-    edges = np.column_stack([chain, np.roll(chain, -1)])[: count if closed else -1]
-    flipped = np.where(random.random(len(edges))[:, None] < 0.5, edges, edges[:, ::-1])
-    found, loop = chain_of_edges(random.permutation(flipped))
-    assert loop == closed
-    assert {frozenset(e) for e in np.column_stack([found, np.roll(found, -1)])[: count if closed else -1].tolist()} == {
-        frozenset(e) for e in edges.tolist()
-    }
-
-
-@pytest.mark.parametrize(
-    ("edges", "said"), [([[0, 1], [1, 2], [1, 3]], "branch at vertex 1"), ([[0, 1], [2, 3]], "pieces"),
-                        ([[0, 1], [1, 2], [2, 0], [5, 6], [6, 7], [7, 5]], "pieces")]
-)  # fmt: skip
-def test_edges_of_more_than_one_chain_are_refused(edges: list, said: str) -> None:
-    with pytest.raises(InvalidLandmarksError, match=said):
-        chain_of_edges(np.array(edges))
-
-
-def test_every_fault_of_curves_is_named() -> None:
-    mesh = bar()
-    around = ring(mesh, 3.0)
-
-    def faults(*chains: np.ndarray, closed: bool = True, source_closed: bool = True) -> str:
-        names = tuple("ab"[: len(chains)])
-        sides = [CageCurves.of_vertices(chains, [flag] * len(chains)) for flag in (closed, source_closed)]
-        return " ".join(curve_faults(Curves(names, *sides), mesh, mesh))
-
-    assert faults(around) == ""
-    assert f"a ({around[0]} to {around[2]})" in faults(around[[0, 2, 3]])
-    assert "a (999)" in faults(np.array([*around, 999]))
-    assert "closed on one only: a" in faults(around, source_closed=False)
-    assert f"a ({around[0]})" in faults(np.array([around[0], around[1], around[0], around[3]]))
-    assert "fewer: a" in faults(around[:2])
-    lines = CageCurves.of_vertices([around[[0, 2, 3]]], [True])
-    broken = replace(Landmarks.none(), curves=Curves(("a",), lines, lines))
-    with pytest.raises(InvalidLandmarksError, match="joined by edges"):
-        check_landmarks(broken, mesh, mesh)
-
-
-def test_files_of_pairs_hold_curves(tmp_path: Path) -> None:
-    mesh = bar()
-    rings = rings_of(mesh)
-    backwards = CageCurves.of_vertices([ring(mesh, height)[::-1] for height in RINGS], [True] * len(RINGS))
-    landmarks = replace(ends_of(mesh), curves=replace(rings, source=backwards))
-    write_landmarks(tmp_path / "pairs.json", landmarks)
-    read, _ = read_landmarks(tmp_path / "pairs.json", "bar.obj", "slid.obj")
-    assert read.curves.names == landmarks.curves.names
-    np.testing.assert_array_equal(read.curves.target.points.vertices, rings.target.points.vertices)
-    np.testing.assert_array_equal(read.curves.source.points.vertices, backwards.points.vertices)
-    assert read.curves.source.closed.all()
-    turned = read.reversed().curves
-    np.testing.assert_array_equal(turned.target.points.vertices, read.curves.source.points.vertices)
-
-
-def test_curves_are_read_as_chains_edges_and_loops_that_come_back(tmp_path: Path) -> None:
-    entry = {"name": "lips", "target": [3, 4, 9, 3], "source": [[9, 4], [3, 9], [4, 3]]}
-    (tmp_path / "c.json").write_text(json.dumps({"target": "t.obj", "source": "s.obj", "curves": [entry]}))
-    read, _ = read_landmarks(tmp_path / "c.json", "t.obj", "s.obj")
-    assert len(read) == 0
-    assert read.curves.target.closed.tolist() == read.curves.source.closed.tolist() == [True]
-    assert read.curves.target.points.vertices.tolist() == [3, 4, 9]
-    assert sorted(read.curves.source.points.vertices.tolist()) == [3, 4, 9]
-
-
-@pytest.mark.parametrize(
-    "entry",
-    [{"name": "a"}, {"name": "a", "target": [1, 2], "source": ["x", 3]}, {"name": "a", "target": [True], "source": [1]},
-     7, {"name": 3}, {"name": "a", "target": [[1, 2, 3]], "source": [1, 2]}, {"name": "a", "closed": "yes"}],
-)  # fmt: skip
-def test_entries_of_another_form_are_refused_by_number(entry: object, tmp_path: Path) -> None:
-    (tmp_path / "c.json").write_text(json.dumps({"curves": [entry]}))
-    with pytest.raises(FormatError, match="curve"):
-        read_landmarks(tmp_path / "c.json", "t.obj", "s.obj")
-
-
-def test_files_of_one_mesh_hold_curves_and_missing_ones_are_reported(tmp_path: Path) -> None:
-    mesh = bar()
-    belts = {"points": [], "curves": [{"name": "belt", "vertices": ring(mesh, 3.0).tolist(), "closed": True}]}
-    (tmp_path / "a.json").write_text(json.dumps(belts))
-    more = {**belts, "curves": [*belts["curves"], {"name": "hem", "vertices": ring(mesh, 2.0).tolist()}]}
-    (tmp_path / "b.json").write_text(json.dumps(more))
-    ours, theirs = (read_points(tmp_path / f"{name}.json") for name in "ab")
-    landmarks, notes = paired(ours, theirs, mesh, mesh)
-    assert landmarks.curves.names == ("belt",)
-    assert notes == ("curves only on the source, which were not used: hem",)
-    write_points(tmp_path / "c.json", theirs, mesh)
-    again = read_points(tmp_path / "c.json")
-    assert [curve.name for curve in again.curves] == ["belt", "hem"]
-    assert [curve.closed for curve in again.curves] == [True, False]
-    with pytest.raises(FormatError, match="MeshLab"):
-        write_points(tmp_path / "c.pp", theirs, mesh)
-
-
-def test_curves_of_3d_slicer_are_read(tmp_path: Path) -> None:
-    points = [{"label": str(i), "position": [float(i), 0.0, 0.0]} for i in range(3)]
-    markups = [
-        {"type": "ClosedCurve", "name": "eye", "coordinateSystem": "LPS", "controlPoints": points},
-        {"type": "Curve", "coordinateSystem": "RAS", "controlPoints": points},
-        {"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": points[:1]},
-    ]
-    (tmp_path / "face.mrk.json").write_text(json.dumps({"markups": markups}))
-    read = read_points(tmp_path / "face.mrk.json")
-    assert [(curve.name, curve.closed, len(curve.positions)) for curve in read.curves] == [
-        ("eye", True, 3),
-        ("face", False, 3),
-    ]
-    assert read.curves[1].positions[2, 0] == -2.0
-    assert len(read.names) == 1
-
-
-def test_the_command_takes_curves_and_says_how_they_are_met(tmp_path: Path) -> None:
-    mesh = bar()
-    write_mesh(tmp_path / "bar.obj", mesh)
-    write_mesh(tmp_path / "slid.obj", slid(mesh))
-    write_landmarks(tmp_path / "ends.json", ends_of(mesh))
-    names = Landmarks.none()
-    rings = replace(names, target_name="bar.obj", source_name="slid.obj", curves=rings_of(mesh))
-    write_landmarks(tmp_path / "rings.json", rings)
-    said = CliRunner().invoke(
-        app,
-        ["match", "-t", str(tmp_path / "bar.obj"), "-s", str(tmp_path / "slid.obj"), "-o", str(tmp_path / "RESULT"),
-         "--landmarks", str(tmp_path / "ends.json"), "--curves", str(tmp_path / "rings.json"), "--level", "2"],
-    )  # fmt: skip
-    assert said.exit_code == 0, said.output
-    assert "3 curves missed by 0.0" in said.output
-    assert len(read_result(tmp_path / "RESULT").curves) == 3
-
-
-def test_curves_on_pieces_that_are_set_aside_are_told() -> None:
-    """As landmarks are: who drew a curve there wants to know that it says nothing."""
-    away = cube().with_positions(0.1 * cube().positions + 20.0)
-    scan = replace(join_meshes([creature(), away]), scheme=Plain())
-    n = creature().n_vertices
-    lines = CageCurves.of_vertices([scan.face(0)[:2], n + cube().face(0)[:2]], [False, False])
-    landmarks = replace(Landmarks.none(), curves=Curves(("kept", "lost"), lines, lines))
-    ready = ready_inputs(PartInputs(scan, scan, landmarks))
-    assert ready.landmarks.curves.names == ("kept",)
-    assert any("1 of 2 curves" in note for note in ready.notes)

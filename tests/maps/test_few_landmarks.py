@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from benchmarks.truth import compare_with_truth, true_map
 
 from cagemap import BasisConfig, Landmarks, Surface, match, prepare_surface, read_mesh, refine
-from cagemap.deform.config import SearchConfig
 from cagemap.example import example_pair
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.surface.triangle_surface import TriangleSurface
 
-from quick_match import QUICK
-
-# The question is which basin the fit ends in.
-CONFIG = replace(QUICK, elastic=replace(QUICK.elastic, search=SearchConfig()))
+from quick_match import SEARCHED
 
 
 def only(landmarks: Landmarks, names: list[str]) -> Landmarks:
@@ -41,7 +35,7 @@ def creatures() -> tuple[Surface, Surface, Landmarks]:
 )
 def test_sides_are_kept(creatures, names):
     target, source, landmarks = creatures
-    found = match(target, source, only(landmarks, names), CONFIG)
+    found = match(target, source, only(landmarks, names), SEARCHED)
     own = target.refinement.finest.positions
     image = found.point_map.pull_back(source.refinement.finest.positions)
     # Both creatures are mirror-symmetric in x; near the middle the side says nothing.

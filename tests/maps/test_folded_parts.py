@@ -124,7 +124,6 @@ def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
     disc, places = round_disc()
     chosen, goals = np.array([0, 3]), np.array([[2.5, 1.0], [-2.0, -3.0]])
     moved = moved_to(places, disc.rim, chosen, goals, 50)
-    assert moved is not None
     np.testing.assert_allclose(moved[chosen], goals, atol=1e-12)
     np.testing.assert_allclose(moved[disc.rim], places[disc.rim], atol=1e-12)
     # Points move with triangles of rim and landmarks, of which a triangle of the disc may straddle two.

@@ -14,6 +14,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
 
+from quick_match import SEARCHED
+
 NONE = np.zeros(0, dtype=np.int64)
 
 
@@ -86,6 +88,6 @@ def posed(control: ControlMesh) -> ControlMesh:
 
 
 def test_a_posed_creature_is_found_however_it_is_turned() -> None:
-    result = match(prepare_surface(creature(), 1), prepare_surface(posed(creature()), 1))
+    result = match(prepare_surface(creature(), 1), prepare_surface(posed(creature()), 1), config=SEARCHED)
     images, places = result.point_map.images.positions, result.point_map.source.positions
     assert np.linalg.norm(images - places, axis=1).mean() < 0.02

@@ -156,6 +156,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     files = [folder / f"{side}{kind.suffix}" for side in ("target", "source")]
     if kind.suffix == ".fbx":
         pytest.importorskip("ufbx")
+        request.getfixturevalue("fbx_server")
     for file, mesh in zip(files, (target.mesh, source), strict=True):
         (write_fbx if kind.suffix == ".fbx" else write_mesh)(file, mesh)
     np.savetxt(folder / "mask.csv", target.mesh.positions[:, 0] > 0.5, fmt="%.1f")
@@ -209,6 +210,7 @@ def test_values_at_vertices_faces_and_corners(case: Case) -> None:
             place = name.removesuffix("_labels")
             expected = np.where(case.share[place] >= 0.5, values[getattr(case.target, place)], 0)
             np.testing.assert_array_equal(carried[name], expected, err_msg=name)
+            assert carried[name].dtype == values.dtype
 
 
 def test_skin_weights(case: Case) -> None:
@@ -292,8 +294,6 @@ def test_point_maps(case: Case) -> None:
 
 def test_texture_coordinates(case: Case) -> None:
     laid_out = read_mesh(case.transfer("laid_out.obj", "", source_uvs=True))
-    assert laid_out.uvs is not None
-    assert case.source.uvs is not None
     given = case.source.uvs[case.source.uv_indices][case.target.corners]
     if case.kind.parts:
         given = given[case.share["corners"] == 1.0]

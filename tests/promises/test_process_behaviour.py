@@ -38,7 +38,6 @@ def test_a_signal_ends_cleanly(pair_files: Path, number: signal.Signals, code: i
     before = sorted(path.name for path in pair_files.iterdir())
     words = [*COMMAND, "-v", *MATCH, "--vertices", "20000"]
     with subprocess.Popen(words, cwd=pair_files, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
         for line in process.stderr:
             if line.startswith("cagemap: stage: prepare"):
                 break
@@ -97,8 +96,6 @@ def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
     with subprocess.Popen(
         [*COMMAND, "check", "box.obj"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 0

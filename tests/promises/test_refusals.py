@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube
+from examples.shapes import cube, torus
 
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
@@ -24,6 +24,16 @@ DETAIL = "transfer R --bake texture --detail-texture t.png -o o.png"
 REFUSED = {
     f"{WRAP} --texture t.png": "expected an image and the one to write, got one of them",
     f"{WRAP} --scheme loop": "a RESULT has its schemes",
+    f"{WRAP} --amount 2": "--amount",
+    f"{WRAP} --amount 0.5 --displacement d.exr": "whole --amount",
+    f"{WRAP} --weights five.npy": "8 control vertices of large.obj, the target, got 5",
+    f"{WRAP} --fit-level 3": "level below",
+    f"{WRAP} --target t.obj": "--target and --source",
+    "wrap R R -o n.obj": "--blend-shapes",
+    "wrap -o n.obj": "RESULT",
+    "wrap -t t.obj -s s.obj --scheme none -o n.obj": "(--target-scheme): catmull-clark, loop",
+    "wrap R -o n --blend-shapes --displacement d.exr": "no --blend-shapes",
+    "wrap R -o n.stl": "n.stl",
     f"{WRAP} --weights two.npz": "expected one column of weights from 0 to 1, got a, b",
     f"{WRAP} --symmetric --fit-level 1": "expected --fit-level 0",
     "wrap BARE -o n.obj --symmetric": "found no symmetry",
@@ -35,7 +45,26 @@ REFUSED = {
     f"{DETAIL} --detail box.obj": "box.obj: expected texture coordinates for --detail-texture",
     "transfer BARE --source-uvs -o o.obj": "expected a source with texture coordinates to carry",
     "transfer R --vector-displacement t.png --scale 0 -o o.png": "scale: expected a number other than 0",
+    "transfer R -o o.png": "expected one of",
+    "transfer R --texture t.png --material-colors -o o.png": "expected one of",
+    "transfer R --texture none.png -o o.png": "none.png: expected an image, there is no such file",
+    "transfer R --texture t.png -o o.exr": "choose 16 or 32 bits",
+    "transfer R --texture t.png -o o.png --bits 12": "8, 16 or 32",
+    "transfer R --texture t.png -o .": "got no suffix",
+    "transfer R --texture t.png -o o": "got no suffix",
+    **{
+        f"transfer R --displacement h.exr --{option} {value} -o o.exr": f"--{option}: expected a finite number"
+        for option in ("scale", "midlevel")
+        for value in ("nan", "inf", "-inf")
+    },
+    "transfer R --write-map -o m.txt": ".npz",
+    "map five.npy -t box.obj -s box.obj --level 2 -o Q": "each vertex of the target",
     "transfer R --weights below.npy -o o.npz": "below.npy: ",
+    "transfer R --weights short.csv -o o.npz": "one a vertex",
+    "transfer R --weights legs.csv --joints one.json -o o.npz": "knee",
+    "transfer R --weights legs.csv --texture t.png -o o.png": "Run once",
+    "transfer R --joints orphan.json -o o.json": "root",
+    f"{SHAPES} other.obj": "8 vertices",
     "transfer R --weights skin.npy --joints one.json -o o.npz": "expected weights of 1 joints",
     "transfer R --joints twice.json -o o.json": "expected joints of different names",
     "transfer R --joints nowhere.json -o o.json": "expected finite positions of heads and tails",
@@ -52,10 +81,11 @@ REFUSED = {
 }
 
 
-@pytest.fixture
-def place(result_folder: Path) -> Path:
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """RESULT folders, one of meshes without UVs and symmetry, and values that do not fit."""
-    folder = result_folder.parent
+    folder = tmp_path_factory.mktemp("refusals")
+    write_result(folder / "R", identity_result())
     uneven = replace(cube(), positions=cube().positions * np.linspace(1, 2, 8)[:, None], name="bare.obj")
     write_result(folder / "BARE", identity_result(2, (uneven, uneven)))
     write_mesh(folder / "box.obj", cube())
@@ -65,9 +95,15 @@ def place(result_folder: Path) -> Path:
         ("twice", [JOINT, JOINT]),
         ("nowhere", [JOINT | {"head": [0, float("nan"), 0]}]),
         ("number", 7),
+        ("orphan", [JOINT | {"parent": "root"}]),
         ("pairs", {"source": "box.obj", "target": "box.obj", "pairs": [{"name": "a", "source": 0, "target": 0}]}),
     ):
         (folder / f"{name}.json").write_text(json.dumps(joints))
+    write_mesh(folder / "other.obj", torus(6, 5))
+    write_image(folder / "h.exr", np.zeros((4, 4, 1), np.float32))
+    for name, joints, rows in (("legs", "hip,knee", ["0.5,0.5"] * 8), ("short", "hip", ["1.0"] * 7)):
+        (folder / f"{name}.csv").write_text("\n".join([joints, *rows]))
+    np.save(folder / "five.npy", np.arange(5))
     np.save(folder / "skin.npy", np.full((8, 3), 1 / 3))
     np.save(folder / "below.npy", np.full((8, 3), -1.0))
     offsets = np.ones((8, 3))
@@ -84,9 +120,8 @@ def place(result_folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_what_cannot_be_done_is_refused(run: Run, place: Path, words: str) -> None:
+def test_what_cannot_be_done_is_refused(run: Run, place: Path, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place)
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
-    refused = run(*words.split())
-    assert refused.code == 2, refused.out
-    assert REFUSED[words] in refused.err
+    run.refused(words, says=REFUSED[words])
     assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before

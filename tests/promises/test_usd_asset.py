@@ -25,11 +25,12 @@ from cagemap.tasks.wrap import run_wrap
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom
-from test_usd import complaints
 
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults, write_usd
+
+from usd_scenes import complaints, usd_mesh
 
 pytestmark = pytest.mark.slow
 
@@ -71,12 +72,7 @@ def _write_asset(path: Path, stretch: float, up: str = "Y", unit: float = 1.0) -
     results = UsdResults(attributes={"skel:jointWeights": weights, "blendShape:smile": smile}, skeleton=skeleton)
     write_usd(path, body, results)
     stage = Usd.Stage.Open(str(path))
-    eye = UsdGeom.Mesh.Define(stage, "/Asset/eye")
-    ball = poles(6)
-    eye.CreatePointsAttr([tuple(map(float, point)) for point in ball.positions + np.array([9.0, 0, 0])])
-    eye.CreateFaceVertexCountsAttr(ball.face_sizes.tolist())
-    eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
-    eye.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(eye.GetPointsAttr().Get()))
+    usd_mesh(stage, "/Asset/eye", poles(6).with_positions(poles(6).positions + np.array([9.0, 0, 0])))
     place = np.eye(4)
     place[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]) if up == "Z" else np.eye(3)
     place[:3, :3] /= unit

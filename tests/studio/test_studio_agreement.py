@@ -30,7 +30,6 @@ def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Pa
     outputs = (Output(tmp_path / "RESULT", MAP),)
     write_result(tmp_path / "RESULT", identity_result(level=3))
     scene = scene_of(identity_result(level=2))
-    assert scene.images is not None
     assert led_elsewhere(scene, outputs) == ()
     # Every other vertex of the cube leads across it.
     turned = replace(scene, images=replace(scene.images, triangle=np.roll(scene.images.triangle, 4)))

@@ -1,15 +1,11 @@
-"""What the studio shows: clicks on the smooth surface, skins through a map, seams, and the answers of its bench."""
+"""What the studio shows: clicks on the smooth surface, skins through a map, and seams."""
 
 from __future__ import annotations
 
 import io
 import json
 import re
-import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing import Pipe
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -20,7 +16,6 @@ import trimesh
 from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
-from cagemap.errors import ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
@@ -34,24 +29,23 @@ from cagemap.studio.compute import (
     OpenModels,
     ShowBaked,
     perform,
-    told_apart,
 )
 from cagemap.studio.downloads import textured
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.glb import Drawn, glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
-from cagemap.studio.landmarks import Landmark, LandmarkList
 from cagemap.studio.models import open_model, with_texture
 from cagemap.studio.opening import default_files
-from cagemap.studio.places import place_at, place_of, vertex_place
-from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
+from cagemap.studio.places import place_at, place_of
+from cagemap.studio.scene import part_name
 from cagemap.studio.shape import Hit, pick, shape_of
 from cagemap.studio.skins import Images, Look, crossing_triangles, faced, source_skin, target_skin, texture_colors
 from cagemap.studio.state import Output, Studio
-from cagemap.studio.worker import DROPPED, Failure, Worker, _serve
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 from cagemap.transfer.attributes import encode_srgb as to_display
+
+from studio_boxes import landmarks, unwrapped_cube
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -122,8 +116,6 @@ def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
     # What is clicked is what is seen, in the file's own units.
     ray = np.array([0.1, 0.2, 3.0]), np.array([-0.02, -0.05, -1.0])
     one, other = (pick(shape, *ray) for shape in (upright, turned))
-    assert one is not None
-    assert other is not None
     assert one.triangle == other.triangle
     np.testing.assert_allclose(other.position[[0, 2, 1]] * [1.0, 1.0, -1.0], one.position, atol=1e-5)
 
@@ -165,7 +157,6 @@ def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
 def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     mesh = refine(creature(), 2).finest
     points = mesh.positions
-    assert mesh.faces is not None
     # Ahead of the creature stand vertices of a speck that is set aside.
     speck = ControlMesh.from_faces(
         np.concatenate([[[9.0, 0, 0], [9.1, 0, 0], [9.1, 0.1, 0], [9.0, 0.1, 0]], points]),
@@ -201,7 +192,6 @@ def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
     for direction in ([0.0, 0.0, -1.0], [0.3, -0.2, -1.0], [1.0, 1.0, -1.0]):
         ray = np.array(direction) / np.linalg.norm(direction)
         hit = pick(shape, -3 * ray, ray)
-        assert hit is not None
         # On the ray, on the near side, and on the triangle that is named.
         view = shape.to_view(hit.position)
         np.testing.assert_allclose(np.cross(view, ray), 0, atol=1e-12)
@@ -253,15 +243,6 @@ def identity(n: int, triangles: np.ndarray) -> Images:
     return Images(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
 
 
-def unwrapped_cube():
-    """A cube whose six faces are islands of their own."""
-    mesh = cube()
-    corners = np.array([[0.02, 0.02], [0.31, 0.02], [0.31, 0.48], [0.02, 0.48]])
-    steps = np.array([[x / 3, y / 2] for y in range(2) for x in range(3)])
-    uvs = (corners[None] + steps[:, None]).reshape(-1, 2)
-    return mesh.with_uvs(uvs, np.arange(24))
-
-
 def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
     for number, color in tiles.items():
@@ -269,7 +250,6 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
         write_image(tmp_path / f"skin.{number}.png", np.full((side, side, 3), color, dtype=np.uint8))
     look = with_texture(Look(), tmp_path / "skin.<UDIM>.png")
     places = np.array([[0.1, 0.9], [1.9, 0.1], [0.9, 1.1], [1.5, 1.5]])
-    assert look.texture is not None
     assert look.texture.shape == (16, 16, 3)
     np.testing.assert_array_equal(texture_colors(look, places), [*(255 * np.eye(3)), np.zeros(3)])
     # The page's card has the whole of it between 0 and 1.
@@ -290,7 +270,6 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     for _ in range(2):  # the file that was put there is used again
         _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
         assert opened.source.texture == tmp_path / "box_texture.png"
-    assert opened.source.look.texture is not None
     np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
     (tmp_path / "box_texture.png").write_bytes(b"another's")
     _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
@@ -338,162 +317,3 @@ def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:
         found = picture[row, column]
         assert side >= 3
         assert (np.abs(found.astype(float) - wanted).max(axis=1) < 2).mean() > (0.95 if look.texture is None else 0.3)
-
-
-@pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]:
-    folder = tmp_path_factory.mktemp("models")
-    mesh = unwrapped_cube()
-    write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
-    # Not the very same surface, which has one answer.
-    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
-    write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    task = OpenModels(Opening(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, folder))
-    bench, _ = perform(Bench(), task, lambda _: None)
-    return bench, task
-
-
-def landmarks(bench: Bench, *vertices: int) -> LandmarkList:
-    shapes = bench.target.shape, bench.source.shape
-    pairs = (Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
-    return LandmarkList(tuple(pairs))
-
-
-def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) -> None:
-    bench, task = opened
-    bench, first = perform(bench, FindMap(task.opening, landmarks(bench, *range(8))), lambda _: None)
-    assert isinstance(first, Found)
-    bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7))), lambda _: None)
-    assert isinstance(second, Found)
-    assert set(second.known.strain) == {f"v{v}" for v in range(7)}
-    assert second.skins[1] is None  # the source faces as the target does
-    # The models are translates of each other: the map carries a point to the same point, five units to the right.
-    target, source = bench.target, bench.source
-    mirrors = target.mirror, source.mirror
-    scene = Scene(target.shape, source.shape, mirrors, (second.skins[0], b""), second.images)
-    there = carried_place(scene, "target", vertex_place(scene.target, 0))
-    assert there is not None
-    # Within two edges of the preview's level.
-    np.testing.assert_allclose(np.array(there.position) - [5, 0, 0], scene.target.positions[0], atol=0.3)
-    back = carried_place(scene, "source", there)
-    assert back is not None
-    np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
-
-
-@pytest.mark.slow
-def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
-    bench, task = opened
-    with pytest.raises(ParameterError, match="answer 99"):
-        perform(bench, FindMap(task.opening, LandmarkList(), answer=99), lambda _: None)
-    looks = list[Found]()
-    bench, first = perform(bench, FindMap(task.opening, LandmarkList()), lambda _: None, looks.append)
-    assert isinstance(first, Found)
-    # As the files stand, and the best of all rough fits; both are maps of every vertex, and said to be rough.
-    assert [look.known.rough for look in looks] == [True, True]
-    assert not first.known.rough
-    assert {look.images.triangle.shape for look in looks} == {first.images.triangle.shape}
-    # A box on a box: each half turn is an answer.
-    assert len(first.known.answers) > 1
-    assert first.known.confidence
-    bench, second = perform(bench, FindMap(task.opening, LandmarkList(), answer=1), lambda _: None)
-    assert isinstance(second, Found)
-    assert second.known.chosen == 1
-    assert not np.array_equal(first.images.triangle, second.images.triangle)
-    # One landmark moves that answer, and taking it away gives it back.
-    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0)), lambda _: None)
-    assert isinstance(third, Found)
-    assert set(third.known.strain) == {"v0"}
-    bench, fourth = perform(bench, FindMap(task.opening, LandmarkList()), lambda _: None)
-    assert isinstance(fourth, Found)
-    np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
-
-
-def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[Bench, OpenModels]) -> None:
-    bench, task = opened
-    taken: list[int] = []
-    for step in range(3):
-        if step == 1:  # all but two of the eight
-            taken += [vertex for vertex in range(8) if vertex not in taken][:5]
-        bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken)), lambda _: None)
-        assert isinstance(found, Found)
-        assert found.known.suggestion not in (None, *taken)
-        taken.append(found.known.suggestion or 0)
-    _, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken)), lambda _: None)
-    assert isinstance(found, Found)
-    assert found.known.suggestion is None
-
-
-def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:
-    bench, _ = opened
-    shape = bench.target.shape
-    scene = Scene(shape, bench.source.shape, (bench.target.mirror, bench.source.mirror), (b"", b""))
-    corner = vertex_place(shape, 0)
-    across = mirrored(scene, "target", corner)
-    assert across is not None
-    assert across.corners != corner.corners
-    assert mirrored(scene, "target", across) == corner
-    assert mirrored(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
-
-
-def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[Bench, OpenModels]) -> None:
-    _, task = opened
-    stages: list[str] = []
-    worker = Worker(stages.append)
-    missing = worker.run(OpenModels(replace(task.opening, target=Path("/nowhere/a.obj"))))
-    assert isinstance(missing, Failure)
-    assert missing.kind == "FormatError"
-    assert "a.obj" in missing.message
-    answer = worker.run(task)
-    assert not isinstance(answer, Failure)
-    assert stages
-    worker.stop()
-    assert isinstance(worker.run(task), (Failure, type(answer)))
-    # Whatever happened to the process that was killed, the next task has one.
-    assert not isinstance(worker.run(task), Failure)
-    worker.stop()
-
-
-def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
-    opened: tuple[Bench, OpenModels], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One that has ended already, or is named no more, disturbs no other."""
-    _, task = opened
-    unwanted, wanted = FindMap(task.opening, LandmarkList()), ShowBaked(task.opening, Path(), None, None)
-    here, there = Pipe()
-    worker = Worker(lambda stage: worker.drop(unwanted))
-    monkeypatch.setattr(worker, "_connected", lambda: here)
-    worker._connection = here
-
-    def work(bench: Bench, task: object, progress: Callable[[str], None], _: object) -> tuple[Bench, object]:
-        for stage in range(10_000 if isinstance(task, FindMap) else 3):  # the unwanted one has time to hear of it
-            progress(str(stage))
-            time.sleep(1e-3)
-        return bench, type(task).__name__
-
-    monkeypatch.setattr("cagemap.studio.compute.perform", work)
-    monkeypatch.setattr("cagemap.studio.worker._step_back", lambda: None)  # it is this process that serves
-    serving = threading.Thread(target=_serve, args=(there,), daemon=True)
-    serving.start()
-    for _ in range(2):
-        assert worker.run(unwanted) == Failure(DROPPED, "the computation is not wanted any more")
-        worker.drop(unwanted)
-        assert worker.run(wanted) == "ShowBaked"
-    here.close()
-    serving.join(10)
-    assert not serving.is_alive()
-
-
-def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> None:
-    bench, task = opened
-    one = landmarks(bench, 0).items[0]
-    with pytest.raises(ValueError, match="one pair only"):
-        perform(bench, FindMap(task.opening, LandmarkList((one, replace(one, name="again")))), lambda _: None)
-
-
-def test_answers_of_one_name_are_told_apart() -> None:
-    assert told_apart(["as filed", "turned", "as filed", "as filed"]) == (
-        "as filed",
-        "turned",
-        "as filed (2)",
-        "as filed (3)",
-    )

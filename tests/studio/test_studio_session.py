@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.files.images.image import write_image
 from cagemap.files.result.manifest import note_transfer
 from cagemap.studio.compute import FindMap, Found, OpenModels, Task
 from cagemap.studio.finish import FinishOptions
@@ -23,7 +22,7 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, Studio, View
+from cagemap.studio.state import Files, MapState, RunningJob, Studio
 from cagemap.studio.worker import DROPPED, STOPPED, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
@@ -66,8 +65,6 @@ def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(o
 
 def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> None:
     scene = opened.scene
-    assert scene is not None
-    assert scene.images is not None
     # About where half a turn about the vertical takes the box, which is slanted.
     places = scene.source.centre + (scene.target.positions - scene.target.centre) * [-1.0, 1.0, -1.0]
     triangle, weights, _ = closest_points(build_tree(scene.source.positions, scene.source.triangles), places)
@@ -283,30 +280,6 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
         path.unlink()
 
 
-def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted: list[None] = []
-    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: wanted.append(None))
-    before = opened.scene.skins
-    for view in (View(cages=True), View("colours"), View("checker", doubts=False), View()):
-        opened.show(view)
-    assert opened.scene.skins == before
-    assert not wanted
-
-
-def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Path) -> None:
-    write_image(boxes / "b.png", np.full((8, 8, 3), 90, dtype=np.uint8))
-    before = opened.scene.skins
-    opened._preview.stop()  # a killed computation reads the models again
-    baked(opened, boxes)
-    until(lambda: opened.scene.skins[0] != before[0], opened)
-    revision = opened.state.map.revision
-    click(opened, "target", 1)
-    opened.accept()
-    assert opened.state.view.mode == "texture"
-    until(lambda: opened.state.map.revision > revision, opened)
-    assert b"baked" not in opened.scene.skins[0]
-
-
 def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) -> None:
     corners = cube().positions
     across = np.argmin(np.linalg.norm(corners[:, None] * [-1.0, 1.0, 1.0] - corners, axis=2), axis=1)
@@ -325,69 +298,6 @@ def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) 
     click(opened, "source", 2)
     assert len(opened.state.history.present.complete) == 2  # the counterpart is there already
     opened._scene = replace(opened.scene, mirrors=(None, None))
-
-
-def baked(session: Session, boxes: Path) -> Path:
-    """An image as a bake leaves it, on the model."""
-    image = boxes.resolve() / "b.png"
-    with session._lock:
-        session._change(outputs=(Output(image, "texture"),))
-        session._finishing = session.state.wish
-        session._ended(Message("note", "Bake: done"))
-    assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
-    return image
-
-
-def test_a_bake_is_shown_though_its_map_cannot_be_compared(
-    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cagemap.studio.session.led_elsewhere", lambda *_: [][0])
-    baked(opened, boxes)
-    assert "error" in [message.kind for message in opened.state.messages[-3:]]
-
-
-def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, boxes: Path) -> None:
-    shown: list[View] = []
-    baked(opened, boxes)
-    click(opened, "target", 2)
-    assert opened.state.view.mode == "baked"  # half a landmark changes no map
-    opened.accept()
-    shown.append(opened.state.view)
-    baked(opened, boxes)
-    opened.match_again()
-    shown.append(opened.state.view)
-    baked(opened, boxes)
-    opened.undo()
-    shown.append(opened.state.view)
-    assert [view.mode for view in shown] == ["texture"] * 3
-    # Nor is one that ends after the landmarks have changed.
-    with opened._lock:
-        opened._finishing = opened.state.wish
-        opened.redo()
-        opened._ended(Message("note", "Bake: done"))
-    assert opened.state.view.mode == "texture"
-    assert "before the last changes" in opened.state.messages[-1].text
-    # Nor on other models, nor while the next one is made of other options.
-    baked(opened, boxes)
-    opened.finish(FinishOptions(given={("match", "vertices"): 300}))
-    assert opened.state.view.mode == "texture"
-    opened.cancel()
-    until(lambda: opened.state.finish_job is None, opened)
-    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
-    baked(opened, boxes)
-    opened.open(opened.state.files)
-    assert opened.state.view.mode == "texture"
-    until(lambda: opened.state.map.revision >= 1, opened)
-
-
-def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path) -> None:
-    opened.show_as(mode="baked")
-    assert opened.state.view.mode == "texture"
-    assert "Press Bake" in opened.state.messages[-1].text
-    before, image = opened.state.view, baked(opened, boxes)
-    opened.look_at(None)
-    opened.show_as(mode="baked", cages=True)
-    assert opened.state.view == replace(before, mode="baked", cages=True, baked=image)
 
 
 def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
@@ -413,7 +323,6 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
     point = scene.target.to_view(scene.target.positions[1])
     opened.probe("target", 3 * point, -point / np.linalg.norm(point))
     probe = opened.state.probe
-    assert probe is not None
     assert np.linalg.norm(np.array(probe.target) - scene.target.positions[1]) < 0.3
     np.testing.assert_array_equal(probe.source, carried(scene, "target", np.array(probe.target)).position)
     assert probe.source[0] > 2  # on the other box

@@ -72,8 +72,7 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, run: Run, monk
     eyes = Part("eyes", ball(2))
     head = Part("head", kit.part.mesh.with_positions(0.01 * kit.part.mesh.positions), None, own)
     write_document(Path("H.glb"), character_glb(Character((head, eyes))))
-    done = run("face", "H.glb", "-o", "F.glb", "--only", "jawOpen,eyeBlinkLeft", "--sheet", "S.png")
-    assert done.code == 0, done.err
+    done = run.done("face H.glb -o F.glb --only jawOpen,eyeBlinkLeft --sheet S.png")
     assert "jawOpen: H.glb has its own" in done.err
     before, after = (read_character(name).parts for name in ("H.glb", "F.glb"))
     assert [part.name for part in after] == ["head", "eyes"]
@@ -120,7 +119,5 @@ def test_refusals(words: tuple[str, ...], said: str, tmp_path: Path, run: Run, m
     monkeypatch.chdir(tmp_path)
     write_mesh("B.glb", ball(2))
     Path("P.json").write_text(json.dumps({"mesh": "B.glb", "points": [{"name": "ear", "vertex": 0}]}))
-    done = run("face", "B.glb", *words)
-    assert done.code == 2
-    assert said in done.err
+    run.refused("face B.glb", *words, says=said)
     assert not Path("F.glb").exists()

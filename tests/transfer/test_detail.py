@@ -233,7 +233,6 @@ def test_corners_outside_the_image_change_nothing_in_it() -> None:
 
 def test_every_tile_of_a_layout_gets_the_detail_that_lies_there(wavy: Detail) -> None:
     level = plane(10, 10)
-    assert level.uvs is not None
     transfer = own_transfer(level.with_uvs(level.uvs * (2.0, 1.0), level.uv_indices))  # two tiles side by side
     for tile in (1001, 1002):
         places = (texel_points() + np.array([tile - 1001, 0])) * (0.5, 1.0)
@@ -292,17 +291,9 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     colors = (x - x.min(axis=0)) / np.ptp(x, axis=0)
     detailed = ControlMesh.from_faces(bumps, faces.tolist())
     write_mesh(place / "high.obj", replace(detailed, vertex_colors=colors))
-    refused = run("transfer", "R", "--bake", "normal", "-o", "o.png")
-    assert refused.code
-    assert "--detail" in refused.err
-    refused = run("transfer", "R", "--bake", "shine", "--detail", "high.obj", "-o", "o.png")
-    assert refused.code
-    assert "vector-displacement" in refused.err
-    done = run(
-        "transfer", "R", "--bake", "normal,displacement,vector-displacement,colors", "--detail", "high.obj",
-        "--size", "64", "-o", "o.png",
-    )  # fmt: skip
-    assert not done.code, done.err
+    run.refused("transfer R --bake normal -o o.png", says="--detail")
+    run.refused("transfer R --bake shine --detail high.obj -o o.png", says="vector-displacement")
+    run.done("transfer R --bake normal,displacement,vector-displacement,colors --detail high.obj --size 64 -o o.png")
     heights = read_image(place / "o_displacement.png").pixels
     assert heights.dtype == np.uint16
     assert np.ptp(heights.astype(int)) > 40_000
@@ -310,15 +301,14 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     normals = read_image(place / "o_normal.png").pixels / 65535
     assert (2 * normals[:, :, 2] - 1).mean() > 0.7
     assert normals[:, :, 0].std() > 0.01
-    assert run("wrap", "R", "-o", "w.obj", "--detail", "high.obj").code
+    assert run("wrap R -o w.obj --detail high.obj").code
     u, v = np.meshgrid((np.arange(256) + 0.5) / 256, 1 - (np.arange(256) + 0.5) / 256)
     write_image(place / "skin.png", np.rint(255 * np.stack([u, v, u * 0], axis=2)).astype(np.uint8))
     write_mesh(place / "scan.obj", detailed.with_uvs(colors[:, :2], faces.ravel()))
     own = ("--detail", "scan.obj", "--size", "64")
-    assert run("transfer", "R", "--bake", "texture", *own, "-o", "t.png").code
-    assert run("transfer", "R", "--bake", "normal", "--detail-texture", "skin.png", *own, "-o", "t.png").code
-    done = run("transfer", "R", "--bake", "texture", "--detail-texture", "skin.png", *own, "-o", "t.png")
-    assert not done.code, done.err
+    assert run("transfer R --bake texture", *own, "-o", "t.png").code
+    assert run("transfer R --bake normal --detail-texture skin.png", *own, "-o", "t.png").code
+    run.done("transfer R --bake texture --detail-texture skin.png", *own, "-o", "t.png")
     baked, expected = (read_image(place / name).pixels.astype(float) for name in ("t.png", "o_colors.png"))
     assert np.median(np.abs(baked - expected)[:, :, :2]) < 2
     spots = np.random.default_rng(8).integers(0, 2, (256, 256, 1), dtype=np.uint8) * np.uint8(77)
@@ -327,14 +317,11 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     assert not run(*asked, "nearest").code
     assert set(np.unique(read_image(place / "s.png").pixels)) == {0, 77}
     assert "--filter: expected smooth, linear, nearest" in run(*asked, "cubic").err
-    assert run("wrap", "R", "-o", "w.obj", "--detail-texture", "skin.png", "--baked", "b.png").code
-    done = run("wrap", "R", "-o", "w2.obj", "--detail-texture", "skin.png", "--baked", "b.png", *own)
-    assert not done.code, done.err
+    assert run("wrap R -o w.obj --detail-texture skin.png --baked b.png").code
+    run.done("wrap R -o w2.obj --detail-texture skin.png --baked b.png", *own)
     assert read_image(place / "b.png").pixels.shape == (64, 64, 3)
-    done = run("wrap", "R", "-o", "w.obj", "--normal-map", "wn.png", "--vector-displacement", "wv.exr", "--size", "64")
-    assert not done.code, done.err
+    done = run.done("wrap R -o w.obj --normal-map wn.png --vector-displacement wv.exr --size 64")
     assert "tangent space" in done.out
     assert read_image(place / "wv.exr").pixels.dtype == np.float32
     if "embreex" in sys.modules:
-        done = run("transfer", "R", "--bake", "ao", "--rays", "8", "--size", "32", "-o", "ao.png")
-        assert not done.code, done.err
+        run.done("transfer R --bake ao --rays 8 --size 32 -o ao.png")

@@ -24,7 +24,6 @@ from cagemap.transfer import (
     unwrap,
 )
 from cagemap.transfer.attributes import encode_srgb
-from cagemap.transfer.displacement import vertex_stretch
 
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map
 
@@ -82,10 +81,6 @@ def test_local_stretch_is_the_map_s_own(dtype: str) -> None:
     np.testing.assert_allclose(
         got[10:-10, 4:-4], np.broadcast_to(0.5 / np.sqrt(x + 0.5), (80, 80))[10:-10, 4:-4], rtol=0.02
     )
-
-
-def test_stretch_of_a_similarity_is_its_factor(tripled: Transfer) -> None:
-    np.testing.assert_allclose(vertex_stretch(tripled), 3.0, rtol=1e-12)
 
 
 def test_grey_in_colour_channels_is_taken_and_colour_refused(tripled: Transfer) -> None:

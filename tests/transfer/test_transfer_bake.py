@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from examples.shapes import torus
@@ -14,29 +12,17 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer import (
     BakeOptions,
-    bake_face_colors,
     bake_texture,
     prepare_transfer,
-    target_tiles,
     unwrap,
 )
 from cagemap.transfer import baking as bake_module
-from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.mip_maps import halved, low_passed
-from cagemap.transfer.textured_surface import TexturedSurface
 
-from transfer_reference import look_up_slowly
-from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map, spectrum
-
-BARE = BakeOptions(dilation=0)
-
-
-def noise(height: int, width: int, channels: int, dtype: str, seed: int = 4711) -> np.ndarray:
-    values = np.random.default_rng(seed).random((height, width, channels))
-    return (values * np.iinfo(dtype).max).astype(dtype) if dtype.startswith("uint") else values.astype(dtype)
+from bake_images import BARE, noise, ramps, texel_centres
+from transfer_scenes import identity_map, plane, plane_map, spectrum
 
 
 def torn_map(level: Level) -> PointMap:
@@ -57,18 +43,6 @@ def test_identity_gives_the_texture_back(dtype: str, channels: int) -> None:
         np.testing.assert_array_equal(baked, texture)
     else:  # interpolation weights are exact to rounding, values are below 1
         np.testing.assert_allclose(baked, texture, rtol=0, atol=1e-3 if dtype == "float16" else 1e-6)
-
-
-def test_holes_get_no_texels() -> None:
-    level = plane(4, 4)
-    holes = np.zeros(16, dtype=bool)
-    holes[[5, 6, 9, 10]] = True  # the middle
-    transfer = prepare_transfer(level, level, identity_map(level), holes=holes)
-    baked = bake_texture(transfer, np.full((64, 64, 1), 200, np.uint8), size=64, options=BARE)
-    # Their rim is a border of the island: a gutter lies around it, and nothing further in.
-    assert np.all(baked[19:45, 19:45] == 0)
-    assert np.all(np.delete(baked.reshape(64, 64), np.s_[16:48], axis=0) == 200)
-    assert np.all(baked[30, 16] == 200)
 
 
 @pytest.mark.parametrize("size", [32, 64])
@@ -161,17 +135,6 @@ def test_noise_keeps_its_range() -> None:
     assert baked.max() <= texture.max()
 
 
-def test_smooth_lookups_see_nothing_beside_an_island() -> None:
-    """The layout covers the middle of the image; what is painted two texels beside it does not matter."""
-    level = plane(8, 8, lambda points: 0.25 + 0.5 * points)
-    transfer = prepare_transfer(level, level, plane_map(level, 8, 8, lambda p: 0.02 + 0.93 * p))
-    textures = [noise(64, 64, 3, "uint8", seed) for seed in (1, 2)]
-    inside = np.s_[15:49, 15:49]
-    textures[1][inside] = textures[0][inside]
-    baked = [bake_texture(transfer, texture, size=64) for texture in textures]
-    np.testing.assert_array_equal(*baked)
-
-
 def test_labels_are_never_mixed() -> None:
     for cells in (8, 64):  # in the second, triangles are smaller than texels
         level = plane(cells, cells)
@@ -226,8 +189,8 @@ def test_linear_colours_follow_a_linear_map_exactly() -> None:
     matrix, offset = np.array([[c, -s], [s, c]]), np.array([0.45, 0.12])
     target, source = plane(5, 4), plane(13, 11)
     point_map = plane_map(target, 13, 11, lambda p: p @ matrix.T + offset)
-    baked = bake_texture(prepare_transfer(target, source, point_map), _ramps(64, 64), size=100, options=BARE)
-    expected = _texel_centres(100, 100) @ matrix.T + offset
+    baked = bake_texture(prepare_transfer(target, source, point_map), ramps(64, 64), size=100, options=BARE)
+    expected = texel_centres(100, 100) @ matrix.T + offset
     np.testing.assert_allclose(baked[:, :, :2], expected, rtol=0, atol=1e-6)  # the texture is float32
 
 
@@ -239,50 +202,12 @@ def test_linear_colours_follow_a_smooth_map_to_second_order() -> None:
     for n in (8, 16, 32):
         target = plane(n, n)
         point_map = plane_map(target, 13, 11, warp)
-        baked = bake_texture(prepare_transfer(target, plane(13, 11), point_map), _ramps(64, 64), size=200)
-        errors.append(float(np.abs(baked[:, :, :2] - warp(_texel_centres(200, 200))).max()))
+        baked = bake_texture(prepare_transfer(target, plane(13, 11), point_map), ramps(64, 64), size=200)
+        errors.append(float(np.abs(baked[:, :, :2] - warp(texel_centres(200, 200))).max()))
     # Linear interpolation of the map over target triangles: h^2 / 8 times its second derivative, 0.08 (2 pi)^2.
     assert errors[0] < 1.2 * 0.08 * (2 * np.pi) ** 2 / 8 / 8**2
     assert errors[1] < 0.3 * errors[0]
     assert errors[2] < 0.3 * errors[1]
-
-
-def test_no_colour_crosses_a_seam() -> None:
-    colors = np.array([[250, 0, 0], [0, 250, 0], [0, 0, 250], [250, 250, 0], [0, 250, 250], [250, 0, 250]], np.uint8)
-    cell = 40
-    source = refine(crossed_cube(), 3).finest
-    target = refine(unwrap(crossed_cube()), 3).finest
-    transfer = prepare_transfer(target, source, identity_map(target))
-    baked = bake_texture(transfer, face_texture(colors, cell), size=256, options=BARE)
-    truth = bake_face_colors(transfer, colors / 250.0, size=256, dtype=np.float32, options=BARE)
-    # 1 where a bilinear lookup stays inside one island: a texel's width from its border.
-    inner = np.zeros((cell, cell, 1), dtype=np.float32)
-    inner[1:-1, 1:-1] = 1
-    sure = bake_texture(transfer, np.tile(inner, (2, 3, 1)), size=256, options=BARE)[:, :, 0] == 1
-    pure = (np.isin(truth, (0, 1))).all(axis=2)
-    assert (sure & pure).mean() > 0.35
-    np.testing.assert_array_equal(baked[sure & pure], np.rint(250 * truth[sure & pure]))
-    # Elsewhere at most two neighbouring islands mix, by half a texel: never more than half of a foreign colour.
-    filled = baked.any(axis=2)
-    assert np.abs(baked.astype(float) - 250 * truth)[filled & pure].max() <= 125 + 1
-
-
-def test_surface_points_are_carried_not_texture_coordinates() -> None:
-    # Two source islands far apart in the layout; a coarse target triangle lies over the seam between them.
-    source = plane(8, 8)
-    assert source.faces is not None
-    left = source.positions[source.faces].mean(axis=1)[:, 0] < 0.5
-    uvs = np.concatenate([source.positions[:, :2] * (0.2, 1), source.positions[:, :2] * (0.2, 1) + (0.75, 0)])
-    split = source.with_uvs(uvs, source.faces + np.where(left, 0, len(source.positions))[:, None])
-    texture = np.zeros((64, 256, 1), dtype=np.float32)
-    texture[:, :64] = 1  # the left island is 1, the right one 3, and what lies between them 100
-    texture[:, 64:192] = 100
-    texture[:, 192:] = 3
-    target = plane(1, 1)
-    point_map = plane_map(target, 8, 8, lambda p: p)
-    baked = bake_texture(prepare_transfer(target, split, point_map), texture, size=100, options=BARE)
-    np.testing.assert_array_equal(baked[:, :50], 1)
-    np.testing.assert_array_equal(baked[:, 50:], 3)
 
 
 def test_fine_stripes_become_grey_instead_of_moire() -> None:
@@ -292,83 +217,6 @@ def test_fine_stripes_become_grey_instead_of_moire() -> None:
     baked = bake_texture(prepare_transfer(level, level, identity_map(level)), stripes, size=(16, 61))
     # A texel spans 8.2 stripes: a box over it sees between 4 and 4.2 white ones.
     np.testing.assert_allclose(baked, 0.5, rtol=0, atol=0.03)
-
-
-def test_texture_coordinates_outside_the_square_repeat_or_clamp() -> None:
-    texture = noise(32, 32, 3, "uint8")
-    inside, target = plane(8, 8), plane(8, 8)
-    shifted = plane(8, 8, lambda points: points + np.array([2, -1]))
-    expected = bake_texture(prepare_transfer(target, inside, identity_map(target)), texture, size=32)
-    transfer = prepare_transfer(target, shifted, identity_map(target))
-    np.testing.assert_array_equal(bake_texture(transfer, texture, size=32), expected)
-    clamped = bake_texture(transfer, texture, size=32, options=BakeOptions(wrap="clamp"))
-    np.testing.assert_array_equal(clamped, np.broadcast_to(texture[-1, -1], clamped.shape))
-
-
-def test_border_texels_never_mix_with_the_opposite_border() -> None:
-    texture = np.zeros((8, 8, 1), dtype=np.uint8)
-    texture[:, 0] = 255
-    level = plane(4, 4)
-    baked = bake_texture(prepare_transfer(level, level, identity_map(level)), texture, size=64)
-    assert (baked[:, 40:] == 0).all()
-
-
-def test_islands_go_on_for_a_texel_beyond_their_border() -> None:
-    # A plane cut in two islands: colours linear in position must stay linear where an island is extended.
-    target = plane(8, 8)
-    assert target.faces is not None
-    left = target.positions[target.faces].mean(axis=1)[:, 0] < 0.5
-    uvs = np.concatenate([target.positions[:, :2] * (0.5, 1), target.positions[:, :2] * (0.5, 1) + (0.25, 0)])
-    moved = target.faces + np.where(left, 0, len(target.positions))[:, None]
-    cut = target.with_uvs(uvs, moved)
-    source = plane(8, 8)
-    baked = bake_texture(prepare_transfer(cut, source, identity_map(source)), _ramps(64, 64), size=200, options=BARE)
-    # The left island ends at column 50, the right one begins at column 100; each goes on for one texel.
-    x = (np.arange(200) + 0.5) / 200
-    np.testing.assert_allclose(baked[5:-5, 4:51, 0] - 2 * x[4:51], 0, atol=1e-6)
-    np.testing.assert_allclose(baked[5:-5, 99:146, 0] - 2 * (x[99:146] - 0.25), 0, atol=1e-6)
-    assert not baked[:, 52:98].any()
-
-
-def test_no_seam_shows_at_any_mip_level() -> None:
-    # Colour is the position in space: across a seam it must agree with itself to the size of a texel of that level.
-    level = refine(unwrap(torus(6, 4), padding=1 / 32), 3).finest  # 16 texels between islands: 2 at the last level
-    transfer = prepare_transfer(level, level, identity_map(level))
-    surface, size = transfer.target, 512
-    canvas = bake_module.make_canvas(transfer, size, BakeOptions())
-
-    def shade(samples: TexelSamples) -> np.ndarray:
-        corners = surface.positions[surface.triangles[samples.triangle]]
-        return np.asarray(samples.mean(np.einsum("sc,scd->sd", samples.barycentric, corners)))
-
-    ones = np.ones((len(surface.triangles), 2), dtype=np.int32)
-    image = bake_module.run_bake(transfer, canvas, ones, shade, 3, np.float32, BakeOptions())
-    corner_uvs = surface.corner_uvs()
-    triangle, opposite = np.nonzero(triangle_neighbors(surface.layout()[1]) < 0)
-    first, second = (opposite + 1) % 3, (opposite + 2) % 3
-    middle = 0.5 * (corner_uvs[triangle, first] + corner_uvs[triangle, second])
-    expected = 0.5 * sum(surface.positions[surface.triangles[triangle, corner]] for corner in (first, second))
-    area = triangle_areas(surface.positions, surface.triangles).sum()
-    flat = triangle_areas(surface.uvs, surface.uv_triangles).sum()
-    texel = np.sqrt(area / flat) / size  # length in space
-    for _ in range(4):
-        error = np.linalg.norm(look_up_slowly(image, middle) - expected, axis=1)
-        assert error.max() < 0.4 * texel
-        image = image.reshape(len(image) // 2, 2, -1, 2, 3).mean(axis=(1, 3))
-        texel *= 2
-
-
-def test_background_takes_the_nearest_island() -> None:
-    control = torus()
-    level = refine(unwrap(control), 1).finest
-    transfer = prepare_transfer(level, level, identity_map(level))
-    texture = noise(64, 64, 3, "uint8")
-    bare = bake_texture(transfer, texture, size=64, options=BARE)
-    full = bake_texture(transfer, texture, size=64)
-    covered = bare.any(axis=2)
-    np.testing.assert_array_equal(full[covered], bare[covered])
-    assert full.any(axis=2).all()
-    assert {tuple(t) for t in full[~covered]} <= {tuple(t) for t in full[covered]}
 
 
 def test_triangles_smaller_than_texels_are_averaged() -> None:
@@ -416,97 +264,6 @@ def test_pixels_of_any_layout_and_sizes_of_any_whole_number_give_the_same() -> N
             bake_texture(transfer, pixels, size=size)  # type: ignore[arg-type]
 
 
-def test_udim_tiles_of_the_source_and_of_the_target() -> None:
-    plain, size = plane(8, 8), 48
-    wide = plane(8, 8, lambda points: points * (2, 1))
-    texture = noise(size, 2 * size, 3, "uint8")
-    tiles = {1001: texture[:, :size], 1002: texture[:, size:]}
-    transfer = prepare_transfer(plain, wide, identity_map(plain))
-    expected = bake_texture(prepare_transfer(plain, plain, identity_map(plain)), texture, size=(size, 2 * size))
-    baked = bake_texture(transfer, tiles, size=(size, 2 * size))
-    # At the border between two tiles the bilinear filter is cut off.
-    np.testing.assert_array_equal(baked, expected)
-
-    assert target_tiles(TexturedSurface.from_level(plain)) == [0]
-    assert target_tiles(TexturedSurface.from_level(wide)) == [1001, 1002]
-    back = prepare_transfer(wide, plain, identity_map(plain))
-    for tile, pixels in tiles.items():
-        part = bake_texture(back, texture, size=size, options=BakeOptions(tile=tile))
-        np.testing.assert_array_equal(part, pixels)
-
-
-def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
-    plain = plane(4, 4)
-    wide = plane(4, 4, lambda points: points * (2, 1))
-    tile = noise(8, 8, 3, "uint8")
-    with pytest.raises(ParameterError, match=r"tiles \[1002\]"):
-        bake_texture(prepare_transfer(plain, wide, identity_map(plain)), {1001: tile}, size=8)
-    with pytest.raises(ParameterError, match="one number of channels"):
-        bake_texture(prepare_transfer(plain, wide, identity_map(plain)), {1001: tile, 1002: tile[:, :, :1]}, size=8)
-    with pytest.raises(ParameterError, match="UDIM grid"):
-        target_tiles(TexturedSurface.from_level(plane(4, 4, lambda points: points - (3, 0))))
-
-
-@pytest.mark.parametrize(
-    ("layout", "tile", "found"),
-    [
-        (
-            lambda points: 0 * points + 0.3,
-            0,
-            "unit square, got 32 triangles, 32 of them in one point or on a line and 0",
-        ),
-        (lambda points: points * (1, 0), 0, "32 of them in one point"),
-        (lambda points: points - (3, 0), 0, "unit square, got 32 triangles, 0 of them .* and 32 outside"),
-        (lambda points: points, 1002, "UDIM tile 1002, got 32 triangles"),
-    ],
-)
-def test_a_layout_that_covers_nothing_is_refused(
-    layout: Callable[[np.ndarray], np.ndarray], tile: int, found: str
-) -> None:
-    """Its image came out black."""
-    plain, target = plane(4, 4), plane(4, 4, layout)
-    transfer = prepare_transfer(target, plain, identity_map(plain))
-    with pytest.raises(ParameterError, match=found):
-        bake_texture(transfer, noise(8, 8, 3, "uint8"), size=8, options=BakeOptions(tile=tile))
-
-
-def test_tiles_that_only_points_lie_in_are_none() -> None:
-    """Stray texture coordinates of faces without a texture got a black image."""
-    level = plane(4, 4)
-    assert level.layout is not None
-    uvs, corners = level.layout
-    corners = corners.copy()
-    corners[0] = len(uvs)
-    stray = level.with_uvs(np.vstack([uvs, [[1.5, 0.5]]]), corners)
-    assert target_tiles(TexturedSurface.from_level(stray)) == [0]
-
-
-def test_wrong_input_is_refused_with_its_remedy() -> None:
-    level = plane(4, 4)
-    assert level.faces is not None
-    naked = Level(level.positions, level.faces, level.face_parents)
-    texture = noise(8, 8, 3, "uint8")
-    with pytest.raises(ParameterError, match="`unwrap`"):
-        bake_texture(prepare_transfer(naked, level, identity_map(level)), texture, size=8)
-    with pytest.raises(ParameterError, match="target and source exchanged"):
-        prepare_transfer(plane(3, 3), level, identity_map(level))
-    with pytest.raises(ParameterError, match="target and source exchanged"):
-        prepare_transfer(level, plane(1, 1), identity_map(level))
-    transfer = prepare_transfer(level, level, identity_map(level))
-    with pytest.raises(ParameterError, match="size: expected"):
-        bake_texture(transfer, texture, size=0)
-    with pytest.raises(ParameterError, match="image of shape"):
-        bake_texture(transfer, texture[None], size=8)
-    with pytest.raises(ParameterError, match="unsigned integers or floats"):
-        bake_texture(transfer, texture.astype(np.int32), size=8)
-    with pytest.raises(ParameterError, match="wrap"):
-        bake_texture(transfer, texture, size=8, options=BakeOptions(wrap="mirror"))  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match="supersample"):
-        bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
-    with pytest.raises(ParameterError, match="refine it once"):
-        prepare_transfer(Level(level.positions, None, level.face_parents), level, identity_map(level))
-
-
 def test_a_torn_map_still_gives_texture_colours() -> None:
     # Every vertex to a random place: nothing sensible to see, but no crash, no hang and no invented colour.
     level = refine(unwrap(torus()), 1).finest
@@ -516,15 +273,3 @@ def test_a_torn_map_still_gives_texture_colours() -> None:
     baked = bake_texture(prepare_transfer(level, level, point_map), texture, size=64)
     assert baked.min() >= 0.25
     assert baked.max() <= 0.5
-
-
-def _ramps(height: int, width: int) -> np.ndarray:
-    """A texture whose colour at (u, v) is (u, v, 1), by bilinear interpolation exactly but at the outermost texels."""
-    u, v = _texel_centres(height, width).transpose(2, 0, 1)
-    return np.stack([u, v, np.ones_like(u)], axis=2).astype(np.float32)
-
-
-def _texel_centres(height: int, width: int) -> np.ndarray:
-    """(h, w, 2) texture coordinates of the texels' centres."""
-    rows, columns = np.mgrid[0:height, 0:width] + 0.5
-    return np.stack([columns / width, 1 - rows / height], axis=2)

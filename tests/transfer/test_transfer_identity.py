@@ -14,8 +14,8 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalized
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_canvas
-from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
-from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, whole_triangles
+from cagemap.transfer.blend_shapes import _centre_images, carry_shape, prepare_shapes
+from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, triangle_frames, whole_triangles
 from cagemap.transfer.texels import rasterize_band
 from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
@@ -63,7 +63,7 @@ def test_directions_come_back(crumpled: Level, space: str) -> None:
 
 @pytest.mark.parametrize("samples", [25_000, 300])
 def test_shapes_come_back(monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
-    """Folds across which walks from all three corners end on the wrong side; and looked at on a coarser level, too."""
+    """A mesh that is folded sharply; and looked at on a coarser level, too."""
     monkeypatch.setattr("cagemap.transfer.blend_shapes._SAMPLES", samples)
     rng = np.random.default_rng(5)
     control = torus(10, 8)
@@ -72,6 +72,17 @@ def test_shapes_come_back(monkeypatch: pytest.MonkeyPatch, samples: int) -> None
     carrier = prepare_shapes(body, body, identity_map(body.finest))
     shape = rng.standard_normal(control.positions.shape)
     np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
+
+
+def test_centres_of_triangles_are_found_across_folds(crumpled: Level, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Triangles are those that hold all corners; by walks from the corners, of which one alone finds four in ten."""
+    point_map = identity_map(crumpled)
+    given = point_map.source
+    frames, own = triangle_frames(given.positions, given.triangles), np.arange(len(given.triangles))
+    np.testing.assert_array_equal(_centre_images(point_map, frames, given.triangles, given.positions), own)
+    monkeypatch.setattr("cagemap.transfer.blend_shapes.whole_triangles", lambda found, *_: np.full(len(found), -1))
+    walked = _centre_images(point_map, frames, given.triangles, given.positions)
+    assert (walked == own).mean() > 0.8
 
 
 def test_walks_begin_in_the_triangle_that_holds_all_corners(crumpled: Level) -> None:
@@ -124,7 +135,6 @@ def test_parts_of_one_triangle_are_found_in_it_and_others_in_none() -> None:
 def test_what_rounding_puts_outside_does_not_cross_a_seam() -> None:
     """Every edge is a seam, and lies a ten-millionth of a texel beside the centres that it takes."""
     level = refine(crossed_cube(), 1).finest
-    assert level.uvs is not None
     shifted = level.with_uvs(level.uvs + np.array([(0.5 + 2e-7) / 90, 0.0]), level.uv_indices)
     surface = TexturedSurface.from_level(shifted)
     transfer = prepare_transfer(shifted, shifted, identity_map(shifted))

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, torus, voxels
+from examples.shapes import torus, voxels
 from scipy import sparse
 from scipy.io import mmwrite
 
 from cagemap.deform.graph import mesh_graph
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.images.image import write_image
-from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.mhclo import Binding, bind, write_mhclo
 from cagemap.files.npz import write_npz
-from cagemap.files.result.folder import read_result
 from cagemap.files.result.maps import dense_map, read_images, source_level, write_map
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
-from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
 from cagemap.transfer.skin import carry_joints, carry_skin, chosen_joints, filled_in, mirrored_skin, normalised_skin
-
-from command_line import Run
-from example_result import identity_result, textured_cube
 
 
 def surface_of(refinement: Refinement) -> TriangleSurface:
@@ -312,155 +304,6 @@ def test_a_bound_mesh_follows_its_base(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.positions(stretched), fitting.positions(stretched))
     with pytest.raises(FormatError, match="mhclo"):
         write_mhclo(tmp_path / "a.txt", fitting, Path("a.obj"))
-
-
-def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:
-    place, result = result_folder.parent, read_result(result_folder)
-    rng = np.random.default_rng(8)
-    skin = rng.dirichlet(np.ones(2), 8)
-    (place / "w.csv").write_text("hip,knee\n" + "\n".join(f"{a!r},{b!r}" for a, b in skin.tolist()))
-    joints = [
-        {"name": "hip", "parent": None, "head": [0, 0, 0], "tail": [0, 0.2, 0]},
-        {"name": "knee", "parent": "hip", "head": [0, 0.2, 0], "tail": [0.1, 0.3, 0]},
-    ]
-    (place / "s.json").write_text(json.dumps(joints))
-    outcome = run("transfer", "R", "--weights", "w.csv", "--joints", "s.json", "-o", "out.npz")
-    assert outcome.code == 0, outcome.err
-    with np.load(place / "out.npz") as carried:
-        np.testing.assert_allclose(np.column_stack([carried["hip"], carried["knee"]]), skin, rtol=0, atol=1e-9)
-    outcome = run("transfer", "R", "--joints", "s.json", "-o", "t.json")
-    assert outcome.code == 0, outcome.err
-    moved = json.loads((place / "t.json").read_text())["joints"]
-    np.testing.assert_allclose(moved[1]["tail"], [0.2, 0.6, 0], atol=1e-6)  # the target is twice as large
-    source = result.source.control
-    write_mesh(place / "smile.obj", source.with_positions(source.positions + 0.1 * rng.normal(size=(8, 3))))
-    outcome = run("transfer", "R", "--blend-shapes", "smile.obj", "-o", "faces")
-    assert outcome.code == 0, outcome.err
-    target = result.target.control
-    given = read_mesh(place / "smile.obj").positions - source.positions
-    got = read_mesh(place / "faces" / "smile.obj").positions - target.positions
-    np.testing.assert_allclose(got, 2 * given, rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(read_mesh(place / "faces" / "large.obj").positions, target.positions)
-
-
-def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder: Path) -> None:
-    place, rng = result_folder.parent, np.random.default_rng(8)
-    names = ["spine", "arm.L", "arm.R"]
-    given, own = rng.dirichlet(np.ones(3), 8), rng.dirichlet(np.ones(3), 8)
-    for name, table in (("w.csv", given), ("own.csv", own)):
-        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
-    outcome = run("transfer", "R", "--weights", "w.csv", "--only", "arm.L, arm.R", "--base", "own.csv", "-o", "o.npz")
-    assert outcome.code == 0, outcome.err
-    with np.load(place / "o.npz") as carried:
-        table = np.column_stack([carried[name] for name in names])
-    np.testing.assert_allclose(table, chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
-    outcome = run("transfer", "R", "--weights", "w.csv", "--mirror", "-o", "m.npz")
-    assert outcome.code == 0, outcome.err
-    control = identity_result().target.control
-    with np.load(place / "m.npz") as carried:
-        table = np.column_stack([carried[name] for name in names])
-    swapped = table[:, [0, 2, 1]]
-    assert any(np.abs(swapped[mirror.image] - table).max() < 1e-9 for mirror in mirror_symmetries(control))
-    for words, message in (
-        (("--only", "leg"), "names of joints (spine, arm.L, arm.R), got leg"),
-        (("--only", "spine"), "Give them as --base"),
-        (("--only", "spine", "--base", "short.csv"), "weights of spine, arm.L, arm.R"),
-    ):
-        (place / "short.csv").write_text("spine\n" + "\n".join(["1"] * 8))
-        refused = run("transfer", "R", "--weights", "w.csv", *words, "-o", "never.npz")
-        assert refused.code == 2
-        assert message in refused.err
-    np.save(place / "w.npy", given)
-    refused = run("transfer", "R", "--weights", "w.npy", "--mirror", "-o", "never.npy")
-    assert "named joints" in refused.err
-    assert not list(place.glob("never*"))
-
-
-def test_a_user_sees_that_weights_were_normalised(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    (place / "w.csv").write_text("hip,knee\n" + "\n".join(["0.5,0.499"] * 8))
-    outcome = run("transfer", "R", "--weights", "w.csv", "-o", "out.npz")
-    assert outcome.code == 0, outcome.err
-    assert "w.csv: weights of 8 of 8 vertices did not sum to 1" in outcome.err
-    with np.load(place / "out.npz") as carried:
-        np.testing.assert_allclose(carried["hip"], 0.5 / 0.999, rtol=0, atol=1e-12)
-
-
-def test_maps_through_the_command_line(run: Run, result_folder: Path) -> None:
-    place, result = result_folder.parent, identity_result()
-    write_mesh(place / "large.obj", textured_cube("large.obj", 2.0))
-    write_mesh(place / "small.obj", textured_cube("small.obj"))
-    for name in ("m.npy", "m.npz", "m.mtx", "m.vts", "m.mhclo"):
-        assert run("transfer", "R", "--write-map", "-o", name).code == 0
-    for name in ("m.npy", "m.npz"):
-        again = run("map", name, "-t", "large.obj", "-s", "small.obj", "--level", 3, "-o", f"R-{name[2:]}")
-        assert again.code == 0, again.err
-        np.testing.assert_allclose(read_result(place / f"R-{name[2:]}").image(), result.image(), atol=1e-12)
-    np.save(place / "random.npy", np.random.default_rng(0).integers(0, 8, 8))
-    assert run("map", "random.npy", "-t", "large.obj", "-s", "small.obj", "--level", 2, "-o", "Q").code == 0
-    write_image(place / "t2.png", np.zeros((16, 16, 3), np.uint8))
-    assert run("transfer", "Q", "--texture", "t2.png", "-o", "b2.png").code == 0
-    assert run("report", "Q", "-o", "q.html").code == 0
-
-
-def test_refused_rigs_write_nothing(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    (place / "w.csv").write_text("hip,knee\n" + "\n".join(["0.5,0.5"] * 8))
-    (place / "short.csv").write_text("hip\n" + "\n".join(["1.0"] * 7))
-    (place / "s.json").write_text('[{"name": "hip", "parent": null, "head": [0, 0, 0], "tail": [0, 1, 0]}]')
-    (place / "orphan.json").write_text('[{"name": "hip", "parent": "root", "head": [0, 0, 0], "tail": [0, 1, 0]}]')
-    write_mesh(place / "other.obj", torus(6, 5))
-    np.save(place / "m.npy", np.arange(5))
-    write_mesh(place / "box.obj", cube())
-    before = sorted(place.rglob("*"))
-    for words, message in (
-        (("transfer", "R", "--weights", "w.csv", "--joints", "s.json", "-o", "o.npz"), "knee"),
-        (("transfer", "R", "--weights", "short.csv", "-o", "o.npz"), "one a vertex"),
-        (("transfer", "R", "--joints", "orphan.json", "-o", "o.json"), "root"),
-        (("transfer", "R", "--blend-shapes", "other.obj", "-o", "faces"), "8 vertices"),
-        (("transfer", "R", "--write-map", "-o", "m.txt"), ".npz"),
-        (("map", "m.npy", "-t", "box.obj", "-s", "box.obj", "--level", "2", "-o", "Q"), "each vertex of the target"),
-        (("transfer", "R", "--weights", "w.csv", "--texture", "t.png", "-o", "o.png"), "Run once"),
-    ):
-        refused = run(*words)
-        assert refused.code == 2, (words, refused.err)
-        assert message in refused.err, refused.err
-    assert sorted(place.rglob("*")) == before
-
-
-def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    given = {"groups": [{"name": "left", "vertices": [0, 3], "weights": [0.25, 1.0]}, {"name": "top", "vertices": [1]}]}
-    (place / "g.json").write_text(json.dumps(given))
-    done = run("transfer", "R", "--attribute", "g.json", "-o", "out.json")
-    assert not done.code, done.err
-    groups = json.loads((place / "out.json").read_text())["groups"]
-    assert [(group["name"], group["vertices"]) for group in groups] == [("left", [0, 3]), ("top", [1])]
-    np.testing.assert_allclose(groups[0]["weights"], [0.25, 1.0], rtol=0, atol=1e-9)
-    again = run("transfer", "R", "--attribute", "g.json", "-o", "out.json")  # our own file may be replaced
-    assert not again.code, again.err
-    for bad, words in (
-        ({"groups": [{"name": "a", "vertices": [99]}]}, "another mesh"),
-        ({"groups": [{"name": "a", "vertices": [0, 0]}]}, "every vertex once"),
-        ({"groups": [{"name": "a", "vertices": [0], "weights": [1.0, 2.0]}]}, "a weight for each"),
-        ({"parts": []}, "groups"),
-    ):
-        (place / "bad.json").write_text(json.dumps(bad))
-        refused = run("transfer", "R", "--attribute", "bad.json", "-o", "never.json")
-        assert refused.code
-        assert words in refused.err
-        assert not (place / "never.json").exists()
-
-
-def test_shapes_of_a_body_come_back_exactly_under_the_identity(shared_data: Path) -> None:
-    """Lips and nostrils are folds across which a walk from one corner can end on the wrong side."""
-    young, old = (
-        read_mesh(shared_data / "humans" / f"male1591_{identity}.obj") for identity in ("neutral", "female_old_heavy")
-    )
-    body = refine(young, 2)
-    carrier = prepare_shapes(body, body, same_vertices(body, body))
-    shape = old.positions - young.positions
-    np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
 
 
 def test_chosen_joints_are_carried_and_others_share_the_rest() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from examples.shapes import grid
 
 from cagemap.files.images.image import (
@@ -56,24 +55,6 @@ def test_an_asset_onto_itself_gives_back_its_tiles() -> None:
         assert np.mean(off <= 1) >= 0.999
 
 
-def test_a_checker_shrunk_by_four_does_not_alias() -> None:
-    # Squares of 8 texels, so 2 in the small image; then squares of 2, which must become an even grey.
-    level = refine(_tiled_grid(1, 1, margin=0.0), 3).finest
-    transfer = _identity(level, level)
-    rows, columns = np.indices((512, 512))
-    for square in (8, 2):
-        checker = (255 * ((rows // square + columns // square) % 2)).astype(np.uint8)[:, :, None]
-        small = bake_texture(transfer, checker, size=128)[:, :, 0].astype(float)
-        spectrum = np.abs(np.fft.fft2(small - small.mean())) / small.size
-        expected = np.zeros(spectrum.shape, dtype=bool)
-        if square == 8:
-            # A checker of 2 texels has its lines at odd multiples of a quarter of the sampling rate.
-            lines = np.array([32, 96])
-            expected[np.ix_(lines, lines)] = True
-            assert spectrum[expected].min() > 20
-        assert spectrum[~expected].max() < 2, f"squares of {square} leave {spectrum[~expected].max():.2f} elsewhere"
-
-
 def test_what_overhangs_a_tile_by_a_rounding_does_not_become_two() -> None:
     mesh = _tiled_grid(2, 1, margin=0.0)
     level = refine(mesh, 5).finest
@@ -99,23 +80,3 @@ def test_both_spellings_of_a_set(tmp_path: Path) -> None:
         assert read_image_form(tmp_path / name) == (np.dtype(np.uint8), 3)
         assert tile_pattern(tmp_path / name).name == "skin.<UDIM>.png"
     assert tile_pattern("skin.png").name == "skin.<UDIM>.png"
-
-
-def test_a_gap_in_a_set_is_named() -> None:
-    level = refine(_tiled_grid(2, 1), 2).finest
-    with pytest.raises(ValueError, match="1002"):
-        bake_texture(_identity(level, level), {1001: _noise(8, 1)}, size=8, options=BakeOptions(tile=1001))
-
-
-@pytest.mark.parametrize("dtype", [np.uint16, np.float16, np.float32])
-def test_deep_pixels_and_alpha_come_back_exactly(dtype: type) -> None:
-    level = refine(_tiled_grid(1, 1, margin=0.0), 3).finest
-    rng = np.random.default_rng(8)
-    scale = 65535 if dtype is np.uint16 else 1
-    pixels = (rng.random((64, 64, 4)) * scale).astype(dtype)
-    baked = bake_texture(_identity(level, level), pixels, size=64)
-    assert baked.dtype == dtype
-    # Texels are met at their centres to rounding; one unit in the last place of half floats is 5e-4 at 1.
-    np.testing.assert_allclose(
-        baked.astype(float), pixels.astype(float), atol={np.uint16: 1, np.float16: 5e-4}.get(dtype, 1e-5)
-    )

@@ -11,7 +11,9 @@ from typing import Any, cast
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.material_images import extract_texture
-from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern
+from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.results import unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult

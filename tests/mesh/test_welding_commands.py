@@ -1,0 +1,235 @@
+"""Commands and the studio on files split at seams: values and landmarks keep the file's numbering."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature, cube
+
+from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
+from cagemap.files.landmarks.points import symmetry_on
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.weld import weld_mesh
+from cagemap.studio.autosave import Owned
+from cagemap.studio.compute import Bench, Opened, Opening, OpenModels, perform
+from cagemap.studio.finish import FinishOptions, commands
+from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.models import open_model
+from cagemap.studio.opening import default_files
+from cagemap.studio.session import Session
+from cagemap.tasks.requests.catalogue import all_options
+
+from command_line import Run
+from plain_meshes import animal, soup, split_at_seams
+from studio_boxes import until
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("weld")
+    body = creature()
+    split = replace(split_at_seams(body), name="split.obj")
+    write_mesh(place / "split.obj", split)
+    write_mesh(place / "whole.obj", body)
+    spread = np.linspace(0, body.n_vertices - 1, 9).astype(int)
+    # The last of the file's vertices at each place: one that welding drops where there are several.
+    distance = np.linalg.norm(split.positions[None] - body.positions[spread][:, None], axis=2)
+    picked = split.n_vertices - 1 - distance[:, ::-1].argmin(axis=1)
+    names = tuple(f"point {number}" for number in range(9))
+    write_landmarks(place / "pairs.json", Landmarks(names, picked, spread, "split", "whole"))
+    return place
+
+
+def test_check_names_the_tolerance_and_takes_it(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    before = run("check split.obj")
+    assert before.code == 1
+    assert "--weld 0 leaves 1 piece" in before.out
+    for word in ("0", "auto"):
+        after = run.done("check split.obj --weld", word)
+        assert f"vertices              {creature().n_vertices}" in after.out
+        assert "became 1 piece" in after.out
+    assert json.loads(run("check --json --weld auto split.obj").out)[0]["usable"]
+    wrong = run("check split.obj --weld much")
+    assert wrong.code in (1, 2)
+    assert "expected auto or a distance" in wrong.out + wrong.err
+
+
+def _moebius() -> ControlMesh:
+    turn = np.arange(12) * np.pi / 6
+    width = np.column_stack([np.cos(turn / 2) * np.cos(turn), np.cos(turn / 2) * np.sin(turn), np.sin(turn / 2)])
+    middle = 3 * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    low, high = np.arange(12), np.arange(12, 24)
+    quads = np.column_stack([low, np.roll(low, -1), np.roll(high, -1), high])
+    quads[-1] = [11, 12, 0, 23]
+    return ControlMesh.from_faces(np.vstack([middle - width, middle + width]), quads)
+
+
+@pytest.mark.parametrize(
+    ("build", "usable", "said"),
+    [
+        (lambda: soup(animal(1)), True, "vertices joined with others at the same place"),
+        (lambda: join_meshes([animal(1), cube()]), True, "1 smaller piece set aside ("),
+        (lambda: replace(animal(1), face_indices=animal(1).face_indices[::-1]), True, "faces turned round"),
+        (_moebius, False, "Moebius"),
+    ],
+    ids=["soup", "two pieces", "inside out", "one-sided"],
+)
+def test_check_takes_the_plain_meshes_that_match_takes(
+    run: Run, tmp_path: Path, build: Callable[[], ControlMesh], usable: bool, said: str
+) -> None:
+    write_mesh(tmp_path / "plain.obj", build())
+    checked = run("check plain.obj --scheme none")
+    assert checked.code == (0 if usable else 1)
+    assert said in checked.out
+    words = "--target plain.obj --source plain.obj --scheme none -k 10 -o R".split()
+    assert (run("match", *words).code == 0) is usable
+
+
+def test_a_welded_match_carries_values_in_the_numbering_of_the_file(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    words = ["match", "-t", "split.obj", "-s", "whole.obj", "--landmarks", "pairs.json", "--level", 1, "-k", 30]
+    run.refused(*words, "-o", "R", says="--weld 0")
+    matched = run.done(*words, "--target-weld", "0", "-o", "R")
+    assert "became 1 piece" in matched.err
+    result = read_result(folder / "R")
+    assert result.manifest["parameters"]["target_weld"] == "0"
+    assert len(result.landmarks) == 9
+    split, body = read_mesh("split.obj"), read_mesh("whole.obj")
+    size = np.ptp(body.positions)
+    np.save("places.npy", body.positions)
+    assert run("transfer R --attribute places.npy -o carried.npy").code == 0
+    assert np.abs(np.load("carried.npy") - split.positions).max() < 1e-4 * size
+    wrapped = run.done("wrap R -o wrapped.obj")
+    assert "stay where they are" not in wrapped.err
+    found = read_mesh("wrapped.obj")
+    np.testing.assert_array_equal(found.face_indices, split.face_indices)
+    assert np.abs(found.positions - split.positions).max() < 0.02 * size
+    assert run("report R -o r.html").code == 0
+
+
+def test_a_welded_source_gives_values_numbered_as_its_file(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    words = ["match", "-t", "whole.obj", "-s", "split.obj", "--landmarks", "pairs.json", "--exchange-landmarks"]
+    assert run(*words, "--level", 1, "-k", 30, "--weld", "auto", "-o", "S").code == 0
+    split, body = read_mesh("split.obj"), read_mesh("whole.obj")
+    side = (split.positions[:, 0] - split.positions[:, 0].min()) / np.ptp(split.positions[:, 0])
+    np.savez("skin.npz", hip=side, head=1 - side)
+    assert run("transfer S --weights skin.npz -o skin_out.npz").code == 0
+    expected = (body.positions[:, 0] - body.positions[:, 0].min()) / np.ptp(body.positions[:, 0])
+    assert np.abs(np.load("skin_out.npz")["hip"] - expected).max() < 1e-4
+
+
+def test_a_symmetry_of_the_file_is_one_of_the_welded_mesh(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    split, body = read_mesh("split.obj"), read_mesh("whole.obj")
+    places = np.linalg.norm(split.positions[:, None] - body.positions[None], axis=2).argmin(axis=1)
+    images = np.roll(np.arange(body.n_vertices), 3)
+    images[5] = -1
+    first = [int(np.flatnonzero(places == number)[-1]) if number >= 0 else -1 for number in images]
+    mesh = weld_mesh(split).mesh
+    assert mesh.file_vertices is not None
+    found = symmetry_on(np.array(first)[places], mesh)
+    own = places[mesh.file_vertices]
+    np.testing.assert_array_equal(np.where(found < 0, -1, own[found]), images[own])
+    np.testing.assert_array_equal(symmetry_on(found, mesh), found)
+    np.save("self.npy", np.arange(split.n_vertices))
+    np.save("self_whole.npy", np.arange(body.n_vertices))
+    words = ["match", "-t", "split.obj", "-s", "whole.obj", "--landmarks", "pairs.json", "--level", 1]
+    asked = ["--method", "paper", "--set", "schedule=30,20", "--weld", "0"]
+    asked += ["--set", "target.symmetry=self.npy", "--set", "source.symmetry=self_whole.npy"]
+    run.done(*words, *asked, "-o", "Y")
+
+
+def test_a_map_between_welded_meshes(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    body = read_mesh("whole.obj")
+    mesh = weld_mesh(read_mesh("split.obj")).mesh
+    images = np.linalg.norm(mesh.positions[:, None] - body.positions[None], axis=2).argmin(axis=1)
+    np.save("images.npy", images)
+    np.save("mask.npy", np.ones(read_mesh("split.obj").n_vertices))
+    words = ["map", "images.npy", "-t", "split.obj", "-s", "whole.obj", "--level", 1, "--target-mask", "mask.npy"]
+    assert "--weld 0" in run(*words, "-o", "M").err
+    run.done(*words, "--weld", "auto", "-o", "M")
+    np.save("places.npy", body.positions)
+    assert run("transfer M --attribute places.npy -o by_map.npy").code == 0
+    found, expected = np.load("by_map.npy"), read_mesh("split.obj").positions
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.ptp(expected))
+
+
+def test_refine_and_functions_weld(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    split = run.done("refine split.obj --level 1 -o fine_split.obj")
+    assert "--weld 0" in split.out
+    assert run("refine split.obj --level 1 --weld auto -o fine.obj").code == 0
+    assert run("refine whole.obj --level 1 -o fine_whole.obj").code == 0
+    places = [np.sort(read_mesh(name).positions.round(9), axis=0) for name in ("fine.obj", "fine_whole.obj")]
+    np.testing.assert_allclose(*places, atol=1e-9)
+    words = ["functions", "split.obj", "-k", 5, "--level", 1, "-o", "f.npz"]
+    assert run(*words).code == 2
+    assert run(*words, "--weld", "0").code == 0
+    assert len(np.load("f.npz")["eigenfunctions"]) == len(read_mesh("fine.obj").positions)
+
+
+def test_a_welded_mesh_with_holes_is_refined(run: Run, tmp_path: Path) -> None:
+    split = split_at_seams(creature())
+    write_mesh(tmp_path / "holes.obj", replace(split, hole_faces=np.array([split.n_faces - 1])))
+    assert run("refine holes.obj --level 1 --weld auto -o fine.obj").code == 0
+    assert read_mesh(tmp_path / "fine.obj").n_faces == 4 * (split.n_faces - 1)
+
+
+def test_the_studio_opens_the_welded_whole(folder: Path) -> None:
+    model = open_model(folder / "split.obj", None, None, 300)
+    split = read_mesh(folder / "split.obj")
+    assert model.weld == "0"
+    assert model.control.n_faces == split.n_faces
+    assert model.offer.opened is None
+    assert any("became 1 piece" in note for note in model.notes)
+    assert not model.shape.leaves_any
+    own = model.shape.from_file(np.arange(split.n_vertices))
+    np.testing.assert_array_equal(model.control.positions[own], split.positions)
+    numbers = model.shape.in_file(np.arange(model.control.n_vertices))
+    np.testing.assert_array_equal(split.positions[numbers], model.control.positions)
+    assert open_model(folder / "whole.obj", None, None, 300).weld is None
+
+
+def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, session: Session) -> None:
+    for name in ("split.obj", "whole.obj"):
+        shutil.copy(folder / name, boxes)
+    session.open(default_files(boxes, boxes / "split.obj", boxes / "whole.obj", None))
+    until(lambda: session.state.files is not None and session.state.files.welds == ("0", None), session)
+    assert session.state.files is not None
+    request = commands(all_options(), session.state.files, FinishOptions(), landmarks=False)[0].request
+    assert (request.target_weld, request.source_weld) == ("0", None)
+
+
+def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
+    opening = Opening(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
+    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+    assert isinstance(opened, Opened)
+    files = replace(default_files(tmp_path, opening.target, opening.source, None), landmarks=folder / "pairs.json")
+    found, notes = load_landmarks(files.landmarks, None, opened.scene, files, Owned())
+    assert len(found.items) == 9, notes
+    for item in found.items:
+        np.testing.assert_allclose(item.target.position, item.source.position, atol=1e-9)
+    files = replace(files, landmarks=tmp_path / "saved.json")
+    save_landmarks(files.landmarks, found, opened.scene, files, Owned())
+    saved, _ = read_landmarks(files.landmarks, "split", "whole")
+    split, body = read_mesh(folder / "split.obj"), read_mesh(folder / "whole.obj")
+    np.testing.assert_array_equal(split.positions[saved.target], body.positions[saved.source])

@@ -1,0 +1,117 @@
+"""Rigs and maps by the command line: what comes back from files, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.files.images.image import write_image
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.mesh.mirrors import mirror_symmetries
+from cagemap.transfer.skin import chosen_joints
+
+from command_line import Run
+from example_result import identity_result, textured_cube
+
+
+def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:
+    place, result = result_folder.parent, read_result(result_folder)
+    rng = np.random.default_rng(8)
+    skin = rng.dirichlet(np.ones(2), 8)
+    (place / "w.csv").write_text("hip,knee\n" + "\n".join(f"{a!r},{b!r}" for a, b in skin.tolist()))
+    joints = [
+        {"name": "hip", "parent": None, "head": [0, 0, 0], "tail": [0, 0.2, 0]},
+        {"name": "knee", "parent": "hip", "head": [0, 0.2, 0], "tail": [0.1, 0.3, 0]},
+    ]
+    (place / "s.json").write_text(json.dumps(joints))
+    run.done("transfer R --weights w.csv --joints s.json -o out.npz")
+    with np.load(place / "out.npz") as carried:
+        np.testing.assert_allclose(np.column_stack([carried["hip"], carried["knee"]]), skin, rtol=0, atol=1e-9)
+    run.done("transfer R --joints s.json -o t.json")
+    moved = json.loads((place / "t.json").read_text())["joints"]
+    np.testing.assert_allclose(moved[1]["tail"], [0.2, 0.6, 0], atol=1e-6)  # the target is twice as large
+    source = result.source.control
+    write_mesh(place / "smile.obj", source.with_positions(source.positions + 0.1 * rng.normal(size=(8, 3))))
+    run.done("transfer R --blend-shapes smile.obj -o faces")
+    target = result.target.control
+    given = read_mesh(place / "smile.obj").positions - source.positions
+    got = read_mesh(place / "faces" / "smile.obj").positions - target.positions
+    np.testing.assert_allclose(got, 2 * given, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(read_mesh(place / "faces" / "large.obj").positions, target.positions)
+
+
+def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder: Path) -> None:
+    place, rng = result_folder.parent, np.random.default_rng(8)
+    names = ["spine", "arm.L", "arm.R"]
+    given, own = rng.dirichlet(np.ones(3), 8), rng.dirichlet(np.ones(3), 8)
+    for name, table in (("w.csv", given), ("own.csv", own)):
+        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    run.done("transfer R --weights w.csv --only", "arm.L, arm.R", "--base", "own.csv", "-o", "o.npz")
+    with np.load(place / "o.npz") as carried:
+        table = np.column_stack([carried[name] for name in names])
+    np.testing.assert_allclose(table, chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
+    run.done("transfer R --weights w.csv --mirror -o m.npz")
+    control = identity_result().target.control
+    with np.load(place / "m.npz") as carried:
+        table = np.column_stack([carried[name] for name in names])
+    swapped = table[:, [0, 2, 1]]
+    assert any(np.abs(swapped[mirror.image] - table).max() < 1e-9 for mirror in mirror_symmetries(control))
+    for words, message in (
+        (("--only", "leg"), "names of joints (spine, arm.L, arm.R), got leg"),
+        (("--only", "spine"), "Give them as --base"),
+        (("--only", "spine", "--base", "short.csv"), "weights of spine, arm.L, arm.R"),
+    ):
+        (place / "short.csv").write_text("spine\n" + "\n".join(["1"] * 8))
+        run.refused("transfer R --weights w.csv", *words, "-o", "never.npz", says=message)
+    np.save(place / "w.npy", given)
+    refused = run("transfer R --weights w.npy --mirror -o never.npy")
+    assert "named joints" in refused.err
+    assert not list(place.glob("never*"))
+
+
+def test_a_user_sees_that_weights_were_normalised(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    (place / "w.csv").write_text("hip,knee\n" + "\n".join(["0.5,0.499"] * 8))
+    outcome = run.done("transfer R --weights w.csv -o out.npz")
+    assert "w.csv: weights of 8 of 8 vertices did not sum to 1" in outcome.err
+    with np.load(place / "out.npz") as carried:
+        np.testing.assert_allclose(carried["hip"], 0.5 / 0.999, rtol=0, atol=1e-12)
+
+
+def test_maps_through_the_command_line(run: Run, result_folder: Path) -> None:
+    place, result = result_folder.parent, identity_result()
+    write_mesh(place / "large.obj", textured_cube("large.obj", 2.0))
+    write_mesh(place / "small.obj", textured_cube("small.obj"))
+    for name in ("m.npy", "m.npz", "m.mtx", "m.vts", "m.mhclo"):
+        assert run("transfer R --write-map -o", name).code == 0
+    for name in ("m.npy", "m.npz"):
+        run.done("map", name, "-t", "large.obj", "-s", "small.obj", "--level", 3, "-o", f"R-{name[2:]}")
+        np.testing.assert_allclose(read_result(place / f"R-{name[2:]}").image(), result.image(), atol=1e-12)
+    np.save(place / "random.npy", np.random.default_rng(0).integers(0, 8, 8))
+    assert run("map random.npy -t large.obj -s small.obj --level 2 -o Q").code == 0
+    write_image(place / "t2.png", np.zeros((16, 16, 3), np.uint8))
+    assert run("transfer Q --texture t2.png -o b2.png").code == 0
+    assert run("report Q -o q.html").code == 0
+
+
+def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    given = {"groups": [{"name": "left", "vertices": [0, 3], "weights": [0.25, 1.0]}, {"name": "top", "vertices": [1]}]}
+    (place / "g.json").write_text(json.dumps(given))
+    run.done("transfer R --attribute g.json -o out.json")
+    groups = json.loads((place / "out.json").read_text())["groups"]
+    assert [(group["name"], group["vertices"]) for group in groups] == [("left", [0, 3]), ("top", [1])]
+    np.testing.assert_allclose(groups[0]["weights"], [0.25, 1.0], rtol=0, atol=1e-9)
+    run.done("transfer R --attribute g.json -o out.json")
+    for bad, words in (
+        ({"groups": [{"name": "a", "vertices": [99]}]}, "another mesh"),
+        ({"groups": [{"name": "a", "vertices": [0, 0]}]}, "every vertex once"),
+        ({"groups": [{"name": "a", "vertices": [0], "weights": [1.0, 2.0]}]}, "a weight for each"),
+        ({"parts": []}, "groups"),
+    ):
+        (place / "bad.json").write_text(json.dumps(bad))
+        run.refused("transfer R --attribute bad.json -o never.json", says=words)
+        assert not (place / "never.json").exists()
