@@ -160,14 +160,12 @@ class PreparedPair:
 
     def curves(self, landmarks: PointPairs) -> tuple[CurveConstraint, ...]:
         """The curves among landmarks, on `mesh`."""
-        anchors = [
-            Anchors.on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
-            for pair in landmarks.curves
-        ]
-        return tuple(
-            CurveConstraint(at, Polyline(at.of(self.mesh.positions), pair.target.closed), pair.source.line)
-            for at, pair in zip(anchors, landmarks.curves, strict=True)
-        )
+        found = []
+        for pair in landmarks.curves:
+            anchors = Anchors.on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
+            rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
+            found.append(CurveConstraint(anchors, rest, pair.source.line))
+        return tuple(found)
 
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
