@@ -184,8 +184,8 @@ def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: Index
         remedies.append(f"Delete face(s) {first_few(faces.tolist())}, which hang on such edges alone.")
     if tiny.any():
         remedies.append(
-            f"Merge the two vertices of edge(s) {first_few(_pairs(topology, tiny))}, which are almost at the same place; "
-            "splitting there would leave a slit."
+            f"Merge the two vertices of edge(s) {first_few(_pairs(topology, tiny))}, which are almost at the same "
+            "place; splitting there would leave a slit."
         )
     if split.any():
         at = np.unique(mesh.corner_faces[split[topology.edges]])
@@ -195,8 +195,8 @@ def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: Index
         )
     return MeshProblem(
         "non-manifold edges",
-        f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to {topology.face_counts.max()}, "
-        "between vertices",
+        f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to "
+        f"{topology.face_counts.max()}, between vertices",
         _pairs(topology, bad),
         " ".join(remedies),
     )
