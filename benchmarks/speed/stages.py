@@ -39,8 +39,7 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
     from cagemap.files.result.surface_store import load_surface, save_surface
     from cagemap.numerics.threads import one_blas_thread
     from cagemap.pipeline import MAP_BASIS, judge
-    from cagemap.spectral import hierarchical_basis
-    from cagemap.spectral.surface import Surface, operators_for
+    from cagemap.spectral.surface import Surface
     from cagemap.subdivision import refine
 
     with one_blas_thread(), tempfile.TemporaryDirectory() as folder:
@@ -48,11 +47,11 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
         rates, config = machine_rates(), replace(MAP_BASIS, count=count)
         with timed(times, "refine"):
             refinement = refine(control, level)
+        surface, place = Surface(refinement, config), Path(folder) / "surface.npz"
         with timed(times, "operators"):
-            operators = operators_for(refinement, config)
+            operators = surface.operators
         with timed(times, "basis"):
-            basis = hierarchical_basis(refinement, operators, config)
-        surface, place = Surface.of(refinement, operators, basis, config), Path(folder) / "surface.npz"
+            basis = surface.basis
         with timed(times, "store a surface"):
             save_surface(place, surface)
         with timed(times, "load a surface"):

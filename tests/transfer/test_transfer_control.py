@@ -14,7 +14,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, refine, triangles
-from cagemap.subdivision.linear_values import corner_triangles, interpolate_linearly
+from cagemap.subdivision.face_varying import corner_triangles, interpolate_linearly
 from cagemap.subdivision.refinement import truncated
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -18,7 +18,7 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import evenly_spaced
-from cagemap.subdivision.linear_values import interpolate_linearly
+from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of, real_numbers, whole_numbers
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
 NO_UV = (0.5, 0.5)
@@ -131,7 +131,7 @@ class ControlMesh:
             lists = [np.atleast_1d(np.asarray(face)) for face in faces]
             sizes = np.array([len(face) for face in lists], dtype=np.int64)
             given = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
-        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        offsets = offsets_of(sizes)
         indices = given.astype(np.int64)
         if given.dtype.kind not in "iu" and not np.array_equal(indices, given):
             raise ParameterError(f"{name}: expected whole numbers of vertices in faces, got {given.dtype} with others.")

@@ -17,7 +17,7 @@ from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cag
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import IndexArray, pair_keys
+from cagemap.numerics.arrays import IndexArray, offsets_of, pair_keys
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class CageCurves:
     def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
         """Chains of control vertices as curves."""
         vertices = np.concatenate([np.zeros(0, dtype=np.int64), *chains]).astype(np.int64)
-        starts = _starts([len(chain) for chain in chains])
+        starts = offsets_of([len(chain) for chain in chains])
         return cls(CagePoints.of_vertices(vertices), starts, np.array(closed, dtype=bool))
 
     @classmethod
@@ -41,7 +41,7 @@ class CageCurves:
         curves = (cls.of_vertices((), ()), *curves)
         points = CagePoints.joined([one.points for one in curves])
         sizes = np.concatenate([np.diff(one.starts) for one in curves])
-        return cls(points, _starts(sizes), np.concatenate([one.closed for one in curves]))
+        return cls(points, offsets_of(sizes), np.concatenate([one.closed for one in curves]))
 
     def __len__(self) -> int:
         return len(self.closed)
@@ -65,11 +65,7 @@ class CageCurves:
         """Some of the curves."""
         chosen = np.asarray(rows, dtype=np.int64)
         kept = np.concatenate([np.zeros(0, dtype=np.int64), *(np.flatnonzero(self.curve_of == row) for row in rows)])
-        return CageCurves(self.points.at(kept), _starts(np.diff(self.starts)[chosen]), self.closed[chosen])
-
-
-def _starts(sizes: Sequence[int] | IndexArray) -> IndexArray:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        return CageCurves(self.points.at(kept), offsets_of(np.diff(self.starts)[chosen]), self.closed[chosen])
 
 
 @dataclass(frozen=True, eq=False)

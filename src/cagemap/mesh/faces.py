@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, pair_keys
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
@@ -20,7 +20,7 @@ def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
 
 def corners_of(starts: IndexArray, faces: IndexArray, sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
     """Offsets (k + 1,) of faces of some sizes (k,), and their corners: those from ``starts[faces]`` on."""
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    offsets = offsets_of(sizes)
     return offsets, np.repeat(starts[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
 
 

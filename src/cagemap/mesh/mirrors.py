@@ -12,14 +12,14 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # In fractions of the bounding box diagonal: what most vertices' mirror images may be off by, and what all may.
 MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
-MOST = 0.95
+MIN_SHARE = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
 PLANE_SAMPLES, STEPS = 1000, 10
 # A move that leaves this share of the mirror images' median distance leads nowhere, unless most of them lie near
 # vertices already: within so many tolerances.
-NO_NEARER, ALREADY = 0.9, 10.0
+MAX_RATIO, NEAR_TOLERANCES = 0.9, 10.0
 # Share of these vertices' mirror images that lie on vertices from which all vertices are asked.
-PROMISING = 0.8
+MIN_SAMPLE_SHARE = 0.8
 # Planes whose normals are closer than this (cosine) are one.
 SAME_PLANE = 0.99
 
@@ -60,13 +60,13 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
         if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in found):
             continue
         plane = Mirror(np.zeros(0, np.int64), normal, offset, False)
-        if np.mean(_query(tree, plane.reflect(sample))[0] <= MOST_WITHIN * diagonal) < PROMISING:
+        if np.mean(_query(tree, plane.reflect(sample))[0] <= MOST_WITHIN * diagonal) < MIN_SAMPLE_SHARE:
             continue
         distances, nearest = _query(tree, plane.reflect(positions))
         image, own = nearest, np.arange(len(positions))
-        near = np.mean(distances <= MOST_WITHIN * diagonal) >= MOST and distances.max() <= ALL_WITHIN * diagonal
+        near = np.mean(distances <= MOST_WITHIN * diagonal) >= MIN_SHARE and distances.max() <= ALL_WITHIN * diagonal
         # A flat mesh mirrored onto itself says nothing.
-        if near and np.mean(image[image] == own) >= MOST and not np.array_equal(image, own):
+        if near and np.mean(image[image] == own) >= MIN_SHARE and not np.array_equal(image, own):
             found.append(Mirror(image, normal, offset, is_symmetry(control, image)))
     return tuple(sorted(found, key=lambda mirror: not mirror.exact))
 
@@ -80,7 +80,7 @@ def _settled_plane(
         mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
         distances, nearest = _query(tree, mirrored)
         median = float(np.median(distances))
-        if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * MOST_WITHIN * diagonal):
+        if median > 0.1 * diagonal or median > max(MAX_RATIO * before, NEAR_TOLERANCES * MOST_WITHIN * diagonal):
             return None
         before = median
         partner = tree.data[nearest]

@@ -13,7 +13,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -252,7 +252,7 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     labels = _joined_labels(meshes)
     joined = ControlMesh(
         np.concatenate([mesh.positions for mesh in meshes]),
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        offsets_of(sizes),
         _shifted([mesh.face_indices for mesh in meshes], vertices),
         uv_sets=tuple(uv_sets[1:]),
         **labels,

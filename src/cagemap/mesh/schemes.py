@@ -34,11 +34,12 @@ CREASE_LIMIT = (2 / 3, 1 / 6)
 # What a triangle's new face point weighs in the edge points around it under the "smooth" rule.
 SMOOTH_TRIANGLE = 0.47
 
-_REMEDIES = {
-    "boundary": "USD's default is edge_and_corner, Blender's is edge_only",
-    "uv_interpolation": "USD's default is corners_plus1, Blender's is boundaries",
-    "creasing": "uniform is the default everywhere",
-    "triangles": "catmull_clark is the default everywhere",
+# Values of each option, and what a message adds.
+_CHOICES = {
+    "boundary": (get_args(Boundary), "USD's default is edge_and_corner, Blender's is edge_only"),
+    "uv_interpolation": (get_args(UvInterpolation), "USD's default is corners_plus1, Blender's is boundaries"),
+    "creasing": (get_args(Creasing), "uniform is the default everywhere"),
+    "triangles": (get_args(TriangleRule), "catmull_clark is the default everywhere"),
 }
 
 
@@ -67,16 +68,10 @@ class SubdivisionOptions:
     triangles: TriangleRule = "catmull_clark"
 
     def __post_init__(self) -> None:
-        allowed = {
-            "boundary": get_args(Boundary),
-            "uv_interpolation": get_args(UvInterpolation),
-            "creasing": get_args(Creasing),
-            "triangles": get_args(TriangleRule),
-        }
-        for name, choices in allowed.items():
+        for name, (choices, remedy) in _CHOICES.items():
             value = getattr(self, name)
             if value not in choices:
-                raise ParameterError(f"{name}: expected one of {', '.join(choices)}, got {value!r}; {_REMEDIES[name]}")
+                raise ParameterError(f"{name}: expected one of {', '.join(choices)}, got {value!r}; {remedy}")
 
 
 def _half_ring_sines(valence: int) -> FloatArray:

@@ -73,12 +73,12 @@ class Topology:
         """(e, 2) vertices of every edge of a control mesh, the lower number first; sorted."""
         return np.sort(self.edge_ends, axis=1)
 
-    @property
+    @kept
     def outer_edges(self) -> BoolArray:
         """(e,) which edges lie on the boundary."""
         return np.asarray(self.face_counts == 1)
 
-    @property
+    @kept
     def boundary_corners(self) -> IndexArray:
         """(b,) the corner of every boundary edge: it runs from one boundary vertex to the next."""
         return np.flatnonzero(self.outer_edges[self.edges])

@@ -15,7 +15,7 @@ from cagemap.mesh.mesh_report import counted
 from cagemap.mesh.parts import extract, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, offsets_of, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.
@@ -159,7 +159,7 @@ def _without_repeats(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     sizes = np.add.reduceat(kept, mesh.face_offsets[:-1])
     faces = np.flatnonzero(sizes >= 3)
     corners = np.flatnonzero(kept & (sizes >= 3)[mesh.corner_faces])
-    offsets = np.concatenate([[0], np.cumsum(sizes[faces])]).astype(np.int64)
+    offsets = offsets_of(sizes[faces])
     return with_corners_of(mesh, faces, offsets, corners), mesh.n_faces - len(faces)
 
 

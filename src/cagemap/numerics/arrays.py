@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -55,6 +56,11 @@ def shown(value: object) -> str:
 def pair_keys(pairs: IndexArray, count: int) -> IndexArray:
     """(m,) a number for every unordered pair (m, 2) of numbers below ``count``."""
     return np.asarray(np.sort(pairs, axis=1) @ [count, 1])
+
+
+def offsets_of(sizes: Sequence[int] | NDArray[np.integer]) -> IndexArray:
+    """(m + 1,) where each of m runs of some sizes starts, and the end of the last."""
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:

@@ -13,19 +13,19 @@ from typing import Any
 from cagemap.errors import MissingLibraryError
 
 # New objects after which Python looks for cycles of garbage among all there are: loading makes many that stay.
-COLLECTED_AFTER = 100_000
+GC_THRESHOLD = 100_000
 # Seconds for which a thread that works in Python may keep those waiting that come back from a kernel; 0.005 by default.
-TURN = 0.0005
+SWITCH_INTERVAL = 0.0005
 # Of glibc's malloc (see mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, the last at most 32 MB.
 MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
 
 
 def set_up_process() -> None:
     """Make this process one that computes; before libraries are loaded."""
-    gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
+    gc.set_threshold(GC_THRESHOLD, *gc.get_threshold()[1:])
     atexit.register(_leave)
     keep_memory()
-    sys.setswitchinterval(TURN)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded, or its threads spin
 
 

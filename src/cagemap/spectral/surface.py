@@ -18,7 +18,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
-from cagemap.operators.coarse_levels import coarsened, refined
+from cagemap.operators.coarse_levels import coarsened
 from cagemap.operators.laplacian import named_laplacian
 from cagemap.spectral.basis import HierarchicalBasis, hierarchical_basis
 from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
@@ -26,17 +26,6 @@ from cagemap.subdivision import Refinement, default_scheme, level_triangles, ref
 from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import load_kernels, surface_area
-
-
-def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
-    """Operators of all levels, or of those up to the first with ``config.vertices`` vertices."""
-    laplacian = named_laplacian(config.laplacian, config.stabilisation)
-    if config.vertices is None:
-        return build_operators(refinement, laplacian)
-    level = refinement.coarsest_level(config.vertices)
-    if config.schedule is not None:
-        level = min(max(level, len(config.schedule) - 1), refinement.n_levels)
-    return build_operators(refinement.up_to(level), laplacian)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,7 +66,14 @@ class Surface:
     @kept
     def operators(self) -> Operators:
         """Mass and stiffness of every level (paper, section 4.1), up to the one that ``config.vertices`` says."""
-        return operators_for(self.hierarchy, self.config)
+        config, levels = self.config, self.hierarchy
+        laplacian = named_laplacian(config.laplacian, config.stabilisation)
+        if config.vertices is None:
+            return build_operators(levels, laplacian)
+        level = levels.coarsest_level(config.vertices)
+        if config.schedule is not None:
+            level = min(max(level, len(config.schedule) - 1), levels.n_levels)
+        return build_operators(levels.up_to(level), laplacian)
 
     @kept
     def basis(self) -> HierarchicalBasis:
@@ -271,11 +267,11 @@ def prepare_checked(
         )
     with one_blas_thread():
         progress(f"refine {control.name}")
-        refinement = refined(control, level, scheme)
-        progress(f"operators of {control.name}")
-        operators = operators_for(refinement, config)
-        progress(f"basis of {control.name}")
-        return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, config), config)
+        surface = Surface(refine(control, level, scheme), config)
+        for part in ("operators", "basis"):
+            progress(f"{part} of {control.name}")
+            getattr(surface, part)  # computed, and kept
+        return surface
 
 
 @arrays_accepted

@@ -308,16 +308,14 @@ def ring_tangents(
     topology: Topology, scheme: SmoothScheme, corner: BoolArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Two tangents of every vertex, (n, 3) each; on the boundary the first follows the curve."""
-    n = topology.n_vertices
-    tangents = []
-    for number, interior in enumerate(_interior_tangents(topology, scheme)):
-        on_boundary = matrix_of(_boundary_tangents(topology, scheme, corner, number), n)
-        tangents.append(interior @ positions + on_boundary @ positions)
-    return tangents[0], tangents[1]
+    inner = _inner_tangents(topology, scheme)
+    entries = [[*inner[number], *_boundary_tangents(topology, scheme, corner, number)] for number in range(2)]
+    first, second = (matrix_of(of_tangent, topology.n_vertices) @ positions for of_tangent in entries)
+    return first, second
 
 
-def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_array]:
-    """Weights of the two tangents of interior vertices, (n, n) each; boundary rows are empty."""
+def _inner_tangents(topology: Topology, scheme: SmoothScheme) -> tuple[list[Entries], list[Entries]]:
+    """Entries of the two tangents of interior vertices."""
     rings = rings_of(topology, scheme)
     # Few (valence, rank) pairs occur: their trigonometry is done once each.
     present = np.flatnonzero(np.bincount(topology.valences))
@@ -331,17 +329,12 @@ def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_arr
         polygon = sign, none, none, sign
         masks = tuple(np.where(valences == 2, new, old) for new, old in zip(polygon, masks, strict=True))
     inside = np.flatnonzero(~topology.boundary[topology.vertices])
-    centres, rank = topology.vertices[inside], topology.ranks[inside]
-    mask = first_of[topology.valences[centres]] + rank
-    result = []
-    for tangent in (masks[: len(rings)], masks[len(rings) :]):
-        rows = RowFiller(np.where(topology.boundary, 0, len(rings) * topology.valences))
-        for offset, (ring, weights) in enumerate(zip(rings, tangent, strict=True)):
-            rows.put(centres, len(rings) * rank + offset, ring[inside], weights[mask])
-        result.append(
-            csr_array((rows.data, rows.indices, rows.indptr), shape=(topology.n_vertices, topology.n_vertices))
-        )
-    return result
+    centres = topology.vertices[inside]
+    mask = first_of[topology.valences[centres]] + topology.ranks[inside]
+    entries: list[Entries] = [
+        (centres, ring[inside], weights[mask]) for ring, weights in zip((*rings, *rings), masks, strict=True)
+    ]
+    return entries[: len(rings)], entries[len(rings) :]
 
 
 def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:

@@ -32,7 +32,8 @@ def control_topology(mesh: ControlMesh) -> Topology:
         raise InvalidMeshError(f"{mesh.name}: expected at least one face, got none; give a polygon mesh")
     check(np.unique(indices[(indices < 0) | (indices >= n)]), f"vertex numbers outside 0..{n - 1}")
     topology = mesh_topology(mesh)
-    pairs = np.sort(np.column_stack([topology.vertices, topology.vertices[topology.following]]), axis=1)
+    ends = topology.vertices[topology.following]
+    pairs = np.column_stack([np.minimum(topology.vertices, ends), np.maximum(topology.vertices, ends)])
     forward_uses = np.bincount(topology.edges[topology.forward], minlength=topology.n_edges)[topology.edges]
     check(np.unique(pairs[pairs[:, 0] == pairs[:, 1]], axis=0), "edges from a vertex to itself")
     check(np.unique(pairs[topology.face_counts[topology.edges] > 2], axis=0), "edges with more than two faces")

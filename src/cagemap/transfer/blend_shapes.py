@@ -25,7 +25,7 @@ from cagemap.maps.quality import weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.subdivision import Refinement, level_triangles
-from cagemap.subdivision.linear_values import interpolate_linearly
+from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals
 from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
 

@@ -17,7 +17,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import Refinement
-from cagemap.subdivision.linear_values import LinearValues, corner_triangles, interpolate_linearly
+from cagemap.subdivision.face_varying import LinearValues, corner_triangles, interpolate_linearly
 from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.attributes import largest_share
 from cagemap.transfer.baking import Transfer
