@@ -1,4 +1,4 @@
-"""Deformation of the space around the source's body, from affine frames at samples of the body."""
+"""Deformation of the space around the source's body by affine frames."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Anchors:
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """Affine frames of a map: an offset from the source, as a row, times ``linear`` is the offset from the target.
+    """Affine frames of a map at the target's vertices.
 
-    A frame transforms tangents by the map's averaged derivative and the source's unit normal to the target's. All
-    lengths are those of unit area.
+    An offset from the source, as a row, times ``linear`` is the offset from the target. A frame transforms tangents by
+    the map's averaged derivative, and the source's unit normal to the target's. Lengths are those of unit area.
 
     Attributes
     ----------
@@ -100,14 +100,18 @@ class BodyFrames:
         moments, covariance = table[:, :9].reshape(-1, 3, 3), table[:, 9:18].reshape(-1, 3, 3)
         normals, target_normals = normalized(table[:, 18:21]), normalized(table[:, 21:24])
         # Edges give the tangential part only; the normal keeps its length.
-        across, along = (np.eye(3) - of[:, :, None] * of[:, None] for of in (normals, target_normals))
+        source_tangent, target_tangent = (
+            np.eye(3) - unit[:, :, None] * unit[:, None] for unit in (normals, target_normals)
+        )
         weight = np.maximum(np.trace(moments, axis1=1, axis2=2), 1e-300)[:, None, None]
         rotation_weight = self.config.rotation_weight * weight
         moments = (
-            across @ moments @ across + weight * normals[:, :, None] * normals[:, None] + rotation_weight * np.eye(3)
+            source_tangent @ moments @ source_tangent
+            + weight * normals[:, :, None] * normals[:, None]
+            + rotation_weight * np.eye(3)
         )
         covariance = (
-            across @ covariance @ along
+            source_tangent @ covariance @ target_tangent
             + weight * normals[:, :, None] * target_normals[:, None]
             + rotation_weight * self.rotation
         )

@@ -67,7 +67,7 @@ _PREFIX = re.compile(r"^.*[:|/]|^(DEF[-_]|Skeleton_)")
 # Sides in names: a word, or a single letter.
 _SIDE_WORD = re.compile(r"[Ll]eft|[Rr]ight|LEFT|RIGHT|(?<![A-Za-z])[LlRr](?![A-Za-z])")
 _SIDE_PAIRS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
-_OPPOSITE_SIDE = {spelling: other for pair in _SIDE_PAIRS for spelling, other in (pair, pair[::-1])}
+_OPPOSITE_SIDE = {spelling: opposite for pair in _SIDE_PAIRS for spelling, opposite in (pair, pair[::-1])}
 # Numbers that some exporters append to all names.
 _SUFFIX = re.compile(r"_\d+$")
 
@@ -139,10 +139,10 @@ def _matched_joints(rig: Rig, names: tuple[str, ...], table: Mapping[str, tuple[
 
 
 def mirrored_joints(names: Sequence[str]) -> IndexArray:
-    """(j,) joint on the other side, by left and right in the names; else the joint itself."""
+    """(j,) joint on the other side, by left and right in names; else itself."""
     numbers = {name: joint for joint, name in enumerate(names)}
     mirrored_names = [_SIDE_WORD.sub(lambda word: _OPPOSITE_SIDE[word.group()], name, count=1) for name in names]
-    return np.array([numbers.get(other, joint) for joint, other in enumerate(mirrored_names)], dtype=np.int64)
+    return np.array([numbers.get(opposite, joint) for joint, opposite in enumerate(mirrored_names)], dtype=np.int64)
 
 
 def ancestor_bones(bone: str) -> list[str]:

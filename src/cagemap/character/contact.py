@@ -103,7 +103,7 @@ class Contact:
 def _find_covered(
     frames: BodyFrames, points: FloatArray, triangles: IndexArray, config: ContactConfig
 ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
-    """Body vertices below a mesh; corners and barycentric coordinates of the points above them; their heights."""
+    """Body vertices below a mesh; corners, barycentric coordinates and heights of the points above."""
     images, upward = frames.point_map.images.positions, frames.source_normals
     used, inverse = np.unique(triangles, return_inverse=True)
     mesh_points, mesh_triangles = points[used], inverse.reshape(-1, 3)
@@ -114,8 +114,8 @@ def _find_covered(
     )
     offsets = np.einsum("nc,ncd->nd", barycentric, mesh_points[mesh_triangles[triangle]]) - images[body]
     gaps = np.einsum("nd,nd->n", offsets, upward[body])
-    kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.min_above_cosine * distance))
-    return body[kept], triangles[triangle[kept]], barycentric[kept], gaps[kept]
+    rows = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.min_above_cosine * distance))
+    return body[rows], triangles[triangle[rows]], barycentric[rows], gaps[rows]
 
 
 def push_out(
@@ -125,7 +125,7 @@ def push_out(
     triangles: IndexArray,
     config: ContactConfig = ContactConfig(),
 ) -> FloatArray:
-    """Positions (n, 3), at unit area, moved away from the target's body to at least the contact's heights.
+    """Positions (n, 3) moved out of the target's body to the contact's heights, at unit area.
 
     A push spreads to neighbouring vertices of the passenger and fades with each step.
     """
@@ -133,10 +133,10 @@ def push_out(
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
     means = neighbor_means(triangles, len(places))
     start = places
-    moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
+    is_moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
     heights, upright = np.full(len(contact.vertices), np.inf), np.zeros_like(contact.directions)
     for _ in range(config.max_rounds):
-        changed = np.flatnonzero(moved[contact.vertices])
+        changed = np.flatnonzero(is_moved[contact.vertices])
         heights[changed], upright[changed] = _heights(
             target, places[contact.vertices[changed]], contact.directions[changed], config
         )
@@ -155,19 +155,19 @@ def push_out(
         push[contact.vertices] = _longer_rows(rise[:, None] * upright, push[contact.vertices])
         for _ in range(config.spreading_rounds):
             push = _longer_rows(push, means @ push)
-        places, moved = places + push, np.asarray(push.any(axis=1))
+        places, is_moved = places + push, np.asarray(push.any(axis=1))
     return _limit_depth(target, start, places, config)
 
 
-def _limit_depth(target: TriangleSurface, before: FloatArray, after: FloatArray, config: ContactConfig) -> FloatArray:
-    """(n, 3) positions after a push; pushes that go deeper into another part of the body are halved."""
-    moved = np.flatnonzero((before != after).any(axis=1))
-    depths = np.minimum(_heights(target, before[moved], None, config)[0], 0.0)
+def _limit_depth(target: TriangleSurface, start: FloatArray, pushed: FloatArray, config: ContactConfig) -> FloatArray:
+    """(n, 3) pushed positions; pushes into another part of the body are halved."""
+    rows = np.flatnonzero((start != pushed).any(axis=1))
+    depths = np.minimum(_heights(target, start[rows], None, config)[0], 0.0)
     for _ in range(config.max_halvings):
-        worse = _heights(target, after[moved], None, config)[0] < depths - config.tolerance
-        moved, depths = moved[worse], depths[worse]
-        after[moved] = 0.5 * (before[moved] + after[moved])
-    return after
+        is_deeper = _heights(target, pushed[rows], None, config)[0] < depths - config.tolerance
+        rows, depths = rows[is_deeper], depths[is_deeper]
+        pushed[rows] = 0.5 * (start[rows] + pushed[rows])
+    return pushed
 
 
 def _heights(

@@ -1,4 +1,4 @@
-"""Connected pieces of a passenger: which are rigid, and the similarity that moves each rigid group."""
+"""Connected pieces of a passenger, and similarities that move the rigid ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transfer of passengers along a map: clothes, shoes, eyes, teeth, hair and props of a body."""
+"""Transfer of passengers along a map: clothes, shoes, eyes, teeth, hair and props."""
 
 from __future__ import annotations
 

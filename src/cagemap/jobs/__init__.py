@@ -1,4 +1,4 @@
-"""Jobs of many pairs: job files, plans of tasks, and their execution; finished tasks are kept."""
+"""Jobs of many pairs: job files, plans of tasks, and their execution."""
 
 from cagemap.jobs.consistency import Consistency, measure_consistency
 from cagemap.jobs.job import Job, read_job

@@ -1,4 +1,4 @@
-"""Cycle consistency of a collection: comparison of maps A -> C with detours A -> B -> C.
+"""Cycle consistency: comparison of maps A -> C with detours A -> B -> C.
 
 The disagreement of a triple is at most the sum of the errors of its three maps. Non-negative least squares over all
 triples estimates these errors.
@@ -80,7 +80,7 @@ def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
 
 
 def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
-    """Mean distance of A -> C and A -> B -> C at sampled vertices, of sqrt(area of C).
+    """Mean distance of A -> C and A -> B -> C, of sqrt(area of C).
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
 
 
 def _triples(pairs: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKey]]:
-    """Keys of a direct map and of the two maps of a detour; a random choice of detours."""
-    known = set(pairs)
+    """Keys of a direct map and of both maps of a detour, randomly chosen."""
+    keys = set(pairs)
     names = sorted({name for pair in pairs for name in pair})
     random = np.random.default_rng(47)
     for a, c in pairs:
-        middles = [b for b in names if (a, b) in known and (b, c) in known]
+        middles = [b for b in names if (a, b) in keys and (b, c) in keys]
         for b in random.permutation(middles)[:MAX_TRIPLES_A_MAP].tolist():
             yield (a, c), (a, b), (b, c)
 
@@ -108,9 +108,12 @@ def _detours(errors: Mapping[MapKey, float], doubtful: Sequence[MapKey]) -> dict
     """Shortest detours around doubtful maps, where their error is at most half."""
     names = sorted({name for pair in errors for name in pair})
     index = {name: i for i, name in enumerate(names)}
-    kept = [pair for pair in errors if pair not in doubtful]
+    reliable = [pair for pair in errors if pair not in doubtful]
     lengths = csr_array(
-        ([errors[pair] + 1e-6 for pair in kept], ([index[a] for a, _ in kept], [index[b] for _, b in kept])),
+        (
+            [errors[pair] + 1e-6 for pair in reliable],
+            ([index[a] for a, _ in reliable], [index[b] for _, b in reliable]),
+        ),
         shape=(len(names), len(names)),
     )
     total, predecessors = dijkstra(lengths, return_predecessors=True)

@@ -45,7 +45,7 @@ Problem = tuple[KeyPath, str]
 
 
 def parse_job(data: Any) -> tuple[JobFile | None, list[Problem]]:
-    """The job file without entries that fail validation, if the rest is valid; and the failures."""
+    """The job file without invalid entries, None if that is impossible; and the problems."""
     try:
         return JobFile.model_validate(data), []
     except ValidationError as error:
@@ -133,10 +133,10 @@ def find_problems(
         yield from _carry_problems(job.carry, job.assets)
     for i, output in enumerate(job.outputs):
         options = {"output": output.output or "", **(output.model_extra or {})}
-        known = {key for asset in job.assets for key in asset.files}
+        file_names = {key for asset in job.assets for key in asset.files}
         for key, value in options.items():
-            for side, name in (found for text in _texts(value) for found in PLACEHOLDER.findall(text)):
-                if name and name not in known:
+            for side, name in (match for text in _texts(value) for match in PLACEHOLDER.findall(text)):
+                if name and name not in file_names:
                     message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
                     yield ("outputs", i, key), message + "Add it to the files of an asset."
         yield from _option_problems(output.model_extra or {}, schemas[output.command], ("outputs", i))
@@ -164,7 +164,7 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
 
 
 def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[Problem]:
-    """Problems of a given map: it needs one pair of whole, unchanged meshes and takes a level only."""
+    """Problems of a given map: needs one pair of unchanged meshes, takes only a level."""
     if pair.map is None:
         return
     entry = ("pairs", i, "map")

@@ -185,7 +185,7 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
 
 
 def _linked_files(files: Sequence[str]) -> list[str]:
-    """Files and folders of a task to link; files of one folder inside the pair's folder count as one."""
+    """Files of a task to link; a folder inside the pair's folder is one link."""
     return list(dict.fromkeys("/".join(name.split("/")[:2]) if RESULT not in name else name for name in files))
 
 
@@ -198,7 +198,7 @@ def _write_if_changed(path: Path, content: bytes) -> None:
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:
-    """Write a table; a note with its hash, instead of a mark inside, shows that cagemap wrote it.
+    """Write a table and a note with its hash, which marks it as cagemap's.
 
     The note is written first with the hashes of the old and the new table, since a run may end between both writes.
     """

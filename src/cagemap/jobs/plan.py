@@ -1,4 +1,4 @@
-"""Tasks of a job with their dependencies, outputs, and a key of everything the result depends on."""
+"""Tasks of a job: their dependencies, outputs, and keys of all inputs."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class Task:
     @property
     def slug(self) -> str:
         """A file name for the task."""
-        plain = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
-        return f"{plain[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
+        letters = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
+        return f"{letters[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _rule_pairs(
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file, or of all tiles of a set; the path itself if there is no file."""
+    """Hash of a file or of a set of tiles; the path if missing."""
     return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
 
 

@@ -1,4 +1,4 @@
-"""Execution of a plan on Dask: finished tasks are kept; a failure skips only tasks that need it."""
+"""Execution of a plan on Dask; finished tasks are kept, failures skip dependent tasks."""
 
 from __future__ import annotations
 
@@ -99,8 +99,8 @@ def missing_tasks(plan: Plan) -> list[Task]:
 
 def _select_missing(plan: Plan, kept: set[str]) -> list[Task]:
     missing = [task for task in plan.tasks if task.name not in kept]
-    wanted = needed_tasks(plan, {task.name for task in missing if task.kind != "prepare"})
-    return [task for task in missing if task.name in wanted]
+    needed = needed_tasks(plan, {task.name for task in missing if task.kind != "prepare"})
+    return [task for task in missing if task.name in needed]
 
 
 def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
@@ -113,7 +113,7 @@ def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
 
 
 def kept_outcome(root: Path, task: Task) -> Outcome | None:
-    """The outcome of an earlier run, if the task is unchanged and all its files exist."""
+    """The outcome of an earlier run, if the task and its files are unchanged."""
     note = own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
@@ -177,7 +177,7 @@ def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> O
 
 
 def _run_tasks(
-    client: Client, plan: Plan, missing: list[Task], runner: Runner, known: dict[str, Outcome], report: Report
+    client: Client, plan: Plan, missing: list[Task], runner: Runner, kept_outcomes: dict[str, Outcome], report: Report
 ) -> dict[str, Outcome]:
     from distributed import as_completed, wait
 
@@ -189,7 +189,9 @@ def _run_tasks(
 
     futures: dict[str, Any] = {}
     for task in missing:
-        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _earlier_tasks(task)], 1)
+        futures[task.name] = submit(
+            task, [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 1
+        )
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
     lost = set()
@@ -204,7 +206,7 @@ def _run_tasks(
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
-            future = submit(task, [outcomes.get(name, known.get(name)) for name in _earlier_tasks(task)], 2)
+            future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
             wait(future)
             finished = future.status == "finished"
             outcomes[task.name] = _count_as_done(future.result()) if finished else _lost_outcome(task, outcomes)
@@ -217,7 +219,7 @@ def _earlier_tasks(task: Task) -> tuple[str, ...]:
 
 
 def _count_as_done(outcome: Outcome) -> Outcome:
-    """Outcome "done" for a task that a lost worker or another run finished during this run."""
+    """State "done" for tasks that a lost worker or another run finished meanwhile."""
     return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
@@ -238,7 +240,7 @@ def _lost_outcome(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
 def open_client(
     scheduler: str | None = None, workers: int | None = None, tell: Callable[[str], None] = lambda words: None
 ) -> Iterator[OpenClient]:
-    """Connect to Dask when the first task needs it; disconnect at the end of the block.
+    """Connect to Dask for the first task; disconnect at the end of the block.
 
     Parameters
     ----------

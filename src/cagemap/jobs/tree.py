@@ -1,4 +1,4 @@
-"""Minimum spanning tree of a collection by shape difference: the fewest matches that connect all models."""
+"""Minimum spanning tree of a collection by shape difference, for the fewest matches."""
 
 from __future__ import annotations
 

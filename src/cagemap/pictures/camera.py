@@ -1,4 +1,4 @@
-"""Cameras that frame a surface, and named views of a figure that faces +Z with +Y up."""
+"""Cameras that frame a surface that faces +Z with +Y up."""
 
 from __future__ import annotations
 

@@ -246,7 +246,7 @@ def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def display_image(image: Pixels) -> FloatArray:
-    """(h, w, 3) sRGB in [0, 1] with at most 2048 texels a side; grey images get three channels."""
+    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels."""
     pixels = np.asarray(image)
     if np.issubdtype(pixels.dtype, np.integer):
         scale = 1.0 / np.iinfo(pixels.dtype).max

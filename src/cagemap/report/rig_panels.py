@@ -60,7 +60,7 @@ class CarriedShape:
 
 @dataclass(frozen=True, eq=False)
 class Passenger:
-    """Clothes, hair or a prop on the source, and carried to the target, in file units."""
+    """Clothes, hair or a prop: on the source, and carried, in file units."""
 
     name: str
     source: ControlMesh
@@ -258,7 +258,7 @@ def _both_sides(
 
 
 def joint_colors(weights: FloatArray) -> FloatArray:
-    """(n, 3) one colour for every joint, mixed by skinning weights (n, joints); clay where they sum to less than 1."""
+    """(n, 3) joint colours mixed by skinning weights (n, joints); clay fills sums below 1."""
     palette = distinct_colors(weights.shape[1])
     return np.asarray(weights @ palette + (1.0 - weights.sum(axis=1, keepdims=True)).clip(0.0) * CLAY)
 
