@@ -31,7 +31,7 @@ from cagemap.files.values.rigs import read_skeleton, write_skeleton
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.skeleton import Skeleton, carry_joints
+from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.subdivision import finest_mesh, refine
@@ -43,6 +43,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import unwrap
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
+from cagemap.transfer.skeleton import carry_joints
 
 Row = tuple[str, str]
 VERTICES = 25_000

@@ -170,7 +170,7 @@ def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: P
         ("a__b/report.html",),
     ]
     assert tasks[0].request["displacement"] == str(folder / "out" / "a__b" / "b.exr")
-    assert [task.after for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
+    assert [task.predecessors for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
     with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/b\.exr"):
         plan(text.replace("v.obj", "b.exr"))
     with pytest.raises(FormatError, match="expected a name inside the pair"):

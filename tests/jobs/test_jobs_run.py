@@ -93,7 +93,7 @@ def test_what_a_pattern_or_a_folder_became_is_noted(tmp_path: Path) -> None:
 
 def test_a_task_that_only_comes_after_a_failed_one_is_done(tmp_path: Path) -> None:
     failed = Outcome("one", "failed", "no texture")
-    assert execute(replace(task(tmp_path, "two"), after=("one",)), tmp_path, write_name, failed).state == "done"
+    assert execute(replace(task(tmp_path, "two"), predecessors=("one",)), tmp_path, write_name, failed).state == "done"
     assert execute(task(tmp_path, "three", ("one",)), tmp_path, write_name, failed).state == "skipped"
 
 

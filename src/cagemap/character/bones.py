@@ -28,7 +28,7 @@ CONVENTIONS: Mapping[str, tuple[str, str]] = {
 
 # One row a bone: VRM 1.0 name, VRM parent, its name in each convention. "=": the VRM 1.0 name; "-": none;
 # "|": first present; "/": left and right differ. Case, separators, namespaces and "DEF-" are ignored.
-_ROWS = """
+_BONE_TABLE = """
 hips                  -                     =                    Hips           spine           root           pelvis        CC_Base_Hip          Hips|Pelvis|Hip                   torso_joint_1   torso_joint_1
 spine                 hips                  =                    Spine          spine.001       spine05        spine_01      CC_Base_Waist        Spine|Abdomen                     torso_joint_2   torso_joint_2
 chest                 spine                 =                    Spine1         spine.002       spine03        spine_02      CC_Base_Spine01      Chest|Torso|Spine1                torso_joint_3   torso_joint_3
@@ -81,7 +81,7 @@ def _read_rows() -> tuple[dict[str, str], dict[str, dict[str, tuple[str, ...]]]]
     """VRM parents; and bare names of each VRM bone by convention, in order of preference."""
     parents: dict[str, str] = {}
     tables: dict[str, dict[str, tuple[str, ...]]] = {name: {} for name in ("VRM 1.0", *CONVENTIONS)}
-    for row in _ROWS.strip().splitlines():
+    for row in _BONE_TABLE.strip().splitlines():
         bone, parent, *cells = row.split()
         for side in range(2 if "{}" in bone else 1):
             name = bone.format(SIDES[side])

@@ -17,11 +17,11 @@ from cagemap.jobs.job_checks import resolve_files
 from cagemap.jobs.job_schema import Asset, OutputRule, asset_names, fill_placeholders
 
 # Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
-STATE = ".cagemap"
-RESULT = "RESULT"
+STATE_FOLDER = ".cagemap"
+RESULT_FOLDER = "RESULT"
 # Composed result of a pair with a doubtful map.
-DETOUR = "RESULT-composed"
-PICTURE = "picture.jpg"
+DETOUR_FOLDER = "RESULT-composed"
+PICTURE_FILE = "picture.jpg"
 # Options of a match that change a prepared surface, also with a side's name before them.
 SURFACE_OPTIONS = frozenset(
     [
@@ -63,7 +63,7 @@ class Task:
         Files, patterns or folders that it writes, relative to the job's output folder.
     pair : (str, str) or None
         Source and target.
-    after : tuple of str
+    predecessors : tuple of str
         Names of tasks that must have ended before, in success or failure.
     reads : dict of str to str
         `content_hash` of the input files at planning.
@@ -76,7 +76,7 @@ class Task:
     request: dict[str, Any] = field(repr=False)
     outputs: tuple[str, ...] = ()
     pair: Pair | None = None
-    after: tuple[str, ...] = ()
+    predecessors: tuple[str, ...] = ()
     reads: dict[str, str] = field(default_factory=dict, repr=False)
 
     @property
@@ -162,8 +162,8 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                 )
             if set(picture.outputs) & set(task.outputs):
                 raise FormatError(
-                    f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE}, as the job's own picture of "
-                    "each pair is. Rename it."
+                    f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE_FILE}, as the job's own "
+                    "picture of each pair is. Rename it."
                 )
             earlier.append(task)
             tasks[task.name] = task
@@ -234,7 +234,7 @@ class _Planner:
     @property
     def cache(self) -> str:
         """Folder of prepared surfaces."""
-        return str(self.job.output / STATE / "surfaces")
+        return str(self.job.output / STATE_FOLDER / "surfaces")
 
     def prepare(self, asset: Asset, side: str, options: dict[str, Any]) -> Task:
         """The task of one surface; equal preparation for both sides gives the same task."""
@@ -250,7 +250,7 @@ class _Planner:
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
         """The task of a pair's map."""
-        folder = f"{source.name}__{target.name}/{RESULT}"
+        folder = f"{source.name}__{target.name}/{RESULT_FOLDER}"
         sides = ("target", target), ("source", source)
         inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
         inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
@@ -270,9 +270,12 @@ class _Planner:
         """The task of a pair's small picture on the job's page."""
         assert match.pair is not None
         source, target = match.pair
-        request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
+        request = {
+            "result": match.request["output"],
+            "output": str(Path(match.request["output"]).parent / PICTURE_FILE),
+        }
         key = task_key(self.version, "picture", match.key)
-        file = f"{source}__{target}/{PICTURE}"
+        file = f"{source}__{target}/{PICTURE_FILE}"
         return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (file,), match.pair)
 
     def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, earlier: list[Task]) -> Task | str:
@@ -303,5 +306,7 @@ class _Planner:
         reads, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / file) for option, file in files.items()}
         title = f"{rule.command} {pair}: {Path(files['output']).name}"
-        after = tuple(task.name for task in earlier[-1:])
-        return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after, reads)
+        predecessors = tuple(task.name for task in earlier[-1:])
+        return Task(
+            rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, predecessors, reads
+        )

@@ -19,7 +19,7 @@ from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.schema import own_note
-from cagemap.jobs.plan import DETOUR, RESULT, STATE, Plan, Task, content_hash
+from cagemap.jobs.plan import DETOUR_FOLDER, RESULT_FOLDER, STATE_FOLDER, Plan, Task, content_hash
 from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
@@ -119,23 +119,21 @@ def kept_outcome(root: Path, task: Task) -> Outcome | None:
         return None
     files = ((root / path, size) for path, size in note["outputs"].items())
     is_complete = all(file.is_file() and file.stat().st_size == size for file, size in files)
-    return (
-        Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
-        if is_complete
-        else None
-    )
+    if not is_complete:
+        return None
+    return Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
 
 
-def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> Outcome:
+def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: Outcome) -> Outcome:
     """Run one task unless another run has done it; errors become a failed outcome."""
-    failed = [outcome for outcome in predecessors if outcome.name in task.needs and not outcome.usable]
+    failed = [outcome for outcome in earlier_outcomes if outcome.name in task.needs and not outcome.usable]
     if failed:
         return Outcome(task.name, "skipped", _skip_message(failed[0]))
     from filelock import FileLock  # here: plans and dry runs do not need it
 
     start = time.perf_counter()
     try:
-        state = root / STATE
+        state = root / STATE_FOLDER
         pairs = (root / Path(path).parts[0] for path in task.outputs)
         for folder in (state / "done", state / "locks", *pairs):
             folder.mkdir(parents=True, exist_ok=True)
@@ -183,15 +181,14 @@ def _run_tasks(
 
     run = uuid.uuid4().hex[:8]
 
-    def submit(task: Task, predecessors: Iterable[Any], trial: int) -> Any:
+    def submit(task: Task, earlier_outcomes: Iterable[Any], trial: int) -> Any:
         key = f"{task.kind}-{task.slug}-{run}-{trial}"
-        return client.submit(execute, task, plan.root, runner, *predecessors, key=key, pure=False)
+        return client.submit(execute, task, plan.root, runner, *earlier_outcomes, key=key, pure=False)
 
     futures: dict[str, Any] = {}
     for task in missing:
-        futures[task.name] = submit(
-            task, [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 1
-        )
+        earlier = [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)]
+        futures[task.name] = submit(task, earlier, 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
     lost = set()
@@ -208,14 +205,14 @@ def _run_tasks(
         if task.name in lost:
             future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
             wait(future)
-            finished = future.status == "finished"
-            outcomes[task.name] = _count_as_done(future.result()) if finished else _lost_outcome(task, outcomes)
+            is_finished = future.status == "finished"
+            outcomes[task.name] = _count_as_done(future.result()) if is_finished else _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
 
 
 def _earlier_tasks(task: Task) -> tuple[str, ...]:
-    return (*task.needs, *task.after)
+    return (*task.needs, *task.predecessors)
 
 
 def _count_as_done(outcome: Outcome) -> Outcome:
@@ -310,14 +307,15 @@ def _require_dask() -> None:
 
 
 def _note_path(root: Path, task: Task) -> Path:
-    return root / STATE / "done" / f"{task.slug}.json"
+    return root / STATE_FOLDER / "done" / f"{task.slug}.json"
 
 
 def _output_sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
     """Written files of a task and their sizes, without RESULT folders and the job's state."""
     expected = [path for path in task.outputs if (root / path).is_file()]
     relative = [Path(os.path.relpath(path, root)) for path in written]
-    additional = [path.as_posix() for path in relative if not {RESULT, DETOUR, STATE} & set(path.parts)]
+    internal = {RESULT_FOLDER, DETOUR_FOLDER, STATE_FOLDER}
+    additional = [path.as_posix() for path in relative if not internal & set(path.parts)]
     sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*expected, *additional])}
     if task.outputs and not sizes:
         raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")

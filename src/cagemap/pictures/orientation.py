@@ -134,9 +134,8 @@ def _sample_points(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(p, 3) points distributed evenly over a surface."""
     cumulative = np.cumsum(triangle_areas(positions, triangles))
     steps = np.arange(SAMPLE_COUNT) + 0.5
-    corners = triangles[
-        np.searchsorted(cumulative, steps * (cumulative[-1] / SAMPLE_COUNT)).clip(max=len(triangles) - 1)
-    ]
+    numbers = np.searchsorted(cumulative, steps * (cumulative[-1] / SAMPLE_COUNT))
+    corners = triangles[numbers.clip(max=len(triangles) - 1)]
     # Roberts' sequence, folded into the triangle.
     s, t = np.modf(np.outer([0.7548776662466927, 0.5698402909980532], steps))[0]
     outside = s + t > 1
@@ -154,10 +153,8 @@ def _upright_turn(points: FloatArray) -> FloatArray | None:
         return Y_UP
     for turn, other_turn in ((Y_UP, Z_UP), (Z_UP, Y_UP)):
         width, height, _ = np.ptp(points @ turn, axis=0)
-        if (
-            _stability(points @ turn) > max(MIN_STABILITY, _stability(points @ other_turn) + MIN_STABILITY_GAIN)
-            and height > MIN_HEIGHT_RATIO * width
-        ):
+        min_stability = max(MIN_STABILITY, _stability(points @ other_turn) + MIN_STABILITY_GAIN)
+        if _stability(points @ turn) > min_stability and height > MIN_HEIGHT_RATIO * width:
             return turn
     return None
 

@@ -36,7 +36,7 @@ from cagemap.jobs.consistency import read_consistency, write_consistency
 from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
 from cagemap.jobs.farm import PAGE_STEP, Step, farm_steps, openjd_template, parse_task_range, slurm_script
 from cagemap.jobs.page import PairRow
-from cagemap.jobs.plan import STATE
+from cagemap.jobs.plan import STATE_FOLDER
 from cagemap.jobs.run import execute, kept_outcome
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.mesh_report import counted
@@ -176,8 +176,8 @@ def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
         return Consistency({}, 0, (), {}), plan
     from filelock import FileLock
 
-    (plan.root / STATE).mkdir(parents=True, exist_ok=True)
-    with FileLock(plan.root / STATE / "consistency.lock"):
+    (plan.root / STATE_FOLDER).mkdir(parents=True, exist_ok=True)
+    with FileLock(plan.root / STATE_FOLDER / "consistency.lock"):
         verdict = collection_verdict(plan, _kept_so_far(plan))
     return verdict, add_detours(plan, verdict.detours, version)
 
@@ -212,7 +212,7 @@ def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
     """How the maps of a job agree with each other; kept beside them, and measured again when one of them changes."""
     matches = [task for task in plan.tasks if task.kind == "match" and outcomes[task.name].usable]
     keys = {task.name: task.key for task in matches}
-    place = plan.root / STATE / "consistency.json"
+    place = plan.root / STATE_FOLDER / "consistency.json"
     known = read_consistency(place, keys)
     if known is not None:
         return known
