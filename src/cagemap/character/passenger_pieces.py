@@ -37,7 +37,6 @@ class Pieces:
     is_rigid : (g,) bool
         Whether a group keeps its shape, up to its size.
     has_local_scale : bool
-
         Whether rigid groups scale with their surroundings, not with the whole body.
     """
 

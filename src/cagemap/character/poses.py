@@ -242,5 +242,4 @@ def _fit_rotation(
         float(np.linalg.norm(scale * source_offsets @ rotation - target_offsets)) for rotation in (turn, np.eye(3))
     ]
     # The added term keeps rounding errors from counting as a rotation.
-
     return turn, scale, errors[0] + 1e-9 * sizes[1], errors[1]

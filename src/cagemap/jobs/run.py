@@ -25,8 +25,8 @@ from cagemap.numerics.threads import core_count
 if TYPE_CHECKING:
     from distributed import Client
 
-# Retries of a task after its worker was lost.
-RETRIES = 2
+# Of a task whose worker was lost.
+MAX_RETRIES = 2
 _REMEDY = "Run the same command again: what is done is kept."
 
 Runner = Callable[[Task], dict[str, Any]]
@@ -229,7 +229,7 @@ def _lost_outcome(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
     for name in task.needs:
         if name in outcomes and not outcomes[name].usable:
             return Outcome(task.name, "skipped", _skip_message(outcomes[name]))
-    cause = f"its worker died {RETRIES + 1} times: killed, or out of memory. Use fewer workers"
+    cause = f"its worker died {MAX_RETRIES + 1} times: killed, or out of memory. Use fewer workers"
     return Outcome(task.name, "failed", f"{cause}. {_REMEDY}")
 
 
@@ -287,7 +287,10 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed.system import MEMORY_LIMIT
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
-    settings = {"distributed.scheduler.allowed-failures": RETRIES, "distributed.nanny.pre-spawn-environ": environment}
+    settings = {
+        "distributed.scheduler.allowed-failures": MAX_RETRIES,
+        "distributed.nanny.pre-spawn-environ": environment,
+    }
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
     # Any free port, so that a second cluster on this machine causes no warning.

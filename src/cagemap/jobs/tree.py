@@ -33,9 +33,8 @@ def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
             signatures.append(shape_distribution(read_whole(asset.file)))
         except CagemapError as error:
             raise FormatError(f"{asset.name}: a spanning tree needs every mesh, and this one: {error}") from error
-    lengths = (
-        squareform(pdist(np.array(signatures), "cityblock")) / QUANTILE_COUNT + 1.0
-    )  # a length of 0 would be no edge
+    # SciPy takes a length of 0 as no edge.
+    lengths = squareform(pdist(np.array(signatures), "cityblock")) / QUANTILE_COUNT + 1.0
     np.fill_diagonal(lengths, 0.0)
     edges = minimum_spanning_tree(lengths).tocoo()
     pairs = []
@@ -48,7 +47,6 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
     """(q,) quantiles of distances of random surface points over sqrt(area): D2 of Osada et al. 2002.
 
     Invariant to position, rotation and scale, and nearly to connectivity.
-
 
     Raises
     ------
