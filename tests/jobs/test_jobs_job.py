@@ -248,8 +248,8 @@ def test_tasks_know_the_files_that_they_are_given(folder: Path) -> None:
     plan = plan_of(folder, HEAD + ASSETS + PAIRS)
     for task in plan.tasks:
         given = [value for value in task.request.values() if isinstance(value, str) and Path(value).is_file()]
-        assert set(task.reads) == set(given)
-    assert any(task.reads for task in plan.tasks if task.kind == "match")
+        assert set(task.input_hashes) == set(given)
+    assert any(task.input_hashes for task in plan.tasks if task.kind == "match")
 
 
 def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:

@@ -28,7 +28,7 @@ class FrameConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Anchors:
+class SignedDistances:
     """Closest points of the source's body to some points.
 
     Attributes
@@ -47,7 +47,7 @@ class Anchors:
 class BodyFrames:
     """Affine frames of a map at the target's vertices.
 
-    An offset from the source, as a row, times ``linear`` is the offset from the target. A frame transforms tangents by
+    An offset from the source, as a row, times ``matrices`` is the offset from the target. A frame transforms tangents by
     the map's averaged derivative, and the source's unit normal to the target's. Lengths are those of unit area.
 
     Attributes
@@ -82,7 +82,7 @@ class BodyFrames:
         return nearest_rotations(((images - centre).T @ (areas * self.point_map.target.positions))[None])[0]
 
     @kept
-    def linear(self) -> FloatArray:
+    def matrices(self) -> FloatArray:
         """(n1, 3, 3) frames of all target vertices."""
         target, images = self.point_map.target, self.point_map.images.positions
         corners, positions, count = target.triangles, target.positions, target.n
@@ -117,7 +117,7 @@ class BodyFrames:
         )
         return np.asarray(np.linalg.solve(moments, covariance))
 
-    def anchors(self, points: FloatArray) -> Anchors:
+    def signed_distances(self, points: FloatArray) -> SignedDistances:
         """Heights and normals at the closest points of the source to points (m, 3)."""
         source = self.point_map.source
         triangle, barycentric, distance = closest_points(source.tree, points)
@@ -125,9 +125,9 @@ class BodyFrames:
         closest = np.einsum("nc,ncd->nd", barycentric, source.positions[corners])
         normals = normalized(np.einsum("nc,ncd->nd", barycentric, source.vertex_normals[corners]))
         signed = np.einsum("nd,nd->n", points - closest, normals)
-        return Anchors(np.copysign(distance, signed), normals)
+        return SignedDistances(np.copysign(distance, signed), normals)
 
-    def carry(self, points: FloatArray, anchors: Anchors) -> tuple[FloatArray, FloatArray]:
+    def carry(self, points: FloatArray, signed_distances: SignedDistances) -> tuple[FloatArray, FloatArray]:
         """Positions (m, 3) near the target of points near the source, and their frames (m, 3, 3)."""
         config, point_map = self.config, self.point_map
         count = min(config.neighbors, len(self.samples))
@@ -137,16 +137,16 @@ class BodyFrames:
         # Weights fall to 0 at the last neighbour, so that positions are continuous.
         inside = np.maximum(0.0, 1.0 - (distance / (1.001 * distance[:, -1:] + 1e-300)) ** 2) ** 2
         weights = point_map.target.vertex_areas[vertices] * inside / (distance**2 + config.min_distance**2) ** 2
-        cosines = np.einsum("nkd,nd->nk", self.source_normals[vertices], anchors.normals)
+        cosines = np.einsum("nkd,nd->nk", self.source_normals[vertices], signed_distances.normals)
         weights *= np.clip((cosines - config.min_cosine) / (1.0 - config.min_cosine), 1e-9, 1.0)
         weights /= weights.sum(axis=1, keepdims=True)
         starts = np.arange(0, vertices.size + 1, count)
         averages = sparse.csr_array(
             (weights.ravel(), vertices.ravel(), starts), shape=(len(points), point_map.target.n)
         )
-        images, linear = point_map.images.positions, self.linear
-        offsets = point_map.target.positions - np.einsum("nd,nde->ne", images, linear)
-        frames = (averages @ linear.reshape(-1, 9)).reshape(-1, 3, 3)
+        images, matrices = point_map.images.positions, self.matrices
+        offsets = point_map.target.positions - np.einsum("nd,nde->ne", images, matrices)
+        frames = (averages @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
         return np.asarray(averages @ offsets + np.einsum("nd,nde->ne", points, frames)), frames
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.character.values import Rig
 from cagemap.numerics.arrays import IndexArray
 
-SIDES = ("left", "right")
+BODY_SIDES = ("left", "right")
 
 # Left and right in each convention, for {} below.
 CONVENTIONS: Mapping[str, tuple[str, str]] = {
@@ -84,8 +84,8 @@ def _read_rows() -> tuple[dict[str, str], dict[str, dict[str, tuple[str, ...]]]]
     for row in _BONE_TABLE.strip().splitlines():
         bone, parent, *cells = row.split()
         for side in range(2 if "{}" in bone else 1):
-            name = bone.format(SIDES[side])
-            parents[name] = parent.format(SIDES[side])
+            name = bone.format(BODY_SIDES[side])
+            parents[name] = parent.format(BODY_SIDES[side])
             tables["VRM 1.0"][name] = (_bare_name(name),)
             for (convention, words), cell in zip(CONVENTIONS.items(), cells, strict=True):
                 if cell != "-":

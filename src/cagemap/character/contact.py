@@ -64,7 +64,7 @@ class Contact:
         points: FloatArray,
         meshes: Sequence[IndexArray],
         normals: FloatArray,
-        linear: FloatArray,
+        frames_at_points: FloatArray,
         config: ContactConfig = ContactConfig(),
     ) -> Contact:
         """Find the contact on the source, for every mesh on its own.
@@ -78,13 +78,13 @@ class Contact:
             Triangles of each.
         normals : (n, 3) float64
             Of the source at their closest points.
-        linear : (n, 3, 3) float64
+        frames_at_points : (n, 3, 3) float64
             Affine maps from source to target around them.
         config : ContactConfig
         """
         heights, _ = _heights(frames.point_map.source, points, normals, config)
         vertices = np.flatnonzero((heights > 0) & (heights < config.reach))
-        directions = normalized(np.einsum("nd,nde->ne", normals, linear))[vertices]
+        directions = normalized(np.einsum("nd,nde->ne", normals, frames_at_points))[vertices]
         found_per_mesh = [_find_covered(frames, points, triangles, config) for triangles in meshes]
         body_vertices, corners, barycentric, gaps = (
             np.concatenate(arrays) for arrays in zip(*found_per_mesh, strict=True)

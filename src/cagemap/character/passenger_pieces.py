@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, nearest_rotations
 
-Kind = Literal["cloth", "rigid", "similarity"]
-KINDS: tuple[Kind, ...] = ("cloth", "rigid", "similarity")
+PassengerKind = Literal["cloth", "rigid", "similarity"]
+PASSENGER_KINDS: tuple[PassengerKind, ...] = ("cloth", "rigid", "similarity")
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,11 @@ class Pieces:
 
 
 def find_pieces(
-    mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: Kind | None, config: PieceConfig = PieceConfig()
+    mesh: ControlMesh,
+    points: FloatArray,
+    heights: FloatArray,
+    kind: PassengerKind | None,
+    config: PieceConfig = PieceConfig(),
 ) -> Pieces:
     """Group the connected pieces of a mesh; decide which are rigid.
 

@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 # Largest error of the joints with a rotation, over the error without one, where rigs differ by that rotation.
 MAX_TURN_ERROR = 0.5
 # Radians; bones whose directions differ by less have one pose. Different bodies alone make 10 degrees.
-MIN_BONE_TURN = np.radians(20.0)
+MIN_BONE_ANGLE = np.radians(20.0)
 # Weight of the joints' axes beside their positions: decides the rotation where all joints lie on a line.
 AXES_WEIGHT = 1e-9
 # Joints whose positions in the body do not depend on the pose.
@@ -156,7 +156,7 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
     """World transforms (j, 4, 4) of a rig's joints in the bind pose of a reference rig.
 
     Limbs, fingers, spine and neck turn by the least rotation that gives each bone the direction of the reference's
-    bone. A bone that needs less than `MIN_BONE_TURN` keeps its direction, unless a bone above it was turned. Lengths
+    bone. A bone that needs less than `MIN_BONE_ANGLE` keeps its direction, unless a bone above it was turned. Lengths
     stay.
 
     Raises
@@ -186,7 +186,7 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
             end, direction = ends[joint]
             current = (rig.heads[end] - rig.heads[joint]) @ (inverse[joint] @ posed[joint])[:3, :3]
             bend = least_rotation(current, direction)
-            is_turned[joint] |= Rotation.from_matrix(bend).magnitude() > MIN_BONE_TURN
+            is_turned[joint] |= Rotation.from_matrix(bend).magnitude() > MIN_BONE_ANGLE
             if is_turned[joint]:
                 posed[joint, :3, :3] = posed[joint, :3, :3] @ bend
     return posed

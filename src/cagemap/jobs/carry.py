@@ -19,9 +19,9 @@ import numpy as np
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.result.folder import file_hash, read_result
-from cagemap.jobs.detours import NORMAL_WEIGHT
+from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
 from cagemap.jobs.job import Job
-from cagemap.jobs.plan import Pair, Plan, Task, task_key
+from cagemap.jobs.plan import PairNames, Plan, Task, task_key
 from cagemap.maps.places import cage_points_of, located
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
@@ -53,12 +53,12 @@ class DirectedMap:
         """Corresponding points of the next model, for positions (q, 3) at unit area and their normals."""
         point_map = self.result.point_map
         if self.forward:
-            start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=NORMAL_WEIGHT)
+            start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
             images = start.interpolate(point_map.images.positions)
             normals = normalized(start.interpolate(point_map.images.normals))
-            return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=NORMAL_WEIGHT)
+            return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=MAP_NORMAL_WEIGHT)
         image_surface = TriangleSurface(point_map.images.positions, point_map.target.triangles, 1.0)
-        points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=NORMAL_WEIGHT)
+        points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
         return SurfacePoints(point_map.target, points_on_image.triangle, points_on_image.barycentric)
 
 
@@ -97,8 +97,8 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
         keys = [(step.key, forward) for step, forward in steps], None if opposite is None else opposite.key
         key = task_key(version, "carry", landmark_hash, *keys, str(landmark_file))
         output = Path(os.path.relpath(landmark_file, plan.root)).as_posix()
-        title, reads = f"carry landmarks to {name}", {str(landmarks): landmark_hash}
-        carry_tasks.append(Task("carry", title, key, needs, request, (output,), reads=reads))
+        title, input_hashes = f"carry landmarks to {name}", {str(landmarks): landmark_hash}
+        carry_tasks.append(Task("carry", title, key, needs, request, (output,), input_hashes=input_hashes))
     return replace(plan, tasks=(*plan.tasks, *carry_tasks))
 
 
@@ -162,7 +162,7 @@ def carry_notes(figures: list[dict[str, Any]]) -> list[str]:
     return notes
 
 
-def _shortest_paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:
+def _shortest_paths(start: str, matches: Mapping[PairNames, Task]) -> dict[str, list[str]]:
     """Models along the shortest path of maps from one model to each other model."""
     paths, waiting = {start: [start]}, deque([start])
     while waiting:
@@ -175,13 +175,13 @@ def _shortest_paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[
     return paths
 
 
-def _match_between(start: str, end: str, matches: Mapping[Pair, Task]) -> tuple[Task, bool]:
+def _match_between(start: str, end: str, matches: Mapping[PairNames, Task]) -> tuple[Task, bool]:
     """The match between two models, and whether its map starts at the first."""
     direct = matches.get((end, start))  # keys are (source, target); maps go from target to source
     return (direct, True) if direct is not None else (matches[start, end], False)
 
 
-def _opposite_match(path: list[str], matches: Mapping[Pair, Task]) -> Task | None:
+def _opposite_match(path: list[str], matches: Mapping[PairNames, Task]) -> Task | None:
     """The match in the opposite direction, if the path is one map."""
     has_both = len(path) == 2 and (path[1], path[0]) in matches
     return matches.get((path[0], path[1])) if has_both else None

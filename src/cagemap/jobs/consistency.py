@@ -27,8 +27,8 @@ MapKey = tuple[str, str]  # target, source: the direction of T12
 MIN_DOUBTFUL_ERROR = 0.02
 MIN_MEDIAN_RATIO = 3.0
 # Compared triples for each map, and vertices for each comparison.
-MAX_TRIPLES_A_MAP = 24
-MAX_SAMPLES = 1500
+MAX_TRIPLES_PER_MAP = 24
+MAX_SAMPLE_VERTICES = 1500
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
         Maps with target A and source C, target A and source B, target B and source C.
     """
     n = direct.target.n
-    vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLES)).astype(np.int64))
+    vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLE_VERTICES)).astype(np.int64))
     composed_images = first.images.at(vertices).interpolate(second.images.positions)
     return float(np.linalg.norm(composed_images - direct.images.at(vertices).positions, axis=1).mean())
 
@@ -102,7 +102,7 @@ def _triples(map_keys: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKe
     random = np.random.default_rng(47)
     for a, c in map_keys:
         middles = [b for b in names if (a, b) in keys and (b, c) in keys]
-        for b in random.permutation(middles)[:MAX_TRIPLES_A_MAP].tolist():
+        for b in random.permutation(middles)[:MAX_TRIPLES_PER_MAP].tolist():
             yield (a, c), (a, b), (b, c)
 
 

@@ -19,7 +19,7 @@ from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.result.folder import file_hash
 from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task
-from cagemap.jobs.run import Outcome
+from cagemap.jobs.run import TaskOutcome
 from cagemap.report.page import flatten_entries
 from cagemap.report.verdicts import overall_verdict, rate_figures
 
@@ -70,11 +70,11 @@ class PairRow:
 
 
 def pair_rows(
-    plan: Plan, outcomes: dict[str, Outcome], cycle_errors: dict[tuple[str, str], float] | None = None
+    plan: Plan, outcomes: dict[str, TaskOutcome], cycle_errors: dict[tuple[str, str], float] | None = None
 ) -> list[PairRow]:
     """Rows of all pairs of a plan, worst first."""
     rows = []
-    of_pair: dict[Any, list[tuple[Task, Outcome | None]]] = {}
+    of_pair: dict[Any, list[tuple[Task, TaskOutcome | None]]] = {}
     for task in plan.tasks:
         of_pair.setdefault(task.pair, []).append((task, outcomes.get(task.name)))
     for pair in plan.pairs:

@@ -39,8 +39,8 @@ SURFACE_OPTIONS = frozenset(
     ]
 )
 DEFAULT_OUTPUTS = {"report": "report.html", "wrap": "{target}.obj"}
-Pair = tuple[str, str]
-Tree = Callable[[list[Asset]], list[Pair]]
+PairNames = tuple[str, str]
+Tree = Callable[[list[Asset]], list[PairNames]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Task:
         Source and target.
     predecessors : tuple of str
         Names of tasks that must have ended before, in success or failure.
-    reads : dict of str to str
+    input_hashes : dict of str to str
         `content_hash` of the input files at planning.
     """
 
@@ -75,9 +75,9 @@ class Task:
     needs: tuple[str, ...]
     request: dict[str, Any] = field(repr=False)
     outputs: tuple[str, ...] = ()
-    pair: Pair | None = None
+    pair: PairNames | None = None
     predecessors: tuple[str, ...] = ()
-    reads: dict[str, str] = field(default_factory=dict, repr=False)
+    input_hashes: dict[str, str] = field(default_factory=dict, repr=False)
 
     @property
     def slug(self) -> str:
@@ -103,7 +103,7 @@ class Plan:
 
     root: Path
     tasks: tuple[Task, ...]
-    pairs: tuple[Pair, ...]
+    pairs: tuple[PairNames, ...]
     omitted_outputs: tuple[str, ...] = ()
 
 
@@ -126,7 +126,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
     planner = _Planner(job, version)
     tasks: dict[str, Task] = {}
     omitted_outputs: list[str] = []
-    pairs: dict[Pair, dict[str, Any]] = {}
+    pairs: dict[PairNames, dict[str, Any]] = {}
     for rule in job.pairs:
         for pair in _rule_pairs(rule.source, rule.target, rule.tree, job, tree):
             files = {"landmarks": rule.landmarks, "map": rule.map}
@@ -172,7 +172,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
 
 def _rule_pairs(
     source: str | list[str] | None, target: str | list[str] | None, among: str | list[str] | None, job: Job, tree: Tree
-) -> Iterator[Pair]:
+) -> Iterator[PairNames]:
     """Source and target of every pair of a rule, without pairs of one asset."""
     names = list(job.assets)
     if among is not None:
@@ -245,8 +245,8 @@ class _Planner:
         side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
         request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
         key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
-        reads, request = self.hashes.files_in(request), {**request, "cache": self.cache}
-        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, reads=reads)
+        input_hashes, request = self.hashes.files_in(request), {**request, "cache": self.cache}
+        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, input_hashes=input_hashes)
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
         """The task of a pair's map."""
@@ -263,8 +263,10 @@ class _Planner:
         request = {**inputs, "output": str(self.job.output / folder)}
         request |= {} if "map" in options else {"cache": self.cache}
         pair, needed_names = (source.name, target.name), tuple(task.name for task in needs)
-        title, reads = f"match {pair[0]} -> {pair[1]}", self.hashes.files_in(inputs)
-        return Task("match", title, key, needed_names, request, (f"{folder}/{ARRAYS}",), pair, reads=reads)
+        title, input_hashes = f"match {pair[0]} -> {pair[1]}", self.hashes.files_in(inputs)
+        return Task(
+            "match", title, key, needed_names, request, (f"{folder}/{ARRAYS}",), pair, input_hashes=input_hashes
+        )
 
     def picture(self, match: Task) -> Task:
         """The task of a pair's small picture on the job's page."""
@@ -303,10 +305,18 @@ class _Planner:
         key = task_key(
             self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *earlier_keys
         )
-        reads, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
+        input_hashes, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / file) for option, file in files.items()}
         title = f"{rule.command} {pair}: {Path(files['output']).name}"
         predecessors = tuple(task.name for task in earlier[-1:])
         return Task(
-            rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, predecessors, reads
+            rule.command,
+            title,
+            key,
+            (match.name,),
+            request,
+            tuple(files.values()),
+            match.pair,
+            predecessors,
+            input_hashes,
         )

@@ -30,12 +30,12 @@ MAX_RETRIES = 2
 _REMEDY = "Run the same command again: what is done is kept."
 
 Runner = Callable[[Task], dict[str, Any]]
-Report = Callable[["Outcome", int, int], None]
+Report = Callable[["TaskOutcome", int, int], None]
 OpenClient = Callable[[], "Client"]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """The end of a task.
 
     Attributes
@@ -67,7 +67,7 @@ class Outcome:
 
 def run_plan(
     plan: Plan, runner: Runner, connect: OpenClient, report: Report = lambda outcome, finished, total: None
-) -> dict[str, Outcome]:
+) -> dict[str, TaskOutcome]:
     """Run the missing tasks of a plan.
 
     Parameters
@@ -82,7 +82,7 @@ def run_plan(
 
     Returns
     -------
-    dict of str to Outcome
+    dict of str to TaskOutcome
         By name, of all tasks of the plan except preparations that no missing task needs.
     """
     outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
@@ -112,7 +112,7 @@ def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
     return needed
 
 
-def kept_outcome(root: Path, task: Task) -> Outcome | None:
+def kept_outcome(root: Path, task: Task) -> TaskOutcome | None:
     """The outcome of an earlier run, if the task and its files are unchanged."""
     note = own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
@@ -121,14 +121,14 @@ def kept_outcome(root: Path, task: Task) -> Outcome | None:
     is_complete = all(file.is_file() and file.stat().st_size == size for file, size in files)
     if not is_complete:
         return None
-    return Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
+    return TaskOutcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
 
 
-def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: Outcome) -> Outcome:
+def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutcome) -> TaskOutcome:
     """Run one task unless another run has done it; errors become a failed outcome."""
     failed = [outcome for outcome in earlier_outcomes if outcome.name in task.needs and not outcome.usable]
     if failed:
-        return Outcome(task.name, "skipped", _skip_message(failed[0]))
+        return TaskOutcome(task.name, "skipped", _skip_message(failed[0]))
     from filelock import FileLock  # here: plans and dry runs do not need it
 
     start = time.perf_counter()
@@ -146,7 +146,7 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: Outcome) 
                 _note_path(root, task).unlink()  # its files are replaced below
             with files_written() as written:
                 figures = runner(task)
-            for path, expected_hash in task.reads.items():
+            for path, expected_hash in task.input_hashes.items():
                 if content_hash(path) != expected_hash:
                     raise FormatError(
                         f"{path}: has changed since this run began, so what came of it is not kept. {_REMEDY}"
@@ -162,7 +162,7 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: Outcome) 
                 "figures": figures,
             }
             write_whole(_note_path(root, task), json.dumps(note, indent=1))
-            return Outcome(task.name, "done", "", seconds, figures, tuple(outputs))
+            return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except CagemapError as error:
         message = str(error)
     except MemoryError:
@@ -171,12 +171,17 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: Outcome) 
         message = f"{error.filename or 'file'}: {error.strerror or error}. Check the path and the room on the disk."
     except Exception as error:
         message = f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it."
-    return Outcome(task.name, "failed", message, time.perf_counter() - start)
+    return TaskOutcome(task.name, "failed", message, time.perf_counter() - start)
 
 
 def _run_tasks(
-    client: Client, plan: Plan, missing: list[Task], runner: Runner, kept_outcomes: dict[str, Outcome], report: Report
-) -> dict[str, Outcome]:
+    client: Client,
+    plan: Plan,
+    missing: list[Task],
+    runner: Runner,
+    kept_outcomes: dict[str, TaskOutcome],
+    report: Report,
+) -> dict[str, TaskOutcome]:
     from distributed import as_completed, wait
 
     run = uuid.uuid4().hex[:8]
@@ -190,7 +195,7 @@ def _run_tasks(
         earlier = [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)]
         futures[task.name] = submit(task, earlier, 1)
     names = {future.key: name for name, future in futures.items()}
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, TaskOutcome] = {}
     lost = set()
     for future in as_completed(futures.values()):
         name = names[future.key]
@@ -215,22 +220,22 @@ def _earlier_tasks(task: Task) -> tuple[str, ...]:
     return (*task.needs, *task.predecessors)
 
 
-def _count_as_done(outcome: Outcome) -> Outcome:
+def _count_as_done(outcome: TaskOutcome) -> TaskOutcome:
     """State "done" for tasks that a lost worker or another run finished meanwhile."""
     return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
-def _skip_message(outcome: Outcome) -> str:
+def _skip_message(outcome: TaskOutcome) -> str:
     return f"needs '{outcome.name}', which {'was ' * (outcome.state == 'skipped')}{outcome.state}"
 
 
-def _lost_outcome(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
+def _lost_outcome(task: Task, outcomes: dict[str, TaskOutcome]) -> TaskOutcome:
     """Outcome of a task whose workers were lost, or that needs such a task."""
     for name in task.needs:
         if name in outcomes and not outcomes[name].usable:
-            return Outcome(task.name, "skipped", _skip_message(outcomes[name]))
+            return TaskOutcome(task.name, "skipped", _skip_message(outcomes[name]))
     cause = f"its worker died {MAX_RETRIES + 1} times: killed, or out of memory. Use fewer workers"
-    return Outcome(task.name, "failed", f"{cause}. {_REMEDY}")
+    return TaskOutcome(task.name, "failed", f"{cause}. {_REMEDY}")
 
 
 @contextmanager

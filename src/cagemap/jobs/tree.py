@@ -15,7 +15,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, face_areas
 from cagemap.numerics.arrays import FloatArray
 
-SAMPLE_COUNT = 4000
+DISTANCE_COUNT = 4000
 QUANTILE_COUNT = 200
 
 
@@ -59,8 +59,8 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
         raise InvalidMeshError(f"{mesh.name}: expected faces with an area, got none. Export the mesh again.")
     share = (areas / np.maximum(mesh.face_sizes - 2, 1))[faces]
     random = np.random.default_rng(20020107)
-    sampled = random.choice(len(triangles), size=(2, SAMPLE_COUNT), p=share / share.sum())
-    u, v = np.sqrt(random.random((2, 2, SAMPLE_COUNT, 1)))[0], random.random((2, SAMPLE_COUNT, 1))
+    sampled = random.choice(len(triangles), size=(2, DISTANCE_COUNT), p=share / share.sum())
+    u, v = np.sqrt(random.random((2, 2, DISTANCE_COUNT, 1)))[0], random.random((2, DISTANCE_COUNT, 1))
     a, b, c = (mesh.positions[triangles[sampled, k]] for k in range(3))
     points = (1 - u) * a + u * (1 - v) * b + u * v * c
     distances = np.linalg.norm(points[0] - points[1], axis=1) / np.sqrt(areas.sum())

@@ -11,7 +11,7 @@ from cagemap.pictures.render import Image, Model, visible_points
 from cagemap.surface.polylines import Polyline
 
 # Points that a segment of a line is drawn with.
-POINTS_A_SEGMENT = 12
+POINTS_PER_SEGMENT = 12
 
 
 def draw_dots(
@@ -56,7 +56,7 @@ def draw_line(image: Image, model: Model, camera: Camera, line: Polyline, color:
         In the surface's unit.
     color : (3,) sRGB in [0, 1]
     """
-    return _draw_stroke(image, model, camera, line.finer(POINTS_A_SEGMENT), color, width=3.0, rim=1.0)
+    return _draw_stroke(image, model, camera, line.finer(POINTS_PER_SEGMENT), color, width=3.0, rim=1.0)
 
 
 def draw_segments(image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray) -> Image:

@@ -22,7 +22,7 @@ from cagemap.pictures.colors import to_display, to_linear
 from cagemap.surface.triangles import vertex_normals
 
 Image = NDArray[np.uint8]
-CLAY = np.array([0.80, 0.78, 0.75])
+DEFAULT_COLOR = np.array([0.80, 0.78, 0.75])
 WHITE = np.ones(3)
 FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid points a side
 SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
@@ -248,7 +248,7 @@ def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) 
         return np.einsum("rc,rcd->rd", corner, to_linear(skin.vertex_colors[model.triangles[triangle]]))
     if skin.face_colors is not None:
         return to_linear(skin.face_colors[triangle])
-    return np.tile(to_linear(CLAY), (len(triangle), 1))
+    return np.tile(to_linear(DEFAULT_COLOR), (len(triangle), 1))
 
 
 def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:

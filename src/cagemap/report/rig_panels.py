@@ -101,7 +101,7 @@ NO_DATA = CarriedData()
 
 _Value = TypeVar("_Value")
 # Model, skin, view, segments to draw on it, caption.
-_Job = tuple[Model, Skin, View, FloatArray | None, str]
+_PictureJob = tuple[Model, Skin, View, FloatArray | None, str]
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, 
     target_model = _finest_model(target, target_turn)
     distance_skin = Skin(vertex_colors=scalar_colors(distance, 0.0, max_distance))
     wrapped_edges, target_edges = control_edges(wrapped) @ source_turn, control_edges(target) @ target_turn
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
         jobs += [
             (source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"),
@@ -185,7 +185,7 @@ def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, 
 
 def _weights_panel(result: MatchResult, weights: Weights, viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
     """Skinning weights as colours, from the front and from behind."""
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
         for refinement, values, turn, side in _both_sides(result, viewpoints, weights.source, weights.target):
             colors = refinement.prolong(joint_colors(values), 0, refinement.n_levels).clip(0.0, 1.0)
@@ -200,7 +200,7 @@ def _shapes_panel(
 ) -> Panel:
     """The largest shapes on both models, coloured by the length of the offsets."""
     largest = sorted(shapes, key=lambda shape: -float(np.linalg.norm(shape.source, axis=1).max(initial=0.0)))
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for shape in sorted(largest[:MAX_PANEL_SHAPES], key=lambda shape: shape.name):
         for refinement, offsets, turn, side in _both_sides(result, viewpoints, shape.source, shape.target):
             finest_offsets = refinement.prolong(offsets, 0, refinement.n_levels)
@@ -221,7 +221,7 @@ def _passengers_panel(
     """Both bodies with their passengers, a colour for each."""
     palette = distinct_colors(len(passengers))
     meshes = [passenger.source for passenger in passengers], [passenger.target for passenger in passengers]
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
         for refinement, worn, turn, side in _both_sides(result, viewpoints, *meshes):
             body = _finest_model(refinement, turn)
@@ -237,7 +237,7 @@ def _passengers_panel(
 
 def _poses_panel(result: MatchResult, poses: Sequence[Pose], viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
     """Both models in the first poses."""
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for pose in poses[:MAX_PANEL_POSES]:
         for refinement, positions, turn, side in _both_sides(result, viewpoints, pose.source, pose.target):
             offsets = refinement.prolong(positions - refinement.control.positions, 0, refinement.n_levels)
@@ -270,12 +270,12 @@ def _join_models(models: Sequence[Model]) -> Model:
     return Model(np.concatenate([model.positions for model in models]), np.concatenate(triangles))
 
 
-def _draw_all(jobs: Sequence[_Job], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
+def _draw_all(jobs: Sequence[_PictureJob], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
     with ThreadPool(2) as pool:
         yield from zip(pool.map(partial(_draw, size=size), jobs), (job[4] for job in jobs), strict=True)
 
 
-def _draw(job: _Job, size: tuple[int, int]) -> Image:
+def _draw(job: _PictureJob, size: tuple[int, int]) -> Image:
     model, skin, view, segments, _ = job
     camera = frame(model.positions, view, aspect=size[0] / size[1])
     image = render(model, skin, camera, width=size[0], height=size[1], background=BACKGROUND)

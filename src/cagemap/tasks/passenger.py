@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passenger
 from cagemap.files.atomic import check_outputs
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
@@ -24,7 +24,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     mesh = read_mesh(request.passenger)
     check_outputs(mesh_files(request.output, mesh), [request.passenger], force=request.force)
     stages("passenger")
-    carried = carry_passenger(result, mesh, kind=cast(Kind | None, request.kind))
+    carried = carry_passenger(result, mesh, kind=cast(PassengerKind | None, request.kind))
     write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)
     files = {"file": request.passenger, "output": request.output}
     entry = {"kind": "passenger"} | {name: stated_path(path, request.result) for name, path in files.items()}
