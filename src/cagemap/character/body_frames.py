@@ -47,8 +47,9 @@ class SignedDistances:
 class BodyFrames:
     """Affine frames of a map at the target's vertices.
 
-    An offset from the source, as a row, times ``matrices`` is the offset from the target. A frame transforms tangents by
-    the map's averaged derivative, and the source's unit normal to the target's. Lengths are those of unit area.
+    An offset from the source, as a row, times one of the ``matrices`` is the offset from the target. A frame transforms
+    tangents by the map's averaged derivative, and the source's unit normal to the target's. Lengths are those of unit
+    area.
 
     Attributes
     ----------
