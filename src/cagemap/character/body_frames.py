@@ -12,6 +12,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalized
 
 
@@ -29,18 +30,37 @@ class FrameConfig:
 
 @dataclass(frozen=True, eq=False)
 class SignedDistances:
-    """Closest points of the source's body to some points.
+    """Signed distances of points from a body.
 
     Attributes
     ----------
     heights : (m,) float64
-        Signed distance from the source, negative inside.
+        Negative inside the body; infinite where no closest point was found.
     normals : (m, 3) float64
-        Unit normals of the source at the closest points.
+        Unit normals of the body at the closest points.
     """
 
     heights: FloatArray
     normals: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        body: TriangleSurface,
+        points: FloatArray,
+        normals: FloatArray | None = None,
+        minimum_cosine: float = -2.0,
+        within: float = np.inf,
+    ) -> SignedDistances:
+        """Of points (m, 3); options as in `closest_points`."""
+        triangle, barycentric, distance = closest_points(
+            body.tree, points, normals, minimum_cosine=minimum_cosine, within=within
+        )
+        corners = body.triangles[triangle]
+        closest = np.einsum("nc,ncd->nd", barycentric, body.positions[corners])
+        body_normals = normalized(np.einsum("nc,ncd->nd", barycentric, body.vertex_normals[corners]))
+        side = np.einsum("nd,nd->n", points - closest, body_normals)
+        return cls(np.copysign(distance, side), body_normals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,17 +138,7 @@ class BodyFrames:
         )
         return np.asarray(np.linalg.solve(moments, covariance))
 
-    def signed_distances(self, points: FloatArray) -> SignedDistances:
-        """Heights and normals at the closest points of the source to points (m, 3)."""
-        source = self.point_map.source
-        triangle, barycentric, distance = closest_points(source.tree, points)
-        corners = source.triangles[triangle]
-        closest = np.einsum("nc,ncd->nd", barycentric, source.positions[corners])
-        normals = normalized(np.einsum("nc,ncd->nd", barycentric, source.vertex_normals[corners]))
-        signed = np.einsum("nd,nd->n", points - closest, normals)
-        return SignedDistances(np.copysign(distance, signed), normals)
-
-    def carry(self, points: FloatArray, signed_distances: SignedDistances) -> tuple[FloatArray, FloatArray]:
+    def carry(self, points: FloatArray, distances: SignedDistances) -> tuple[FloatArray, FloatArray]:
         """Positions (m, 3) near the target of points near the source, and their frames (m, 3, 3)."""
         config, point_map = self.config, self.point_map
         count = min(config.neighbors, len(self.samples))
@@ -138,7 +148,7 @@ class BodyFrames:
         # Weights fall to 0 at the last neighbour, so that positions are continuous.
         inside = np.maximum(0.0, 1.0 - (distance / (1.001 * distance[:, -1:] + 1e-300)) ** 2) ** 2
         weights = point_map.target.vertex_areas[vertices] * inside / (distance**2 + config.min_distance**2) ** 2
-        cosines = np.einsum("nkd,nd->nk", self.source_normals[vertices], signed_distances.normals)
+        cosines = np.einsum("nkd,nd->nk", self.source_normals[vertices], distances.normals)
         weights *= np.clip((cosines - config.min_cosine) / (1.0 - config.min_cosine), 1e-9, 1.0)
         weights /= weights.sum(axis=1, keepdims=True)
         starts = np.arange(0, vertices.size + 1, count)

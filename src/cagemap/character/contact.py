@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.character.body_frames import BodyFrames, neighbor_means
+from cagemap.character.body_frames import BodyFrames, SignedDistances, neighbor_means
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -82,7 +82,7 @@ class Contact:
             Affine maps from source to target around them.
         config : ContactConfig
         """
-        heights, _ = _heights(frames.point_map.source, points, normals, config)
+        heights = _signed_distances(frames.point_map.source, points, normals, config).heights
         vertices = np.flatnonzero((heights > 0) & (heights < config.reach))
         directions = normalized(np.einsum("nd,nde->ne", normals, frames_at_points))[vertices]
         found_per_mesh = [_find_covered(frames, points, triangles, config) for triangles in meshes]
@@ -137,9 +137,8 @@ def push_out(
     heights, upright = np.full(len(contact.vertices), np.inf), np.zeros_like(contact.directions)
     for _ in range(config.max_rounds):
         changed = np.flatnonzero(is_moved[contact.vertices])
-        heights[changed], upright[changed] = _heights(
-            target, places[contact.vertices[changed]], contact.directions[changed], config
-        )
+        distances = _signed_distances(target, places[contact.vertices[changed]], contact.directions[changed], config)
+        heights[changed], upright[changed] = distances.heights, distances.normals
         rise = np.maximum(contact.min_heights - heights, 0.0)  # 0 where no body is near: heights are infinite
         rise[rise < config.tolerance] = 0.0
         offsets = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - body_positions
@@ -162,32 +161,20 @@ def push_out(
 def _limit_depth(target: TriangleSurface, start: FloatArray, pushed: FloatArray, config: ContactConfig) -> FloatArray:
     """(n, 3) pushed positions; pushes into another part of the body are halved."""
     rows = np.flatnonzero((start != pushed).any(axis=1))
-    depths = np.minimum(_heights(target, start[rows], None, config)[0], 0.0)
+    depths = np.minimum(_signed_distances(target, start[rows], None, config).heights, 0.0)
     for _ in range(config.max_halvings):
-        is_deeper = _heights(target, pushed[rows], None, config)[0] < depths - config.tolerance
+        is_deeper = _signed_distances(target, pushed[rows], None, config).heights < depths - config.tolerance
         rows, depths = rows[is_deeper], depths[is_deeper]
         pushed[rows] = 0.5 * (start[rows] + pushed[rows])
     return pushed
 
 
-def _heights(
-    surface: TriangleSurface,
-    points: FloatArray,
-    normals: FloatArray | None,
-    config: ContactConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (m,), infinite out of reach, from closest points with similar normals; normals (m, 3) there."""
-    triangle, barycentric, distance = closest_points(
-        surface.tree,
-        points,
-        normals,
-        minimum_cosine=-2.0 if normals is None else config.min_facing_cosine,
-        within=2.0 * config.reach,
-    )
-    corners = surface.triangles[triangle]
-    closest = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
-    upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
-    return np.copysign(distance, np.einsum("nd,nd->n", points - closest, upward)), upward
+def _signed_distances(
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray | None, config: ContactConfig
+) -> SignedDistances:
+    """Signed distances from points of the surface with similar normals, infinite out of reach."""
+    minimum_cosine = -2.0 if normals is None else config.min_facing_cosine
+    return SignedDistances.of(surface, points, normals, minimum_cosine, 2.0 * config.reach)
 
 
 def _longer_rows(first: FloatArray, second: FloatArray) -> FloatArray:

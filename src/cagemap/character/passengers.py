@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.character.body_frames import BodyFrames
+from cagemap.character.body_frames import BodyFrames, SignedDistances
 from cagemap.character.contact import Contact, push_out
 from cagemap.character.passenger_pieces import PASSENGER_KINDS, PassengerKind, find_pieces, fit_similarities
 from cagemap.errors import ParameterError
@@ -97,19 +97,19 @@ def carry_passengers(
         fan_triangles(mesh.face_offsets, mesh.face_indices)[0] + start
         for mesh, start in zip(meshes, starts[:-1], strict=True)
     ]
-    signed_distances = frames.signed_distances(points)
-    places, matrices = frames.carry(points, signed_distances)
-    contact = Contact.find(frames, points, triangles, signed_distances.normals, matrices)
+    distances = SignedDistances.of(source, points)
+    places, matrices = frames.carry(points, distances)
+    contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
     factor = source.scale / target.scale
     carried = []
     for mesh, start in zip(meshes, starts[:-1], strict=True):
         rows = slice(start, start + mesh.n_vertices)
-        pieces = find_pieces(mesh, points[rows], signed_distances.heights[rows], kinds.get(mesh.name))
+        pieces = find_pieces(mesh, points[rows], distances.heights[rows], kinds.get(mesh.name))
         positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
         linear_map = factor * scales[:, None, None] * turns
         carried.append(
-            CarriedPassenger(positions / target.scale, linear_map, float(np.abs(signed_distances.heights[rows]).mean()))
+            CarriedPassenger(positions / target.scale, linear_map, float(np.abs(distances.heights[rows]).mean()))
         )
     return carried
 
