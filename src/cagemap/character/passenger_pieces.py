@@ -80,7 +80,8 @@ def find_pieces(
     )
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
-    heads, tails = _near_pairs(centres, config.concentric_share * config.max_radius)
+    near = cKDTree(centres).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
+    heads, tails = near.astype(np.int64).T
     is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
         radius[heads], radius[tails]
     )
@@ -89,11 +90,6 @@ def find_pieces(
     group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
     group_rigid[group[is_rigid]] = True
     return Pieces(group[piece], group_rigid, kind != "rigid")
-
-
-def _near_pairs(centres: FloatArray, max_distance: float) -> tuple[IndexArray, IndexArray]:
-    pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray")
-    return pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
 
 
 def fit_similarities(

@@ -272,10 +272,8 @@ class _Planner:
         """The task of a pair's small picture on the job's page."""
         assert match.pair is not None
         source, target = match.pair
-        request = {
-            "result": match.request["output"],
-            "output": str(Path(match.request["output"]).parent / PICTURE_FILE),
-        }
+        folder = match.request["output"]
+        request = {"result": folder, "output": str(Path(folder).parent / PICTURE_FILE)}
         key = task_key(self.version, "picture", match.key)
         file = f"{source}__{target}/{PICTURE_FILE}"
         return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (file,), match.pair)
