@@ -153,18 +153,11 @@ def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, 
     target_model = _finest_model(target, target_turn)
     distance_skin = Skin(vertex_colors=scalar_colors(distance, 0.0, max_distance))
     wrapped_edges, target_edges = control_edges(wrapped) @ source_turn, control_edges(target) @ target_turn
+    clay, caption = _clay_skin(wrapped_model), "wrapped surface, the edges of the cage on it"
     jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
-        jobs += [
-            (source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"),
-            (
-                wrapped_model,
-                _clay_skin(wrapped_model),
-                view,
-                wrapped_edges,
-                f"wrapped surface, the edges of the cage on it, {view.name}",
-            ),
-        ]
+        jobs.append((source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"))
+        jobs.append((wrapped_model, clay, view, wrapped_edges, f"{caption}, {view.name}"))
     scale = f"distance to the source: dark 0, yellow {100 * max_distance:.2g} % of sqrt(area)"
     jobs += [
         (wrapped_model, distance_skin, FRONT, None, scale),
