@@ -119,7 +119,7 @@ def report(request: ReportRequest, stages: Stages) -> Outcome:
 
 @request_command(RunRequest)
 def run(request: RunRequest) -> None:
-    """Match and transfer many pairs, as a job file says.
+    """Match and transfer all pairs of a job file.
 
     Writes a folder with a RESULT for every pair, the outputs of the job, index.html and figures.csv. Finished tasks are
     kept: after a failure or a change, run it again and only missing tasks are done. Exit code 1 if anything failed.

@@ -223,7 +223,7 @@ def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path:
 
 
 def resolve_files(value: Any, kind: Any, folder: Path) -> Any:
-    """An option's value with relative files made absolute; the option's type tells which are files."""
+    """An option's value with relative files made absolute; the option's type shows which are files."""
     if isinstance(value, str):
         return (
             str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value
