@@ -87,7 +87,7 @@ if TYPE_CHECKING:
     from cagemap.transfer.masks import with_alpha as with_alpha
     from cagemap.transfer.unwrap import unwrap as unwrap
 
-# The one list, by package. `__all__`, `dir` and a test of that page follow it.
+# Public names by package; `__all__` and `dir` are made from it.
 _PACKAGES = {
     "spectral": ("BasisConfig", "HierarchicalBasis", "Surface"),
     "spectral.mesh_eigenpairs": ("eigenpairs", "operators_for_diffusion_net"),

@@ -1,4 +1,4 @@
-"""``python -m cagemap`` is the command `cagemap`, also where the folder of commands is not on the PATH."""
+"""``python -m cagemap``: the command `cagemap`, also if it is not on the PATH."""
 
 from cagemap.cli import main
 

@@ -1,9 +1,8 @@
-"""The steps of the method one at a time, for research: bring your own meshes, descriptors, operators, maps.
+"""Single steps of the method, for research with own meshes, descriptors, operators and maps.
 
-Everything here is a short name for what the packages do; docs/researchers.md walks through it, docs/recipes.md has
-short programs. A map is a `PointMap` of the finest levels, a functional map C12 of any size, or a source vertex for
-every target vertex of a level: `zoomout`, `elastic`, `project`, `unfold`, `judge`, `point_map`, `functional_map_of` and
-the ``start`` of `paper_map` and `hfm_map` take each of them.
+docs/researchers.md explains the functions, docs/recipes.md has short programs. A map is a `PointMap` of the finest
+levels, a functional map C12 of any size, or a source vertex for every target vertex of a level: `zoomout`, `elastic`,
+`project`, `unfold`, `judge`, `point_map`, `functional_map_of` and the ``start`` of `paper_map` and `hfm_map` take all.
 """
 
 from __future__ import annotations
@@ -87,11 +86,11 @@ __all__ = [
 
 
 SIDES = ("target", "source")
-# As many functions as a match reads, and operators of every level.
-EVERY_LEVEL = replace(MAP_BASIS, vertices=None)
+# As many functions as a match uses, and operators of every level.
+FULL_BASIS = replace(MAP_BASIS, vertices=None)
 
 
-def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str = "mesh") -> Surface:
+def prepare(mesh: Any, level: int, basis: BasisConfig = FULL_BASIS, name: str = "mesh") -> Surface:
     """Refine a mesh, build its operators and its basis, see `control_mesh` and `cagemap.prepare_surface`."""
     return prepare_surface(control_mesh(mesh, name), level, basis)
 
@@ -102,7 +101,7 @@ def make_pair(
     landmarks: tuple[ArrayLike, ArrayLike] = ((), ()),
     symmetries: Sequence[SymmetryPair] = (),
 ) -> Pair:
-    """Two prepared surfaces, corresponding control vertices (target's, source's), and corresponding self-maps.
+    """Make a pair of prepared surfaces with corresponding control vertices and self-maps.
 
     Parameters
     ----------
@@ -114,7 +113,7 @@ def make_pair(
     Raises
     ------
     ParameterError
-        If the sides do not correspond one to one, or a self-map is none of the control vertices.
+        If the sides do not correspond one to one, or a self-map is not one of control vertices.
     """
     vertices = [whole_numbers(side, f"landmarks: {name}") for side, name in zip(landmarks, SIDES, strict=True)]
     if vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
@@ -123,15 +122,17 @@ def make_pair(
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
-    images = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
-    for on_target, on_source in images:
+    self_maps = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
+    for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
         check_symmetry(on_source, source.control)
-    return Pair.of_vertices(target, source, vertices[0], vertices[1], tuple((one, two) for one, two in images))
+    return Pair.of_vertices(
+        target, source, vertices[0], vertices[1], tuple((on_target, on_source) for on_target, on_source in self_maps)
+    )
 
 
 def eigenfunctions(surface: Surface, level: int) -> tuple[FloatArray, FloatArray]:
-    """Basis functions at the vertices of a level, (n, k), and their eigenvalues, (k,), of unit area."""
+    """Basis functions (n, k) at a level's vertices, and eigenvalues (k,) at unit area."""
     return surface.basis.at(level), surface.basis.eigenvalues[: surface.basis.size(level)]
 
 
@@ -150,78 +151,80 @@ def landmark_functions(surface: Surface, filters: Filters, vertices: IndexArray,
 def functional_map(
     pair: Pair, constraints: Constraints, weights: MapWeights = MapWeights(), levels: LevelPair | None = None
 ) -> FloatArray:
-    """C12 from constraints alone: eq. 13 on level 0, eqs. 14-16 for every band of the levels above.
+    """C12 from constraints alone: eq. 13 on level 0, then eqs. 14-16 for every band.
 
     Parameters
     ----------
     pair : Pair
     constraints : Constraints
-        `gather_constraints`, with what one adds; or one's own.
+        From `gather_constraints`, or others.
     weights : MapWeights
     levels : (int, int), optional
-        Up to which; default: the finest.
+        Last levels; default: the finest.
     """
     last = (pair.target.finest, pair.source.finest) if levels is None else levels
-    steps = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *ladder(pair, (0, 0))]]
-    found = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
-    for step in steps[1:]:
-        sizes = basis_sizes(pair, step)
-        if sizes != found.shape:
-            found = extend_functional_map(found, constraints.leading(*sizes), weights)
-    return found
+    level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *ladder(pair, (0, 0))]]
+    matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
+    for level_pair in level_pairs[1:]:
+        sizes = basis_sizes(pair, level_pair)
+        if sizes != matrix.shape:
+            matrix = extend_functional_map(matrix, constraints.leading(*sizes), weights)
+    return matrix
 
 
-def point_map(pair: Pair, found: MapLike) -> PointMap:
-    """T12 from a functional map as it is: full search on a coarse level, candidates below, vertex to point (5.4).
+def point_map(pair: Pair, map_like: MapLike) -> PointMap:
+    """T12 of a functional map without refinement (5.4).
+
+    Full search on a coarse level, search among candidates on finer levels, then vertex to point.
 
     Parameters
     ----------
     pair : Pair
         Its landmarks are not used.
-    found : map
-        C12 on the leading basis functions of both surfaces. Vertex maps of the finest level and point maps stay as they
-        are; those of coarser levels go through C12.
+    map_like : map
+        C12 on the leading basis functions of both surfaces. Vertex maps of the finest level and point maps are kept;
+        vertex maps of coarser levels are converted to C12 first.
     """
-    given = checked(pair, found)
-    if isinstance(given, PointMap):
-        return given
-    if given.ndim == 1 and len(given) == len(pair.target.vertices):
-        vertices = given.astype(np.int64)
+    checked_map = checked(pair, map_like)
+    if isinstance(checked_map, PointMap):
+        return checked_map
+    if checked_map.ndim == 1 and len(checked_map) == len(pair.target.vertices):
+        vertices = checked_map.astype(np.int64)
         return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, vertices)
-    matrix = functional_map_from(pair, given)
+    matrix = functional_map_from(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
-    matched = LevelMap(start, matrix, search_full(pair, matrix, start))
+    level_map = LevelMap(start, matrix, search_full(pair, matrix, start))
     for levels in ladder(pair, start):
-        matched = LevelMap(levels, matrix, search_level(pair, matrix, levels, matched))
-    return recover_points(pair, matched)
+        level_map = LevelMap(levels, matrix, search_level(pair, matrix, levels, level_map))
+    return recover_points(pair, level_map)
 
 
-def functional_map_of(pair: Pair, found: MapLike) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 of a point or vertex map (2.1.2), on a sample of its vertices; (k1, k2)."""
-    return functional_map_from(pair, found)
+def functional_map_of(pair: Pair, map_like: MapLike) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 (k1, k2) of a point or vertex map (2.1.2), on sampled vertices."""
+    return functional_map_from(pair, map_like)
 
 
 def zoomout(pair: Pair, start: MapLike, schedule: ZoomOutSchedule = ZoomOutSchedule()) -> FloatArray:
-    """C12 (k1, k2) by ZoomOut from any map: fitted and searched with more and more functions, on samples."""
+    """C12 (k1, k2) by ZoomOut from any map, on sampled vertices."""
     return zoomed_out(pair, start, schedule)
 
 
 def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | None = None) -> PointMap:
-    """T12 by the elastic fit from any map: deformed, projected, unfolded, with the landmarks met.
+    """T12 by the elastic fit from any map: deform, project, unfold; landmarks are constraints.
 
     Parameters
     ----------
     pair : Pair
-        With three landmarks or more its fit from them competes with that from the start.
+        With at least three landmarks, a fit from these competes with the fit from the start.
     start : map, optional
         Default: as in `cagemap.match`.
     prepared : PreparedPair, optional
-        `cagemap.prepare_pair` of the two surfaces, to keep for several calls.
+        From `cagemap.prepare_pair`, for several calls.
 
     Raises
     ------
     ParameterError
-        If the start is no map of this pair.
+        If the start is not a map of this pair.
     """
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair)
     places = None
@@ -231,13 +234,13 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
 
 
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:
-    """T12 of closest points: a subdivision surface through the images of about 3000 vertices, with landmarks met.
+    """T12 of closest points to a subdivision surface through the images of about 3000 vertices.
 
     Parameters
     ----------
     pair : Pair
     start : map, or (n, 3) array
-        Or places, at the source's unit area, of the vertices of ``prepared.mesh``.
+        Or positions, at the source's unit area, of the vertices of ``prepared.mesh``.
     prepared : PreparedPair, optional
         As in `elastic`.
     """
@@ -248,18 +251,18 @@ def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) ->
     return _project(prepared, places, pair.landmarks)
 
 
-def unfold(pair: Pair, found: MapLike) -> PointMap:
+def unfold(pair: Pair, map_like: MapLike) -> PointMap:
     """T12 without most of its folds, see `cagemap.unfold`; images of landmarks stay."""
-    return _unfold(point_map(pair, found), held_vertices(pair.landmarks))
+    return _unfold(point_map(pair, map_like), held_vertices(pair.landmarks))
 
 
-def judge(pair: Pair, found: MapLike) -> QualityFigures:
-    """Quality figures of any map without knowing the true one, see `cagemap.judge`."""
-    return _judge(pair.target, point_map(pair, found), pair.landmarks)
+def judge(pair: Pair, map_like: MapLike) -> QualityFigures:
+    """Quality figures of any map without ground truth, see `cagemap.judge`."""
+    return _judge(pair.target, point_map(pair, map_like), pair.landmarks)
 
 
 def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to: int) -> FloatArray:
-    """Functions from source to target through C alone (5.4), smoothed to what the bases can say.
+    """Functions from source to target through C alone (5.4), smoothed by the bases.
 
     Parameters
     ----------
@@ -283,13 +286,13 @@ def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to
     return np.asarray(rows[:, :k1] @ coefficients)
 
 
-def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> MatchResult:
-    """A result from anyone's point map of the finest levels: judged, to be written, baked and reported.
+def result_of_map(pair: Pair, point_map: PointMap, names: Sequence[str] = ()) -> MatchResult:
+    """A result, with quality figures, of any point map of the finest levels.
 
     Parameters
     ----------
     pair : Pair
-    found : PointMap
+    point_map : PointMap
         See its ``from_vertices``, ``from_arrays`` and ``from_matrix``.
     names : sequence of str
         Of the pair's landmarks. Its curves are not in the result.
@@ -297,7 +300,7 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     Raises
     ------
     ParameterError
-        If the map is not one of the target's finest level, or there is not a name for each landmark.
+        If the map is not of the target's finest level, or there is not a name for each landmark.
     """
     count = len(pair.landmarks)
     labels = tuple(names) or tuple(f"point {i}" for i in range(count))
@@ -306,14 +309,14 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     target, source = pair.target, pair.source
     points = _cage_points(target, pair.landmarks.target), _cage_points(source, pair.landmarks.source)
     landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
-    quality = _judge(pair.target, found, pair.landmarks, labels)
-    return MatchResult(pair.target, pair.source, landmarks, found, quality)
+    quality = _judge(pair.target, point_map, pair.landmarks, labels)
+    return MatchResult(pair.target, pair.source, landmarks, point_map, quality)
 
 
 def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
-    """Tensors of torch from arrays and SciPy's sparse matrices, which become coalesced COO tensors.
+    """Torch tensors of arrays, and coalesced COO tensors of SciPy's sparse matrices.
 
-    Whole numbers stay whole. The other way needs nothing: functions that take arrays take tensors too.
+    Integers stay integers. Functions that take arrays take tensors too.
 
     Parameters
     ----------
@@ -336,26 +339,26 @@ def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
     except ImportError as error:
         raise ParameterError("tensors: expected torch to be installed, found none; `pip install torch`") from error
 
-    def made(value: Any) -> Any:
+    def to_tensor(value: Any) -> Any:
         if sparse.issparse(value):
-            entries: Any = sparse.coo_array(value)  # type: ignore[call-overload]
-            places = torch.as_tensor(np.stack(entries.coords).astype(np.int64))
-            data = torch.as_tensor(np.array(entries.data))
-            found = torch.sparse_coo_tensor(places, data, entries.shape, check_invariants=False).coalesce()
+            matrix: Any = sparse.coo_array(value)  # type: ignore[call-overload]
+            indices = torch.as_tensor(np.stack(matrix.coords).astype(np.int64))
+            data = torch.as_tensor(np.array(matrix.data))
+            tensor = torch.sparse_coo_tensor(indices, data, matrix.shape, check_invariants=False).coalesce()
         else:
-            found = torch.as_tensor(np.array(value))  # a copy: ours are read-only
-        return found.to(device=device, dtype=dtype if found.is_floating_point() else None)
+            tensor = torch.as_tensor(np.array(value))  # a copy: ours are read-only
+        return tensor.to(device=device, dtype=dtype if tensor.is_floating_point() else None)
 
-    found = tuple(made(value) for value in values)
-    return found[0] if len(found) == 1 else found
+    tensor = tuple(to_tensor(value) for value in values)
+    return tensor[0] if len(tensor) == 1 else tensor
 
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
     """Points of the control mesh for points of the finest surface."""
-    found, vertices = cage_points_of(surface, points), vertices_at(points)
+    cage_points, vertices = cage_points_of(surface, points), vertices_at(points)
     exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
     at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
     return CagePoints(
-        np.where(exact[:, None], at_vertices.corners, found.corners),
-        np.where(exact[:, None], at_vertices.weights, found.weights),
+        np.where(exact[:, None], at_vertices.corners, cage_points.corners),
+        np.where(exact[:, None], at_vertices.weights, cage_points.weights),
     )

@@ -87,7 +87,7 @@ def test_the_identity_changes_nothing(body: ControlMesh, ball: ControlMesh, kind
     for mesh in all_of(body, ball):
         carried = carry_passenger(point_map, mesh, kind=kind)
         np.testing.assert_allclose(carried.positions, mesh.positions, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(carried.linear, np.tile(np.eye(3), (mesh.n_vertices, 1, 1)), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(carried.matrices, np.tile(np.eye(3), (mesh.n_vertices, 1, 1)), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)

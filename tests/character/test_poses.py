@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from cagemap.character.poses import (
-    MIN_BONE_TURN,
+    MIN_BONE_ANGLE,
     aligned_pose,
     least_rotation,
     parent_transforms,
@@ -134,7 +134,7 @@ def test_a_bent_back_is_a_pose_and_no_turned_rig() -> None:
 
 def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:
     low = person()
-    for angle, kept in ((0.9 * MIN_BONE_TURN, True), (1.1 * MIN_BONE_TURN, False)):
+    for angle, kept in ((0.9 * MIN_BONE_ANGLE, True), (1.1 * MIN_BONE_ANGLE, False)):
         assert np.allclose(aligned_pose(low, raised(low, angle)), low.bind) == kept
 
 

@@ -170,7 +170,7 @@ def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: P
         ("a__b/report.html",),
     ]
     assert tasks[0].request["displacement"] == str(folder / "out" / "a__b" / "b.exr")
-    assert [task.after for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
+    assert [task.predecessors for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
     with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/b\.exr"):
         plan(text.replace("v.obj", "b.exr"))
     with pytest.raises(FormatError, match="expected a name inside the pair"):
@@ -248,8 +248,8 @@ def test_tasks_know_the_files_that_they_are_given(folder: Path) -> None:
     plan = plan_of(folder, HEAD + ASSETS + PAIRS)
     for task in plan.tasks:
         given = [value for value in task.request.values() if isinstance(value, str) and Path(value).is_file()]
-        assert set(task.reads) == set(given)
-    assert any(task.reads for task in plan.tasks if task.kind == "match")
+        assert set(task.input_hashes) == set(given)
+    assert any(task.input_hashes for task in plan.tasks if task.kind == "match")
 
 
 def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from cagemap.errors import FormatError
 from cagemap.files import atomic
-from cagemap.jobs import Outcome, Plan, Task, pair_rows, write_library
+from cagemap.jobs import Plan, Task, TaskOutcome, pair_rows, write_library
 from cagemap.jobs.page import PairRow, build_library_page, build_table
 
 QUALITY = {
@@ -142,10 +142,12 @@ def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
     pairs = (("a", "b"), ("b", "a"))
     tasks = tuple(task(kind, pair, f"{kind}.out") for pair in pairs for kind in ("match", "transfer"))
     outcomes = {
-        tasks[0].name: Outcome(tasks[0].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}, tasks[0].outputs),
-        tasks[1].name: Outcome(tasks[1].name, "kept", "", 1.0, {}, ("a__b/shapes/x.obj", "a__b/shapes/y.obj")),
-        tasks[2].name: Outcome(tasks[2].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}),
-        tasks[3].name: Outcome(tasks[3].name, "failed", "no texture"),
+        tasks[0].name: TaskOutcome(
+            tasks[0].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}, tasks[0].outputs
+        ),
+        tasks[1].name: TaskOutcome(tasks[1].name, "kept", "", 1.0, {}, ("a__b/shapes/x.obj", "a__b/shapes/y.obj")),
+        tasks[2].name: TaskOutcome(tasks[2].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}),
+        tasks[3].name: TaskOutcome(tasks[3].name, "failed", "no texture"),
     }
     rows = pair_rows(Plan(tmp_path, tasks, pairs), outcomes, {("b", "a"): 0.5})
     assert [(row.source, row.target, row.verdict) for row in rows] == [("b", "a", "failed"), ("a", "b", "good")]

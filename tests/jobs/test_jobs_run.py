@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.jobs import Outcome, Plan, Task, missing_tasks, open_client, run_plan
+from cagemap.jobs import Plan, Task, TaskOutcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.plan import content_hash
 from cagemap.jobs.run import execute, kept_outcome
 
@@ -65,7 +65,7 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
 def test_what_came_of_a_file_that_changed_meanwhile_is_not_kept(tmp_path: Path) -> None:
     mesh = tmp_path / "cow.obj"
     mesh.write_text("as it was planned")
-    one = replace(task(tmp_path, "one"), reads={str(mesh): content_hash(str(mesh))})
+    one = replace(task(tmp_path, "one"), input_hashes={str(mesh): content_hash(str(mesh))})
     assert execute(one, tmp_path, write_name).state == "done"
 
     def save_meanwhile(task: Task) -> dict[str, Any]:
@@ -92,8 +92,8 @@ def test_what_a_pattern_or_a_folder_became_is_noted(tmp_path: Path) -> None:
 
 
 def test_a_task_that_only_comes_after_a_failed_one_is_done(tmp_path: Path) -> None:
-    failed = Outcome("one", "failed", "no texture")
-    assert execute(replace(task(tmp_path, "two"), after=("one",)), tmp_path, write_name, failed).state == "done"
+    failed = TaskOutcome("one", "failed", "no texture")
+    assert execute(replace(task(tmp_path, "two"), predecessors=("one",)), tmp_path, write_name, failed).state == "done"
     assert execute(task(tmp_path, "three", ("one",)), tmp_path, write_name, failed).state == "skipped"
 
 
@@ -117,7 +117,7 @@ def test_two_runs_at_once_do_a_task_once(tmp_path: Path) -> None:
     one = task(tmp_path, "one", sleep=0.3)
     barrier = threading.Barrier(2)
 
-    def run(_: int) -> Outcome:
+    def run(_: int) -> TaskOutcome:
         barrier.wait()
         return execute(one, tmp_path, write_name)
 

@@ -1,4 +1,4 @@
-"""Deformation of the space around the source's body, from affine frames at samples of the body."""
+"""Deformation of the space around the source's body by affine frames."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalized
 
 
@@ -28,27 +29,47 @@ class FrameConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Anchors:
-    """Closest points of the source's body to some points.
+class SignedDistances:
+    """Signed distances of points from a body.
 
     Attributes
     ----------
     heights : (m,) float64
-        Signed distance from the source, negative inside.
+        Negative inside the body; infinite where no closest point was found.
     normals : (m, 3) float64
-        Unit normals of the source at the closest points.
+        Unit normals of the body at the closest points.
     """
 
     heights: FloatArray
     normals: FloatArray
 
+    @classmethod
+    def of(
+        cls,
+        body: TriangleSurface,
+        points: FloatArray,
+        normals: FloatArray | None = None,
+        minimum_cosine: float = -2.0,
+        within: float = np.inf,
+    ) -> SignedDistances:
+        """Of points (m, 3); options as in `closest_points`."""
+        triangle, barycentric, distance = closest_points(
+            body.tree, points, normals, minimum_cosine=minimum_cosine, within=within
+        )
+        corners = body.triangles[triangle]
+        closest = np.einsum("nc,ncd->nd", barycentric, body.positions[corners])
+        body_normals = normalized(np.einsum("nc,ncd->nd", barycentric, body.vertex_normals[corners]))
+        side = np.einsum("nd,nd->n", points - closest, body_normals)
+        return cls(np.copysign(distance, side), body_normals)
+
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """Affine frames of a map: an offset from the source, as a row, times ``linear`` is the offset from the target.
+    """Affine frames of a map at the target's vertices.
 
-    A frame transforms tangents by the map's averaged derivative and the source's unit normal to the target's. All
-    lengths are those of unit area.
+    An offset from the source, as a row, times one of the ``matrices`` is the offset from the target. A frame transforms
+    tangents by the map's averaged derivative, and the source's unit normal to the target's. Lengths are those of unit
+    area.
 
     Attributes
     ----------
@@ -82,7 +103,7 @@ class BodyFrames:
         return nearest_rotations(((images - centre).T @ (areas * self.point_map.target.positions))[None])[0]
 
     @kept
-    def linear(self) -> FloatArray:
+    def matrices(self) -> FloatArray:
         """(n1, 3, 3) frames of all target vertices."""
         target, images = self.point_map.target, self.point_map.images.positions
         corners, positions, count = target.triangles, target.positions, target.n
@@ -100,30 +121,24 @@ class BodyFrames:
         moments, covariance = table[:, :9].reshape(-1, 3, 3), table[:, 9:18].reshape(-1, 3, 3)
         normals, target_normals = normalized(table[:, 18:21]), normalized(table[:, 21:24])
         # Edges give the tangential part only; the normal keeps its length.
-        across, along = (np.eye(3) - of[:, :, None] * of[:, None] for of in (normals, target_normals))
+        source_tangent, target_tangent = (
+            np.eye(3) - unit[:, :, None] * unit[:, None] for unit in (normals, target_normals)
+        )
         weight = np.maximum(np.trace(moments, axis1=1, axis2=2), 1e-300)[:, None, None]
         rotation_weight = self.config.rotation_weight * weight
         moments = (
-            across @ moments @ across + weight * normals[:, :, None] * normals[:, None] + rotation_weight * np.eye(3)
+            source_tangent @ moments @ source_tangent
+            + weight * normals[:, :, None] * normals[:, None]
+            + rotation_weight * np.eye(3)
         )
         covariance = (
-            across @ covariance @ along
+            source_tangent @ covariance @ target_tangent
             + weight * normals[:, :, None] * target_normals[:, None]
             + rotation_weight * self.rotation
         )
         return np.asarray(np.linalg.solve(moments, covariance))
 
-    def anchors(self, points: FloatArray) -> Anchors:
-        """Heights and normals at the closest points of the source to points (m, 3)."""
-        source = self.point_map.source
-        triangle, barycentric, distance = closest_points(source.tree, points)
-        corners = source.triangles[triangle]
-        closest = np.einsum("nc,ncd->nd", barycentric, source.positions[corners])
-        normals = normalized(np.einsum("nc,ncd->nd", barycentric, source.vertex_normals[corners]))
-        signed = np.einsum("nd,nd->n", points - closest, normals)
-        return Anchors(np.copysign(distance, signed), normals)
-
-    def carry(self, points: FloatArray, anchors: Anchors) -> tuple[FloatArray, FloatArray]:
+    def carry(self, points: FloatArray, distances: SignedDistances) -> tuple[FloatArray, FloatArray]:
         """Positions (m, 3) near the target of points near the source, and their frames (m, 3, 3)."""
         config, point_map = self.config, self.point_map
         count = min(config.neighbors, len(self.samples))
@@ -133,16 +148,16 @@ class BodyFrames:
         # Weights fall to 0 at the last neighbour, so that positions are continuous.
         inside = np.maximum(0.0, 1.0 - (distance / (1.001 * distance[:, -1:] + 1e-300)) ** 2) ** 2
         weights = point_map.target.vertex_areas[vertices] * inside / (distance**2 + config.min_distance**2) ** 2
-        cosines = np.einsum("nkd,nd->nk", self.source_normals[vertices], anchors.normals)
+        cosines = np.einsum("nkd,nd->nk", self.source_normals[vertices], distances.normals)
         weights *= np.clip((cosines - config.min_cosine) / (1.0 - config.min_cosine), 1e-9, 1.0)
         weights /= weights.sum(axis=1, keepdims=True)
         starts = np.arange(0, vertices.size + 1, count)
         averages = sparse.csr_array(
             (weights.ravel(), vertices.ravel(), starts), shape=(len(points), point_map.target.n)
         )
-        images, linear = point_map.images.positions, self.linear
-        offsets = point_map.target.positions - np.einsum("nd,nde->ne", images, linear)
-        frames = (averages @ linear.reshape(-1, 9)).reshape(-1, 3, 3)
+        images, matrices = point_map.images.positions, self.matrices
+        offsets = point_map.target.positions - np.einsum("nd,nde->ne", images, matrices)
+        frames = (averages @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
         return np.asarray(averages @ offsets + np.einsum("nd,nde->ne", points, frames)), frames
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.character.values import Rig
 from cagemap.numerics.arrays import IndexArray
 
-SIDES = ("left", "right")
+BODY_SIDES = ("left", "right")
 
 # Left and right in each convention, for {} below.
 CONVENTIONS: Mapping[str, tuple[str, str]] = {
@@ -28,7 +28,7 @@ CONVENTIONS: Mapping[str, tuple[str, str]] = {
 
 # One row a bone: VRM 1.0 name, VRM parent, its name in each convention. "=": the VRM 1.0 name; "-": none;
 # "|": first present; "/": left and right differ. Case, separators, namespaces and "DEF-" are ignored.
-_ROWS = """
+_BONE_TABLE = """
 hips                  -                     =                    Hips           spine           root           pelvis        CC_Base_Hip          Hips|Pelvis|Hip                   torso_joint_1   torso_joint_1
 spine                 hips                  =                    Spine          spine.001       spine05        spine_01      CC_Base_Waist        Spine|Abdomen                     torso_joint_2   torso_joint_2
 chest                 spine                 =                    Spine1         spine.002       spine03        spine_02      CC_Base_Spine01      Chest|Torso|Spine1                torso_joint_3   torso_joint_3
@@ -67,7 +67,7 @@ _PREFIX = re.compile(r"^.*[:|/]|^(DEF[-_]|Skeleton_)")
 # Sides in names: a word, or a single letter.
 _SIDE_WORD = re.compile(r"[Ll]eft|[Rr]ight|LEFT|RIGHT|(?<![A-Za-z])[LlRr](?![A-Za-z])")
 _SIDE_PAIRS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
-_OPPOSITE_SIDE = {spelling: other for pair in _SIDE_PAIRS for spelling, other in (pair, pair[::-1])}
+_OPPOSITE_SIDE = {spelling: opposite for pair in _SIDE_PAIRS for spelling, opposite in (pair, pair[::-1])}
 # Numbers that some exporters append to all names.
 _SUFFIX = re.compile(r"_\d+$")
 
@@ -81,11 +81,11 @@ def _read_rows() -> tuple[dict[str, str], dict[str, dict[str, tuple[str, ...]]]]
     """VRM parents; and bare names of each VRM bone by convention, in order of preference."""
     parents: dict[str, str] = {}
     tables: dict[str, dict[str, tuple[str, ...]]] = {name: {} for name in ("VRM 1.0", *CONVENTIONS)}
-    for row in _ROWS.strip().splitlines():
+    for row in _BONE_TABLE.strip().splitlines():
         bone, parent, *cells = row.split()
         for side in range(2 if "{}" in bone else 1):
-            name = bone.format(SIDES[side])
-            parents[name] = parent.format(SIDES[side])
+            name = bone.format(BODY_SIDES[side])
+            parents[name] = parent.format(BODY_SIDES[side])
             tables["VRM 1.0"][name] = (_bare_name(name),)
             for (convention, words), cell in zip(CONVENTIONS.items(), cells, strict=True):
                 if cell != "-":
@@ -139,10 +139,10 @@ def _matched_joints(rig: Rig, names: tuple[str, ...], table: Mapping[str, tuple[
 
 
 def mirrored_joints(names: Sequence[str]) -> IndexArray:
-    """(j,) joint on the other side, by left and right in the names; else the joint itself."""
+    """(j,) joint on the other side, by left and right in names; else itself."""
     numbers = {name: joint for joint, name in enumerate(names)}
     mirrored_names = [_SIDE_WORD.sub(lambda word: _OPPOSITE_SIDE[word.group()], name, count=1) for name in names]
-    return np.array([numbers.get(other, joint) for joint, other in enumerate(mirrored_names)], dtype=np.int64)
+    return np.array([numbers.get(opposite, joint) for joint, opposite in enumerate(mirrored_names)], dtype=np.int64)
 
 
 def ancestor_bones(bone: str) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.character.body_frames import BodyFrames, neighbor_means
+from cagemap.character.body_frames import BodyFrames, SignedDistances, neighbor_means
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -64,7 +64,7 @@ class Contact:
         points: FloatArray,
         meshes: Sequence[IndexArray],
         normals: FloatArray,
-        linear: FloatArray,
+        frames_at_points: FloatArray,
         config: ContactConfig = ContactConfig(),
     ) -> Contact:
         """Find the contact on the source, for every mesh on its own.
@@ -78,13 +78,13 @@ class Contact:
             Triangles of each.
         normals : (n, 3) float64
             Of the source at their closest points.
-        linear : (n, 3, 3) float64
+        frames_at_points : (n, 3, 3) float64
             Affine maps from source to target around them.
         config : ContactConfig
         """
-        heights, _ = _heights(frames.point_map.source, points, normals, config)
+        heights = _signed_distances(frames.point_map.source, points, normals, config).heights
         vertices = np.flatnonzero((heights > 0) & (heights < config.reach))
-        directions = normalized(np.einsum("nd,nde->ne", normals, linear))[vertices]
+        directions = normalized(np.einsum("nd,nde->ne", normals, frames_at_points))[vertices]
         found_per_mesh = [_find_covered(frames, points, triangles, config) for triangles in meshes]
         body_vertices, corners, barycentric, gaps = (
             np.concatenate(arrays) for arrays in zip(*found_per_mesh, strict=True)
@@ -103,7 +103,7 @@ class Contact:
 def _find_covered(
     frames: BodyFrames, points: FloatArray, triangles: IndexArray, config: ContactConfig
 ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
-    """Body vertices below a mesh; corners and barycentric coordinates of the points above them; their heights."""
+    """Body vertices below a mesh; corners, barycentric coordinates and heights of the points above."""
     images, upward = frames.point_map.images.positions, frames.source_normals
     used, inverse = np.unique(triangles, return_inverse=True)
     mesh_points, mesh_triangles = points[used], inverse.reshape(-1, 3)
@@ -114,8 +114,8 @@ def _find_covered(
     )
     offsets = np.einsum("nc,ncd->nd", barycentric, mesh_points[mesh_triangles[triangle]]) - images[body]
     gaps = np.einsum("nd,nd->n", offsets, upward[body])
-    kept = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.min_above_cosine * distance))
-    return body[kept], triangles[triangle[kept]], barycentric[kept], gaps[kept]
+    rows = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.min_above_cosine * distance))
+    return body[rows], triangles[triangle[rows]], barycentric[rows], gaps[rows]
 
 
 def push_out(
@@ -125,7 +125,7 @@ def push_out(
     triangles: IndexArray,
     config: ContactConfig = ContactConfig(),
 ) -> FloatArray:
-    """Positions (n, 3), at unit area, moved away from the target's body to at least the contact's heights.
+    """Positions (n, 3) moved out of the target's body to the contact's heights, at unit area.
 
     A push spreads to neighbouring vertices of the passenger and fades with each step.
     """
@@ -133,13 +133,12 @@ def push_out(
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
     means = neighbor_means(triangles, len(places))
     start = places
-    moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
+    is_moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
     heights, upright = np.full(len(contact.vertices), np.inf), np.zeros_like(contact.directions)
     for _ in range(config.max_rounds):
-        changed = np.flatnonzero(moved[contact.vertices])
-        heights[changed], upright[changed] = _heights(
-            target, places[contact.vertices[changed]], contact.directions[changed], config
-        )
+        changed = np.flatnonzero(is_moved[contact.vertices])
+        distances = _signed_distances(target, places[contact.vertices[changed]], contact.directions[changed], config)
+        heights[changed], upright[changed] = distances.heights, distances.normals
         rise = np.maximum(contact.min_heights - heights, 0.0)  # 0 where no body is near: heights are infinite
         rise[rise < config.tolerance] = 0.0
         offsets = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - body_positions
@@ -155,39 +154,27 @@ def push_out(
         push[contact.vertices] = _longer_rows(rise[:, None] * upright, push[contact.vertices])
         for _ in range(config.spreading_rounds):
             push = _longer_rows(push, means @ push)
-        places, moved = places + push, np.asarray(push.any(axis=1))
+        places, is_moved = places + push, np.asarray(push.any(axis=1))
     return _limit_depth(target, start, places, config)
 
 
-def _limit_depth(target: TriangleSurface, before: FloatArray, after: FloatArray, config: ContactConfig) -> FloatArray:
-    """(n, 3) positions after a push; pushes that go deeper into another part of the body are halved."""
-    moved = np.flatnonzero((before != after).any(axis=1))
-    depths = np.minimum(_heights(target, before[moved], None, config)[0], 0.0)
+def _limit_depth(target: TriangleSurface, start: FloatArray, pushed: FloatArray, config: ContactConfig) -> FloatArray:
+    """(n, 3) pushed positions; pushes into another part of the body are halved."""
+    rows = np.flatnonzero((start != pushed).any(axis=1))
+    depths = np.minimum(_signed_distances(target, start[rows], None, config).heights, 0.0)
     for _ in range(config.max_halvings):
-        worse = _heights(target, after[moved], None, config)[0] < depths - config.tolerance
-        moved, depths = moved[worse], depths[worse]
-        after[moved] = 0.5 * (before[moved] + after[moved])
-    return after
+        is_deeper = _signed_distances(target, pushed[rows], None, config).heights < depths - config.tolerance
+        rows, depths = rows[is_deeper], depths[is_deeper]
+        pushed[rows] = 0.5 * (start[rows] + pushed[rows])
+    return pushed
 
 
-def _heights(
-    surface: TriangleSurface,
-    points: FloatArray,
-    normals: FloatArray | None,
-    config: ContactConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (m,), infinite out of reach, from closest points with similar normals; normals (m, 3) there."""
-    triangle, barycentric, distance = closest_points(
-        surface.tree,
-        points,
-        normals,
-        minimum_cosine=-2.0 if normals is None else config.min_facing_cosine,
-        within=2.0 * config.reach,
-    )
-    corners = surface.triangles[triangle]
-    closest = np.einsum("nc,ncd->nd", barycentric, surface.positions[corners])
-    upward = normalized(np.einsum("nc,ncd->nd", barycentric, surface.vertex_normals[corners]))
-    return np.copysign(distance, np.einsum("nd,nd->n", points - closest, upward)), upward
+def _signed_distances(
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray | None, config: ContactConfig
+) -> SignedDistances:
+    """Signed distances from points of the surface with similar normals, infinite out of reach."""
+    minimum_cosine = -2.0 if normals is None else config.min_facing_cosine
+    return SignedDistances.of(surface, points, normals, minimum_cosine, 2.0 * config.reach)
 
 
 def _longer_rows(first: FloatArray, second: FloatArray) -> FloatArray:

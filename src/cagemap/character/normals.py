@@ -18,15 +18,19 @@ MIN_TURN_COSINE = -0.99
 
 
 def move_vertices(part: Part, positions: FloatArray) -> Part:
-    """A part with other vertex positions (n, 3); its corner normals rotate with the faces around them."""
+    """A part with other vertex positions (n, 3); corner normals rotate with their faces."""
     if part.normals is None:
         return replace(part, mesh=part.mesh.with_positions(positions))
     groups = normal_groups(part.mesh, part.normals)
-    before, after = (_group_normals(part.mesh, groups, places)[groups] for places in (part.mesh.positions, positions))
-    axis, cosine = np.cross(before, after), np.einsum("cd,cd->c", before, after)[:, None]
+    old_normals, new_normals = (
+        _group_normals(part.mesh, groups, places)[groups] for places in (part.mesh.positions, positions)
+    )
+    axis, cosine = np.cross(old_normals, new_normals), np.einsum("cd,cd->c", old_normals, new_normals)[:, None]
     axis_part = np.einsum("cd,cd->c", axis, part.normals)[:, None] * axis / (1.0 + np.maximum(cosine, MIN_TURN_COSINE))
-    turned = np.where(cosine > MIN_TURN_COSINE, cosine * part.normals + np.cross(axis, part.normals) + axis_part, after)
-    return replace(part, mesh=part.mesh.with_positions(positions), normals=normalized(turned))
+    rotated = np.where(
+        cosine > MIN_TURN_COSINE, cosine * part.normals + np.cross(axis, part.normals) + axis_part, new_normals
+    )
+    return replace(part, mesh=part.mesh.with_positions(positions), normals=normalized(rotated))
 
 
 def normal_groups(mesh: ControlMesh, normals: FloatArray) -> IndexArray:

@@ -1,4 +1,4 @@
-"""Connected pieces of a passenger: which are rigid, and the similarity that moves each rigid group."""
+"""Connected pieces of a passenger, and similarities that move the rigid ones."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, nearest_rotations
 
-Kind = Literal["cloth", "rigid", "similarity"]
-KINDS: tuple[Kind, ...] = ("cloth", "rigid", "similarity")
+PassengerKind = Literal["cloth", "rigid", "similarity"]
+PASSENGER_KINDS: tuple[PassengerKind, ...] = ("cloth", "rigid", "similarity")
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,6 @@ class Pieces:
     is_rigid : (g,) bool
         Whether a group keeps its shape, up to its size.
     has_local_scale : bool
-
         Whether rigid groups scale with their surroundings, not with the whole body.
     """
 
@@ -47,7 +46,11 @@ class Pieces:
 
 
 def find_pieces(
-    mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: Kind | None, config: PieceConfig = PieceConfig()
+    mesh: ControlMesh,
+    points: FloatArray,
+    heights: FloatArray,
+    kind: PassengerKind | None,
+    config: PieceConfig = PieceConfig(),
 ) -> Pieces:
     """Group the connected pieces of a mesh; decide which are rigid.
 
@@ -77,7 +80,8 @@ def find_pieces(
     )
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
-    heads, tails = _near_pairs(centres, config.concentric_share * config.max_radius)
+    near = cKDTree(centres).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
+    heads, tails = near.astype(np.int64).T
     is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
         radius[heads], radius[tails]
     )
@@ -86,11 +90,6 @@ def find_pieces(
     group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
     group_rigid[group[is_rigid]] = True
     return Pieces(group[piece], group_rigid, kind != "rigid")
-
-
-def _near_pairs(centres: FloatArray, max_distance: float) -> tuple[IndexArray, IndexArray]:
-    pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray")
-    return pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
 
 
 def fit_similarities(

@@ -1,4 +1,4 @@
-"""Transfer of passengers along a map: clothes, shoes, eyes, teeth, hair and props of a body."""
+"""Transfer of passengers along a map: clothes, shoes, eyes, teeth, hair and props."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.character.body_frames import BodyFrames
+from cagemap.character.body_frames import BodyFrames, SignedDistances
 from cagemap.character.contact import Contact, push_out
-from cagemap.character.passenger_pieces import KINDS, Kind, find_pieces, fit_similarities
+from cagemap.character.passenger_pieces import PASSENGER_KINDS, PassengerKind, find_pieces, fit_similarities
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -26,30 +26,32 @@ class CarriedPassenger:
     ----------
     positions : (n, 3) float64
         In the target's file units.
-    linear : (n, 3, 3) float64
+    matrices : (n, 3, 3) float64
         Rotation times scale that takes an offset of a vertex, as a row, to the target.
     distance : float
         Mean distance of the vertices from the source's body, in units of sqrt(area).
     """
 
     positions: FloatArray
-    linear: FloatArray
+    matrices: FloatArray
     distance: float
 
     def carry_offsets(self, offsets: FloatArray) -> FloatArray:
         """Offsets (n, 3) of a shape key of the passenger, rotated and scaled for the target."""
         if np.shape(offsets) != self.positions.shape:
             raise ParameterError(f"expected offsets {self.positions.shape}, one a vertex, got {np.shape(offsets)}")
-        return np.asarray(np.einsum("nd,nde->ne", offsets, self.linear))
+        return np.asarray(np.einsum("nd,nde->ne", offsets, self.matrices))
 
 
-def carry_passenger(result: PointMap | MatchResult, mesh: ControlMesh, *, kind: Kind | None = None) -> CarriedPassenger:
+def carry_passenger(
+    result: PointMap | MatchResult, mesh: ControlMesh, *, kind: PassengerKind | None = None
+) -> CarriedPassenger:
     """Carry one mesh on the source's body to the target's body; see `carry_passengers`."""
     return carry_passengers(result, [mesh], kinds=None if kind is None else {mesh.name: kind})[0]
 
 
 def carry_passengers(
-    result: PointMap | MatchResult, meshes: Sequence[ControlMesh], *, kinds: Mapping[str, Kind] | None = None
+    result: PointMap | MatchResult, meshes: Sequence[ControlMesh], *, kinds: Mapping[str, PassengerKind] | None = None
 ) -> list[CarriedPassenger]:
     """Carry meshes on the source's body to the target's body.
 
@@ -82,7 +84,7 @@ def carry_passengers(
     for mesh in meshes:
         _check_passenger(mesh)
     for name, kind in kinds.items():
-        if kind not in KINDS:
+        if kind not in PASSENGER_KINDS:
             raise ParameterError(f"{name}: expected cloth, rigid or similarity, got {kind!r}")
         if name not in {mesh.name for mesh in meshes}:
             raise ParameterError(f"{name}: expected one of the passengers, {', '.join(mesh.name for mesh in meshes)}")
@@ -95,19 +97,19 @@ def carry_passengers(
         fan_triangles(mesh.face_offsets, mesh.face_indices)[0] + start
         for mesh, start in zip(meshes, starts[:-1], strict=True)
     ]
-    anchors = frames.anchors(points)
-    places, linear = frames.carry(points, anchors)
-    contact = Contact.find(frames, points, triangles, anchors.normals, linear)
+    distances = SignedDistances.of(source, points)
+    places, matrices = frames.carry(points, distances)
+    contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
     factor = source.scale / target.scale
     carried = []
     for mesh, start in zip(meshes, starts[:-1], strict=True):
         rows = slice(start, start + mesh.n_vertices)
-        pieces = find_pieces(mesh, points[rows], anchors.heights[rows], kinds.get(mesh.name))
-        positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], linear[rows])
+        pieces = find_pieces(mesh, points[rows], distances.heights[rows], kinds.get(mesh.name))
+        positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
         linear_map = factor * scales[:, None, None] * turns
         carried.append(
-            CarriedPassenger(positions / target.scale, linear_map, float(np.abs(anchors.heights[rows]).mean()))
+            CarriedPassenger(positions / target.scale, linear_map, float(np.abs(distances.heights[rows]).mean()))
         )
     return carried
 

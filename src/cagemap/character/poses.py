@@ -1,4 +1,4 @@
-"""Poses of a rig: at a time of an animation, and aligned with another rig's bind pose."""
+"""Poses of a rig: from an animation, or aligned with another rig."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 # Largest error of the joints with a rotation, over the error without one, where rigs differ by that rotation.
 MAX_TURN_ERROR = 0.5
 # Radians; bones whose directions differ by less have one pose. Different bodies alone make 10 degrees.
-MIN_BONE_TURN = np.radians(20.0)
+MIN_BONE_ANGLE = np.radians(20.0)
 # Weight of the joints' axes beside their positions: decides the rotation where all joints lie on a line.
 AXES_WEIGHT = 1e-9
 # Joints whose positions in the body do not depend on the pose.
@@ -96,14 +96,14 @@ def track_value(track: Track, time: float) -> FloatArray:
     keys = track.values[:, 1] if track.interpolation == "CUBICSPLINE" else track.values
     if time <= times[0] or time >= times[-1]:
         return np.asarray(keys[0 if time <= times[0] else -1])
-    after = int(np.searchsorted(times, time, side="right"))
-    span = times[after] - times[after - 1]
-    share = (time - times[after - 1]) / span
-    start, end = keys[after - 1], keys[after]
+    next_key = int(np.searchsorted(times, time, side="right"))
+    span = times[next_key] - times[next_key - 1]
+    share = (time - times[next_key - 1]) / span
+    start, end = keys[next_key - 1], keys[next_key]
     if track.interpolation == "STEP":
         return np.asarray(start)
     if track.interpolation == "CUBICSPLINE":
-        leaving, arriving = span * track.values[after - 1, 2], span * track.values[after, 0]
+        leaving, arriving = span * track.values[next_key - 1, 2], span * track.values[next_key, 0]
         square, cube = share**2, share**3
         value = (2 * cube - 3 * square + 1) * start + (cube - 2 * square + share) * leaving
         value = value + (3 * square - 2 * cube) * end + (cube - square) * arriving
@@ -156,7 +156,7 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
     """World transforms (j, 4, 4) of a rig's joints in the bind pose of a reference rig.
 
     Limbs, fingers, spine and neck turn by the least rotation that gives each bone the direction of the reference's
-    bone. A bone that needs less than `MIN_BONE_TURN` keeps its direction, unless a bone above it was turned. Lengths
+    bone. A bone that needs less than `MIN_BONE_ANGLE` keeps its direction, unless a bone above it was turned. Lengths
     stay.
 
     Raises
@@ -184,9 +184,9 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
             posed[joint], is_turned[joint] = local[joint] @ posed[parent], is_turned[parent]
         if joint in ends:
             end, direction = ends[joint]
-            along = (rig.heads[end] - rig.heads[joint]) @ (inverse[joint] @ posed[joint])[:3, :3]
-            bend = least_rotation(along, direction)
-            is_turned[joint] |= Rotation.from_matrix(bend).magnitude() > MIN_BONE_TURN
+            current = (rig.heads[end] - rig.heads[joint]) @ (inverse[joint] @ posed[joint])[:3, :3]
+            bend = least_rotation(current, direction)
+            is_turned[joint] |= Rotation.from_matrix(bend).magnitude() > MIN_BONE_ANGLE
             if is_turned[joint]:
                 posed[joint, :3, :3] = posed[joint, :3, :3] @ bend
     return posed
@@ -224,18 +224,22 @@ def _fit_rotation(
     source: Rig, target: Rig, source_joints: IndexArray, target_joints: IndexArray
 ) -> tuple[FloatArray, float, float, float]:
     """Least-squares rotation and scale of joints, their error, and the error without rotation."""
-    before, after = source.heads[source_joints], target.heads[target_joints]
-    before, after = before - before.mean(axis=0), after - after.mean(axis=0)
-    sizes = float(np.linalg.norm(before)), float(np.linalg.norm(after))
+    source_offsets, target_offsets = source.heads[source_joints], target.heads[target_joints]
+    source_offsets, target_offsets = (
+        source_offsets - source_offsets.mean(axis=0),
+        target_offsets - target_offsets.mean(axis=0),
+    )
+    sizes = float(np.linalg.norm(source_offsets)), float(np.linalg.norm(target_offsets))
     scale = sizes[1] / sizes[0] if min(sizes) > 0 else 1.0
-    covariance = before.T @ after / max(sizes[0] * sizes[1], np.finfo(np.float64).tiny)
+    covariance = source_offsets.T @ target_offsets / max(sizes[0] * sizes[1], np.finfo(np.float64).tiny)
     axes = [
         nearest_rotations(rig.bind[joints, :3, :3])
         for rig, joints in ((source, source_joints), (target, target_joints))
     ]
     covariance = covariance + AXES_WEIGHT * np.einsum("jab,jac->bc", *axes) / len(source_joints)
     turn = nearest_rotations(covariance[None])[0]
-    errors = [float(np.linalg.norm(scale * before @ rotation - after)) for rotation in (turn, np.eye(3))]
+    errors = [
+        float(np.linalg.norm(scale * source_offsets @ rotation - target_offsets)) for rotation in (turn, np.eye(3))
+    ]
     # The added term keeps rounding errors from counting as a rotation.
-
     return turn, scale, errors[0] + 1e-9 * sizes[1], errors[1]

@@ -80,7 +80,10 @@ def retarget_all(animations: Sequence[Animation], source: Rig, target: Rig) -> t
 
 
 def joint_pairs(source: Rig, target: Rig) -> dict[int, int]:
-    """Joints of the target by joints of the source: by name or by humanoid bone, whichever gives more."""
+    """Joints of the target by joints of the source: by name or humanoid bone.
+
+    The way that gives more pairs is used.
+    """
     numbers = {name: joint for joint, name in enumerate(target.names)}
     by_name = {joint: numbers[name] for joint, name in enumerate(source.names) if name in numbers}
     bones = humanoid_joints(target)
@@ -129,17 +132,19 @@ def _convert_rotations(
 def _convert_translations(
     track: Track, joints: tuple[int, int], bind_poses: tuple[_BindPose, _BindPose], turn: FloatArray, scale: float
 ) -> FloatArray:
-    """Translations of a track in the axes of the target's parent: the offset from the bind pose, scaled."""
-    before, after = (pose.local[joint, 3, :3] for pose, joint in zip(bind_poses, joints, strict=True))
+    """Translations of a track, relative to the bind pose, scaled, in the target's axes."""
+    source_bind, target_bind = (pose.local[joint, 3, :3] for pose, joint in zip(bind_poses, joints, strict=True))
     axes = [pose.parent_axes(joint) for pose, joint in zip(bind_poses, joints, strict=True)]
     linear = scale * axes[0] @ turn @ np.linalg.inv(axes[1])
     if track.interpolation == "CUBICSPLINE":  # tangents are not relative to the bind pose
-        before, after = (np.stack([np.zeros(3), position, np.zeros(3)]) for position in (before, after))
-    return (track.values - before) @ linear + after
+        source_bind, target_bind = (
+            np.stack([np.zeros(3), position, np.zeros(3)]) for position in (source_bind, target_bind)
+        )
+    return (track.values - source_bind) @ linear + target_bind
 
 
 def _quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Products of quaternions (..., 4), x, y, z, w; linear in each, so tangents of splines may be given."""
+    """Products of quaternions (..., 4), x, y, z, w; also of tangents of splines."""
     vectors, scalars = (first[..., :3], second[..., :3]), (first[..., 3:], second[..., 3:])
     vector = scalars[0] * vectors[1] + scalars[1] * vectors[0] + np.cross(*vectors)
     return np.concatenate([vector, scalars[0] * scalars[1] - (vectors[0] * vectors[1]).sum(-1, keepdims=True)], axis=-1)
@@ -147,7 +152,7 @@ def _quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _TranslationScales:
-    """Factors of translations from one rig to another: ratios of bone lengths, from parent to joint."""
+    """Factors of translations between rigs: ratios of bone lengths, from parent to joint."""
 
     bone_lengths: tuple[FloatArray, FloatArray] = field(repr=False)
     min_length: float

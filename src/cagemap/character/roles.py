@@ -20,7 +20,7 @@ _PASSENGER_WORDS = re.compile(
 
 
 def passenger_word(name: str) -> str:
-    """The word in a part's name that marks a passenger, in lower case; '' if none does."""
+    """The passenger word in a part's name, in lower case; '' if none."""
     match = _PASSENGER_WORDS.search(name)
     return "" if match is None else match[0].lower()
 
@@ -36,10 +36,10 @@ def find_body(parts: Sequence[Part], name: str | None = None) -> Part:
     if not parts:
         raise ParameterError("expected a character with meshes, got none")
     if name is not None:
-        named = [part for part in parts if part.name == name]
-        if not named:
+        matches = [part for part in parts if part.name == name]
+        if not matches:
             names = first_few([part.name for part in parts])
             raise ParameterError(f"expected a part named {name!r}, there is none. It has {names}.")
-        return named[0]
+        return matches[0]
     candidates = [part for part in parts if not passenger_word(part.name)] or list(parts)
     return max(candidates, key=lambda part: float(face_areas(part.mesh).sum()))

@@ -78,7 +78,7 @@ def _has_common_axes(rig: Rig) -> bool:
 
 
 def _bone_ends(rig: Rig) -> dict[int, int]:
-    """The child at the end of each joint's bone: the child along an axis, or an only child."""
+    """The child at the end of each bone: along an axis, or the only child."""
     axes = nearest_rotations(rig.bind[:, :3, :3])
     ends: dict[int, int] = {}
     for joint in range(len(rig.names)):

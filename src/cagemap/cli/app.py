@@ -110,7 +110,7 @@ def _root(
         int | None,
         typer.Option(
             min=1,
-            help="At most this many threads, as CAGEMAP_THREADS says.  [default: all cores]",
+            help="Largest number of threads; CAGEMAP_THREADS does the same.  [default: all cores]",
         ),
     ] = None,
     verbose: _Verbose = 0,
@@ -148,15 +148,15 @@ def check(
         typer.Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
     ],
     as_json: Annotated[
-        bool, typer.Option("--json", show_default=False, help="Say the same as JSON, for scripts.  [default: off]")
+        bool, typer.Option("--json", show_default=False, help="Print JSON, for scripts.  [default: off]")
     ] = False,
     scheme: SchemeOption = None,
     weld: WeldOption = None,
 ) -> None:
-    """Tell whether control meshes can be used, or what to mend.
+    """Check control meshes, and say what to repair.
 
-    A mesh must be manifold, consistently oriented and in one piece; boundaries are fine. With scheme none, of the file
-    or by --scheme, it says what a match mends and leaves out. Exit code 1 if any has a problem.
+    A mesh must be manifold, consistently oriented and in one piece; boundaries are allowed. With scheme none, of the
+    file or by --scheme, it lists what a match repairs and leaves out. Exit code 1 if any mesh has a problem.
     """
     from cagemap.tasks import mesh_commands
     from cagemap.tasks.subdivision import SubdivisionRequest
@@ -217,10 +217,10 @@ def suggest(
     count: Annotated[int, typer.Option(min=1, help="How many more landmarks.")] = 3,
     force: Force = False,
 ) -> None:
-    """Say where more landmarks would tell most.
+    """Suggest places for more landmarks.
 
-    The file holds the landmarks of the result and the new ones, on the source where the map puts them now. Move those
-    that are wrong there, and match again.
+    The file holds the landmarks of the result and the new ones, on the source where the map puts them now. Correct the
+    wrong ones and match again.
     """
     from cagemap.tasks.suggest import run_suggest
 

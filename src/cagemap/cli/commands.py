@@ -86,7 +86,7 @@ def rig(request: RigRequest, stages: Stages) -> Outcome:
 @request_command(FaceRequest)
 @with_stages
 def face(request: FaceRequest, stages: Stages) -> Outcome:
-    """Give a head the face shapes that ARKit names.
+    """Give a head the face shapes of ARKit.
 
     51 of the 52, from ICT-FaceKit (MIT): tongueOut is not among them. The head keeps its vertices, materials, rig and
     own shapes; teeth, tongue and eyes that are parts of their own stay. Of a body with a skeleton the head and neck are
@@ -100,7 +100,7 @@ def face(request: FaceRequest, stages: Stages) -> Outcome:
 @request_command(ReportRequest)
 @with_stages
 def report(request: ReportRequest, stages: Stages) -> Outcome:
-    """Write one HTML page: a verdict, and both models turning.
+    """Write one HTML page: a verdict, and both models in 3D.
 
     Shows both models coloured by the map, marks of doubtful places, and what was transferred. The page is one file and
     needs no network.
@@ -112,7 +112,7 @@ def report(request: ReportRequest, stages: Stages) -> Outcome:
 
 @request_command(RunRequest)
 def run(request: RunRequest) -> None:
-    """Match and transfer many pairs, as a job file says.
+    """Match and transfer all pairs of a job file.
 
     Writes a folder with a RESULT for every pair, the outputs of the job, index.html and figures.csv. Finished tasks are
     kept: after a failure or a change, run it again and only missing tasks are done. Exit code 1 if anything failed.
@@ -128,7 +128,7 @@ def run(request: RunRequest) -> None:
 
 @request_command(StudioRequest)
 def studio(request: StudioRequest) -> None:
-    """See the map in the browser, click where it is wrong, bake.
+    """View and correct the map in the browser, and bake textures.
 
     Without models the built-in pair opens. The page reads and writes only in the folders of the files given here.
     """
@@ -153,7 +153,7 @@ def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
 @request_command(MapRequest)
 @with_stages
 def map_file(request: MapRequest, stages: Stages) -> Outcome:
-    """Take a point map of any method as a RESULT.
+    """Import a point map of any method as a RESULT.
 
     The RESULT can be used for baking, wrapping and reports. A map is a list of source vertices, one for each vertex of
     the target at any level; or triangles of the source's level and barycentric coordinates; or a sparse matrix.

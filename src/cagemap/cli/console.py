@@ -86,7 +86,7 @@ def escape_unprintable_output() -> None:
 
 
 def _discard_output(descriptor: int) -> None:
-    """Redirect a closed pipe to the null device, so that the interpreter ends without an error."""
+    """Redirect a closed pipe to the null device: the interpreter would fail on it."""
     null_device = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null_device, descriptor)
     os.close(null_device)

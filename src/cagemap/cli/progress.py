@@ -1,4 +1,4 @@
-"""Progress on the command line: one line a stage; without a terminal only for long commands."""
+"""Progress on the command line: one line a stage."""
 
 from __future__ import annotations
 
@@ -65,10 +65,12 @@ class ConsoleStages(Stages):
             self._timer.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        super().__exit__(kind, error, at)
+        super().__exit__(kind, error, traceback)
         if self._status is not None:
             self._status.stop()
 

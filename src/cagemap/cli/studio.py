@@ -43,8 +43,8 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
         for model in (files.target, files.source):
             if not model.is_file():
                 raise ParameterError(f"{model}: expected a mesh file, found none. Check the name.")
-        chosen = (files.landmarks, files.target, files.source, files.texture, files.result)
-        folders = (*request.folder, *(path.parent for path in chosen if path is not None))
+        input_paths = (files.landmarks, files.target, files.source, files.texture, files.result)
+        folders = (*request.folder, *(path.parent for path in input_paths if path is not None))
     serving = request.host, request.port, request.vertices, not request.no_browser
     page = PageRequest(files, all_options(), folders, *serving)
     run_page(page, tell)

@@ -52,7 +52,6 @@ def example_pair(texture_size: int = TEXTURE_SIZE) -> ExamplePair:
     ------
     ParameterError
         If 2048 is not a multiple of the size.
-
     """
     if not 1 <= texture_size <= TEXTURE_SIZE or TEXTURE_SIZE % texture_size:
         raise ParameterError(f"texture_size: expected {TEXTURE_SIZE} divided by a whole number, got {texture_size}")

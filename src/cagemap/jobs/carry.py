@@ -1,7 +1,7 @@
-"""Transfer of one model's landmarks to all other models of a collection, for correction by the user.
+"""Transfer of one model's landmarks to all other models of a collection.
 
-Every other model gets a landmark file. Until the user edits it, it is rewritten whenever a map changes, and no match
-reads it. Once edited, it is never written again, and matches use it.
+Every other model gets a landmark file for the user to correct. Until the user edits it, it is rewritten whenever a map
+changes, and no match reads it. Once edited, it is never written again, and matches use it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import file_hash
-from cagemap.jobs.detours import NORMAL_WEIGHT
+from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
 from cagemap.jobs.job import Job
-from cagemap.jobs.plan import Pair, Plan, Task, task_key
+from cagemap.jobs.plan import PairNames, Plan, Task, task_key
 from cagemap.maps.places import cage_points_of, located
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
@@ -54,12 +54,12 @@ class DirectedMap:
         """Corresponding points of the next model, for positions (q, 3) at unit area and their normals."""
         point_map = self.result.point_map
         if self.forward:
-            start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=NORMAL_WEIGHT)
+            start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
             images = start.interpolate(point_map.images.positions)
             normals = normalized(start.interpolate(point_map.images.normals))
-            return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=NORMAL_WEIGHT)
+            return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=MAP_NORMAL_WEIGHT)
         image_surface = TriangleSurface(point_map.images.positions, point_map.target.triangles, 1.0)
-        points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=NORMAL_WEIGHT)
+        points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
         return SurfacePoints(point_map.target, points_on_image.triangle, points_on_image.barycentric)
 
 
@@ -98,8 +98,8 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
         keys = [(step.key, forward) for step, forward in steps], None if opposite is None else opposite.key
         key = task_key(version, "carry", landmark_hash, *keys, str(landmark_file))
         output = Path(os.path.relpath(landmark_file, plan.root)).as_posix()
-        title, reads = f"carry landmarks to {name}", {str(landmarks): landmark_hash}
-        carry_tasks.append(Task("carry", title, key, needs, request, (output,), reads=reads))
+        title, input_hashes = f"carry landmarks to {name}", {str(landmarks): landmark_hash}
+        carry_tasks.append(Task("carry", title, key, needs, request, (output,), input_hashes=input_hashes))
     return replace(plan, tasks=(*plan.tasks, *carry_tasks))
 
 
@@ -119,9 +119,9 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     """
     steps = [DirectedMap(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
     first = steps[0].result.target if steps[0].forward else steps[0].result.source
-    named = read_points(request["landmarks"], first.control)
-    curve_points = [on_cage_curve(curve, first.control).points for curve in named.curves]
-    point_sets = [on_cage(named, first.control), *curve_points]
+    source_points = read_points(request["landmarks"], first.control)
+    curve_points = [on_cage_curve(curve, first.control).points for curve in source_points.curves]
+    point_sets = [on_cage(source_points, first.control), *curve_points]
     sizes = [len(points.corners) for points in point_sets]
     joined = CagePoints(np.vstack([p.corners for p in point_sets]), np.vstack([p.weights for p in point_sets]))
     start = located(first, joined)
@@ -134,9 +134,9 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     last_rows = np.cumsum(sizes)
     curves = tuple(
         NamedCurve(curve.name, np.full(size, -1, dtype=np.int64), positions[stop - size : stop], curve.closed)
-        for curve, size, stop in zip(named.curves, sizes[1:], last_rows[1:], strict=True)
+        for curve, size, stop in zip(source_points.curves, sizes[1:], last_rows[1:], strict=True)
     )
-    points = NamedPoints(named.names, vertices[: sizes[0]], positions[: sizes[0]], last.control.name, curves)
+    points = NamedPoints(source_points.names, vertices[: sizes[0]], positions[: sizes[0]], last.control.name, curves)
     Path(request["output"]).parent.mkdir(parents=True, exist_ok=True)
     write_points(request["output"], points, last.control)
     look_at: list[str] = []
@@ -144,7 +144,9 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
         opposite = DirectedMap(read_result(request["back"]), not steps[-1].forward)
         opposite_end = opposite.map_points(start.positions, start.normals)
         differences = np.linalg.norm(opposite_end.positions - end.positions, axis=1)[: sizes[0]]
-        look_at = [named.names[i] for i in np.argsort(-differences) if differences[i] > MAX_DIRECTION_DIFFERENCE]
+        look_at = [
+            source_points.names[i] for i in np.argsort(-differences) if differences[i] > MAX_DIRECTION_DIFFERENCE
+        ]
     return {"points": sizes[0], "curves": len(curves), "file": str(request["output"]), "look_at": look_at}
 
 
@@ -161,7 +163,7 @@ def carry_notes(figures: list[dict[str, Any]]) -> list[str]:
     return notes
 
 
-def _shortest_paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:
+def _shortest_paths(start: str, matches: Mapping[PairNames, Task]) -> dict[str, list[str]]:
     """Models along the shortest path of maps from one model to each other model."""
     paths, waiting = {start: [start]}, deque([start])
     while waiting:
@@ -174,13 +176,13 @@ def _shortest_paths(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[
     return paths
 
 
-def _match_between(start: str, end: str, matches: Mapping[Pair, Task]) -> tuple[Task, bool]:
-    """The match between two models, and whether its map goes from the first to the second."""
+def _match_between(start: str, end: str, matches: Mapping[PairNames, Task]) -> tuple[Task, bool]:
+    """The match between two models, and whether its map starts at the first."""
     direct = matches.get((end, start))  # keys are (source, target); maps go from target to source
     return (direct, True) if direct is not None else (matches[start, end], False)
 
 
-def _opposite_match(path: list[str], matches: Mapping[Pair, Task]) -> Task | None:
-    """The match in the opposite direction of a path of one map, if there are both."""
-    both = len(path) == 2 and (path[1], path[0]) in matches
-    return matches.get((path[0], path[1])) if both else None
+def _opposite_match(path: list[str], matches: Mapping[PairNames, Task]) -> Task | None:
+    """The match in the opposite direction, if the path is one map."""
+    has_both = len(path) == 2 and (path[1], path[0]) in matches
+    return matches.get((path[0], path[1])) if has_both else None

@@ -1,4 +1,4 @@
-"""Cycle consistency of a collection: comparison of maps A -> C with detours A -> B -> C.
+"""Cycle consistency: comparison of maps A -> C with detours A -> B -> C.
 
 The disagreement of a triple is at most the sum of the errors of its three maps. Non-negative least squares over all
 triples estimates these errors.
@@ -27,8 +27,8 @@ MapKey = tuple[str, str]  # target, source: the direction of T12
 MIN_DOUBTFUL_ERROR = 0.02
 MIN_MEDIAN_RATIO = 3.0
 # Compared triples for each map, and vertices for each comparison.
-MAX_TRIPLES_A_MAP = 24
-MAX_SAMPLES = 1500
+MAX_TRIPLES_PER_MAP = 24
+MAX_SAMPLE_VERTICES = 1500
 
 
 @dataclass(frozen=True)
@@ -61,26 +61,28 @@ def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
     maps : mapping of (target, source) to PointMap
         All of one asset at the same level.
     """
-    pairs = sorted(maps)
-    column_of = {pair: index for index, pair in enumerate(pairs)}
+    map_keys = sorted(maps)
+    column_of = {map_key: index for index, map_key in enumerate(map_keys)}
     rows, columns, disagreements = [], [], []
-    for index, (direct, first, second) in enumerate(_triples(pairs)):
+    for index, (direct, first, second) in enumerate(_triples(map_keys)):
         rows += [index] * 3
         columns += [column_of[direct], column_of[first], column_of[second]]
         disagreements.append(disagreement(maps[direct], maps[first], maps[second]))
     if not disagreements:
         return Consistency({}, 0, (), {})
-    system = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(disagreements), len(pairs)))
+    system = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(disagreements), len(map_keys)))
     in_triples = np.flatnonzero(system.sum(axis=0) > 0)
     estimates = nnls(system[:, in_triples].toarray(), np.array(disagreements))[0]
-    errors = {pairs[i]: error for i, error in zip(in_triples, estimates.tolist(), strict=True)}
+    errors = {map_keys[i]: error for i, error in zip(in_triples, estimates.tolist(), strict=True)}
     limit = max(MIN_DOUBTFUL_ERROR, MIN_MEDIAN_RATIO * float(np.median(list(errors.values()))))
-    doubtful = tuple(sorted((pair for pair in errors if errors[pair] > limit), key=lambda pair: -errors[pair]))
+    doubtful = tuple(
+        sorted((map_key for map_key in errors if errors[map_key] > limit), key=lambda map_key: -errors[map_key])
+    )
     return Consistency(errors, len(disagreements), doubtful, _detours(errors, doubtful))
 
 
 def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
-    """Mean distance of A -> C and A -> B -> C at sampled vertices, of sqrt(area of C).
+    """Mean distance of A -> C and A -> B -> C, of sqrt(area of C).
 
     Parameters
     ----------
@@ -88,41 +90,44 @@ def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
         Maps with target A and source C, target A and source B, target B and source C.
     """
     n = direct.target.n
-    vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLES)).astype(np.int64))
+    vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLE_VERTICES)).astype(np.int64))
     composed_images = first.images.at(vertices).interpolate(second.images.positions)
     return float(np.linalg.norm(composed_images - direct.images.at(vertices).positions, axis=1).mean())
 
 
-def _triples(pairs: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKey]]:
-    """Keys of a direct map and of the two maps of a detour; a random choice of detours."""
-    known = set(pairs)
-    names = sorted({name for pair in pairs for name in pair})
+def _triples(map_keys: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKey]]:
+    """Keys of a direct map and of both maps of a detour, randomly chosen."""
+    keys = set(map_keys)
+    names = sorted({name for map_key in map_keys for name in map_key})
     random = np.random.default_rng(47)
-    for a, c in pairs:
-        middles = [b for b in names if (a, b) in known and (b, c) in known]
-        for b in random.permutation(middles)[:MAX_TRIPLES_A_MAP].tolist():
+    for a, c in map_keys:
+        middles = [b for b in names if (a, b) in keys and (b, c) in keys]
+        for b in random.permutation(middles)[:MAX_TRIPLES_PER_MAP].tolist():
             yield (a, c), (a, b), (b, c)
 
 
 def _detours(errors: Mapping[MapKey, float], doubtful: Sequence[MapKey]) -> dict[MapKey, tuple[str, ...]]:
     """Shortest detours around doubtful maps, where their error is at most half."""
-    names = sorted({name for pair in errors for name in pair})
+    names = sorted({name for map_key in errors for name in map_key})
     index = {name: i for i, name in enumerate(names)}
-    kept = [pair for pair in errors if pair not in doubtful]
+    reliable = [map_key for map_key in errors if map_key not in doubtful]
     lengths = csr_array(
-        ([errors[pair] + 1e-6 for pair in kept], ([index[a] for a, _ in kept], [index[b] for _, b in kept])),
+        (
+            [errors[map_key] + 1e-6 for map_key in reliable],
+            ([index[a] for a, _ in reliable], [index[b] for _, b in reliable]),
+        ),
         shape=(len(names), len(names)),
     )
     total, predecessors = dijkstra(lengths, return_predecessors=True)
     detours = {}
-    for pair in doubtful:
-        start, end = index[pair[0]], index[pair[1]]
-        if total[start, end] > 0.5 * errors[pair]:
+    for map_key in doubtful:
+        start, end = index[map_key[0]], index[map_key[1]]
+        if total[start, end] > 0.5 * errors[map_key]:
             continue
         path = [end]
         while path[-1] != start:
             path.append(int(predecessors[start, path[-1]]))
-        detours[pair] = tuple(names[i] for i in reversed(path))
+        detours[map_key] = tuple(names[i] for i in reversed(path))
     return detours
 
 
@@ -131,10 +136,10 @@ def write_consistency(path: Path, keys: dict[str, str], verdict: Consistency) ->
     note = {
         "written_by": mark(),
         "keys": keys,
-        "errors": [[*pair, error] for pair, error in verdict.errors.items()],
+        "errors": [[*map_key, error] for map_key, error in verdict.errors.items()],
         "triples": verdict.triples,
         "doubtful": verdict.doubtful,
-        "detours": [[*pair, route] for pair, route in verdict.detours.items()],
+        "detours": [[*map_key, route] for map_key, route in verdict.detours.items()],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(note, indent=1))

@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.files.result.folder import ARRAYS
 from cagemap.jobs.consistency import MapKey
-from cagemap.jobs.plan import DETOUR, Pair, Plan, Task, task_key
+from cagemap.jobs.plan import DETOUR_FOLDER, PairNames, Plan, Task, task_key
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -21,7 +21,7 @@ from cagemap.surface.triangles import normalized
 
 # Weight of normals, beside positions at unit area, in closest point searches: as in the elastic fit, it separates the
 # sides of thin parts.
-NORMAL_WEIGHT = 0.03
+MAP_NORMAL_WEIGHT = 0.03
 
 
 def compose_maps(maps: Sequence[PointMap]) -> PointMap:
@@ -42,7 +42,7 @@ def compose_maps(maps: Sequence[PointMap]) -> PointMap:
     positions, normals = maps[-1].images.positions, maps[-1].images.normals
     for point_map in reversed(maps[:-1]):
         positions, normals = point_map.pull_back(positions), point_map.pull_back(normals)
-    images = SurfacePoints.nearest(maps[-1].source, positions, normalized(normals), normal_weight=NORMAL_WEIGHT)
+    images = SurfacePoints.nearest(maps[-1].source, positions, normalized(normals), normal_weight=MAP_NORMAL_WEIGHT)
     return PointMap(maps[0].target, images)
 
 
@@ -83,10 +83,10 @@ def add_detours(plan: Plan, detours: Mapping[MapKey, Sequence[str]], version: st
     """
     matches = {task.pair: task for task in plan.tasks if task.kind == "match"}
     tasks: list[Task] = []
-    composed: dict[Pair, Task] = {}
+    composed: dict[PairNames, Task] = {}
     for (target, source), names in detours.items():
         steps = [matches[end, start] for start, end in itertools.pairwise(names)]
-        folder = f"{source}__{target}/{DETOUR}"
+        folder = f"{source}__{target}/{DETOUR_FOLDER}"
         request = {
             "way": [step.request["output"] for step in steps],
             "names": list(names),
@@ -114,7 +114,7 @@ def add_detours(plan: Plan, detours: Mapping[MapKey, Sequence[str]], version: st
 
 
 def _reroute_carry(
-    task: Task, matches: Mapping[Pair | None, Task], composed: Mapping[Pair, Task], version: str
+    task: Task, matches: Mapping[PairNames | None, Task], composed: Mapping[PairNames, Task], version: str
 ) -> Task:
     """A carry task with detours instead of doubtful maps."""
     detour_of_folder = {matches[pair].request["output"]: detour for pair, detour in composed.items()}

@@ -1,4 +1,4 @@
-"""Numbered tasks of a plan, and scripts that run them on render farms and clusters without Dask."""
+"""Numbered tasks of a plan, and scripts for render farms and clusters."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Step:
 
 
 def farm_steps(plan: Plan) -> tuple[Step, ...]:
-    """Group the tasks of a plan in numbered steps; numbers depend on the job file alone.
+    """Group the tasks of a plan in steps, numbered by the job file alone.
 
     Parameters
     ----------

@@ -133,9 +133,9 @@ def read_job(
         problems += find_problems(parsed, file.parent, schemas, kinds, output_options or {})
     if problems or parsed is None:
         lines = sorted((find_line(text, key_path), message) for key_path, message in problems)
-        listed = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
+        listing = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
         more = f"\n  and {len(lines) - MAX_LISTED_PROBLEMS} more" if len(lines) > MAX_LISTED_PROBLEMS else ""
-        raise FormatError(f"{file}: {counted(len(lines), 'problem')}; nothing was started.\n{listed}{more}")
+        raise FormatError(f"{file}: {counted(len(lines), 'problem')}; nothing was started.\n{listing}{more}")
     return replace(_resolve_paths(file, parsed, kinds), output_options=output_options or {})
 
 

@@ -41,11 +41,11 @@ def find_line(text: str, key_path: KeyPath) -> int:
     return 1
 
 
-Problem = tuple[KeyPath, str]
+JobProblem = tuple[KeyPath, str]
 
 
-def parse_job(data: Any) -> tuple[JobFile | None, list[Problem]]:
-    """The job file without entries that fail validation, if the rest is valid; and the failures."""
+def parse_job(data: Any) -> tuple[JobFile | None, list[JobProblem]]:
+    """The job file without invalid entries, None if that is impossible; and the problems."""
     try:
         return JobFile.model_validate(data), []
     except ValidationError as error:
@@ -75,7 +75,7 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
     return copy
 
 
-def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[Problem]:
+def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[JobProblem]:
     for item in error.errors(include_url=False, include_context=False):
         entry = (*key_path, *item["loc"])
         name = ".".join(map(str, entry)) or "the file"
@@ -107,7 +107,7 @@ def find_problems(
     schemas: Mapping[str, type[BaseModel]],
     kinds: Mapping[str, dict[str, Any]],
     output_options: Mapping[str, tuple[str, ...]],
-) -> Iterator[Problem]:
+) -> Iterator[JobProblem]:
     """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
     if (folder / job.output).is_file():
@@ -133,10 +133,10 @@ def find_problems(
         yield from _carry_problems(job.carry, job.assets)
     for i, output in enumerate(job.outputs):
         options = {"output": output.output or "", **(output.model_extra or {})}
-        known = {key for asset in job.assets for key in asset.files}
+        file_names = {key for asset in job.assets for key in asset.files}
         for key, value in options.items():
-            for side, name in (found for text in _texts(value) for found in PLACEHOLDER.findall(text)):
-                if name and name not in known:
+            for side, name in (match for text in _texts(value) for match in PLACEHOLDER.findall(text)):
+                if name and name not in file_names:
                     message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
                     yield ("outputs", i, key), message + "Add it to the files of an asset."
         yield from _option_problems(output.model_extra or {}, schemas[output.command], ("outputs", i))
@@ -150,7 +150,7 @@ def find_problems(
         yield from _file_problems(input_options, kinds[output.command], folder, ("outputs", i))
 
 
-def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[Problem]:
+def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[JobProblem]:
     if (pair.tree is None) == (pair.source is None and pair.target is None):
         yield ("pairs", i), f"pairs.{i}: expected source and target, or tree. Give one of them."
     elif pair.tree is None and (pair.source is None or pair.target is None):
@@ -163,8 +163,8 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
         yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
 
 
-def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[Problem]:
-    """Problems of a given map: it needs one pair of whole, unchanged meshes and takes a level only."""
+def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[JobProblem]:
+    """Problems of a given map: needs one pair of unchanged meshes, takes only a level."""
     if pair.map is None:
         return
     entry = ("pairs", i, "map")
@@ -182,7 +182,7 @@ def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> 
             )
 
 
-def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:
+def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[JobProblem]:
     sources = [asset for asset in assets if asset.name == carry.source]
     if not sources:
         yield ("carry", "source"), f"carry.source: no asset is called {carry.source!r}. Check the name, or add it."
@@ -193,7 +193,7 @@ def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:
 
 def _file_problems(
     options: dict[str, Any], kinds: dict[str, Any], folder: Path, key_path: KeyPath
-) -> Iterator[Problem]:
+) -> Iterator[JobProblem]:
     """Missing files that options name; names with placeholders are not checked."""
     for name, value in options.items():
         for text, resolved in zip(_texts(value), _texts(resolve_files(value, kinds.get(name), folder)), strict=True):
@@ -215,7 +215,7 @@ def _texts(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else []
 
 
-def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path: KeyPath) -> Iterator[Problem]:
+def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path: KeyPath) -> Iterator[JobProblem]:
     try:
         schema.model_validate(options)
     except ValidationError as error:
@@ -223,7 +223,7 @@ def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path:
 
 
 def resolve_files(value: Any, kind: Any, folder: Path) -> Any:
-    """An option's value with relative files made absolute; the option's type tells which are files."""
+    """An option's value with relative files made absolute; the option's type shows which are files."""
     if isinstance(value, str):
         return (
             str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value

@@ -103,10 +103,10 @@ def options_schema(request: type, excluded: Iterable[str] = ()) -> type[BaseMode
     for name, kind in get_type_hints(request, include_extras=True).items():
         if name in excluded:
             continue
-        plain, *annotations = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        value_type, *annotations = get_args(kind) if get_origin(kind) is Annotated else (kind,)
         choices = _bound(annotations, "choices")
-        plain = plain if choices is None else Literal[choices]
-        fields[name] = (plain | None, Field(None, ge=_bound(annotations, "min"), le=_bound(annotations, "max")))
+        value_type = value_type if choices is None else Literal[choices]
+        fields[name] = (value_type | None, Field(None, ge=_bound(annotations, "min"), le=_bound(annotations, "max")))
     return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **fields)
 
 

@@ -18,8 +18,8 @@ from typing import Any
 from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
-from cagemap.jobs.plan import PICTURE, RESULT, STATE, Plan, Task
-from cagemap.jobs.run import Outcome
+from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task
+from cagemap.jobs.run import TaskOutcome
 from cagemap.report.page import flatten_entries
 from cagemap.report.verdicts import overall_verdict, rate_figures
 
@@ -70,11 +70,11 @@ class PairRow:
 
 
 def pair_rows(
-    plan: Plan, outcomes: dict[str, Outcome], cycle_errors: dict[tuple[str, str], float] | None = None
+    plan: Plan, outcomes: dict[str, TaskOutcome], cycle_errors: dict[tuple[str, str], float] | None = None
 ) -> list[PairRow]:
     """Rows of all pairs of a plan, worst first."""
     rows = []
-    of_pair: dict[Any, list[tuple[Task, Outcome | None]]] = {}
+    of_pair: dict[Any, list[tuple[Task, TaskOutcome | None]]] = {}
     for task in plan.tasks:
         of_pair.setdefault(task.pair, []).append((task, outcomes.get(task.name)))
     for pair in plan.pairs:
@@ -87,13 +87,9 @@ def pair_rows(
         warnings = [str(text) for text in figures.get("warnings", [])]
         quality = dict(figures.get("quality") or {})
         verdict = "failed" if failures or match is None else overall_verdict(rate_figures(quality), warnings)
-        files = [
-            name
-            for _, outcome in tasks_of_pair
-            if outcome is not None and outcome.usable
-            for name in _linked_files(outcome.files)
-        ]
-        picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE
+        usable = [outcome for _, outcome in tasks_of_pair if outcome is not None and outcome.usable]
+        files = [name for outcome in usable for name in _linked_files(outcome.files)]
+        picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE_FILE
         rows.append(
             PairRow(
                 pair[0],
@@ -103,7 +99,7 @@ def pair_rows(
                 sum(o.seconds for _, o in tasks_of_pair if o is not None),
                 quality,
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
-                tuple(name for name in files if not name.endswith(PICTURE)),
+                tuple(name for name in files if not name.endswith(PICTURE_FILE)),
                 picture.read_bytes() if picture.is_file() else b"",
             )
         )
@@ -171,7 +167,7 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
     writer.writerows(flat)
     html = build_library_page(title, rows, notes)
     _write_if_changed(page, html.encode())
-    _write_table(table, text.getvalue(), folder / STATE / f"{table.name}.sha256")
+    _write_table(table, text.getvalue(), folder / STATE_FOLDER / f"{table.name}.sha256")
     if importlib.util.find_spec("pyarrow") is None:
         return page, table
     import pyarrow
@@ -185,8 +181,8 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
 
 
 def _linked_files(files: Sequence[str]) -> list[str]:
-    """Files and folders of a task to link; files of one folder inside the pair's folder count as one."""
-    return list(dict.fromkeys("/".join(name.split("/")[:2]) if RESULT not in name else name for name in files))
+    """Files of a task to link; a folder inside the pair's folder is one link."""
+    return list(dict.fromkeys("/".join(name.split("/")[:2]) if RESULT_FOLDER not in name else name for name in files))
 
 
 def _write_if_changed(path: Path, content: bytes) -> None:
@@ -198,7 +194,7 @@ def _write_if_changed(path: Path, content: bytes) -> None:
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:
-    """Write a table; a note with its hash, instead of a mark inside, shows that cagemap wrote it.
+    """Write a table and a note with its hash, which marks it as cagemap's.
 
     The note is written first with the hashes of the old and the new table, since a run may end between both writes.
     """

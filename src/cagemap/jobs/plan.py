@@ -1,4 +1,4 @@
-"""Tasks of a job with their dependencies, outputs, and a key of everything the result depends on."""
+"""Tasks of a job: their dependencies, outputs, and keys of all inputs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cagemap.jobs.job_checks import resolve_files
 from cagemap.jobs.job_schema import Asset, OutputRule, asset_names, fill_placeholders
 
 # Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
-STATE = ".cagemap"
-RESULT = "RESULT"
+STATE_FOLDER = ".cagemap"
+RESULT_FOLDER = "RESULT"
 # Composed result of a pair with a doubtful map.
-DETOUR = "RESULT-composed"
-PICTURE = "picture.jpg"
+DETOUR_FOLDER = "RESULT-composed"
+PICTURE_FILE = "picture.jpg"
 # Options of a match that change a prepared surface, also with a side's name before them.
 SURFACE_OPTIONS = frozenset(
     [
@@ -40,8 +40,8 @@ SURFACE_OPTIONS = frozenset(
     ]
 )
 DEFAULT_OUTPUTS = {"report": "report.html", "wrap": "{target}.obj"}
-Pair = tuple[str, str]
-Tree = Callable[[list[Asset]], list[Pair]]
+PairNames = tuple[str, str]
+Tree = Callable[[list[Asset]], list[PairNames]]
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class Task:
         Files, patterns or folders that it writes, relative to the job's output folder.
     pair : (str, str) or None
         Source and target.
-    after : tuple of str
+    predecessors : tuple of str
         Names of tasks that must have ended before, in success or failure.
-    reads : dict of str to str
+    input_hashes : dict of str to str
         `content_hash` of the input files at planning.
     """
 
@@ -76,15 +76,15 @@ class Task:
     needs: tuple[str, ...]
     request: dict[str, Any] = field(repr=False)
     outputs: tuple[str, ...] = ()
-    pair: Pair | None = None
-    after: tuple[str, ...] = ()
-    reads: dict[str, str] = field(default_factory=dict, repr=False)
+    pair: PairNames | None = None
+    predecessors: tuple[str, ...] = ()
+    input_hashes: dict[str, str] = field(default_factory=dict, repr=False)
 
     @property
     def slug(self) -> str:
         """A file name for the task."""
-        plain = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
-        return f"{plain[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
+        letters = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
+        return f"{letters[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Plan:
 
     root: Path
     tasks: tuple[Task, ...]
-    pairs: tuple[Pair, ...]
+    pairs: tuple[PairNames, ...]
     omitted_outputs: tuple[str, ...] = ()
 
 
@@ -127,7 +127,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
     planner = _Planner(job, version)
     tasks: dict[str, Task] = {}
     omitted_outputs: list[str] = []
-    pairs: dict[Pair, dict[str, Any]] = {}
+    pairs: dict[PairNames, dict[str, Any]] = {}
     for rule in job.pairs:
         for pair in _rule_pairs(rule.source, rule.target, rule.tree, job, tree):
             files = {"landmarks": rule.landmarks, "map": rule.map}
@@ -163,8 +163,8 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                 )
             if set(picture.outputs) & set(task.outputs):
                 raise FormatError(
-                    f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE}, as the job's own picture of "
-                    "each pair is. Rename it."
+                    f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE_FILE}, as the job's own "
+                    "picture of each pair is. Rename it."
                 )
             earlier.append(task)
             tasks[task.name] = task
@@ -173,7 +173,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
 
 def _rule_pairs(
     source: str | list[str] | None, target: str | list[str] | None, among: str | list[str] | None, job: Job, tree: Tree
-) -> Iterator[Pair]:
+) -> Iterator[PairNames]:
     """Source and target of every pair of a rule, without pairs of one asset."""
     names = list(job.assets)
     if among is not None:
@@ -186,7 +186,7 @@ def _rule_pairs(
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file, or of all tiles of a set; the path itself if there is no file."""
+    """Hash of a file or of a set of tiles; the path if missing."""
     return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
 
 
@@ -235,7 +235,7 @@ class _Planner:
     @property
     def cache(self) -> str:
         """Folder of prepared surfaces."""
-        return str(self.job.output / STATE / "surfaces")
+        return str(self.job.output / STATE_FOLDER / "surfaces")
 
     def prepare(self, asset: Asset, side: str, options: dict[str, Any]) -> Task:
         """The task of one surface; equal preparation for both sides gives the same task."""
@@ -246,12 +246,12 @@ class _Planner:
         side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
         request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
         key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
-        reads, request = self.hashes.files_in(request), {**request, "cache": self.cache}
-        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, reads=reads)
+        input_hashes, request = self.hashes.files_in(request), {**request, "cache": self.cache}
+        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, input_hashes=input_hashes)
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
         """The task of a pair's map."""
-        folder = f"{source.name}__{target.name}/{RESULT}"
+        folder = f"{source.name}__{target.name}/{RESULT_FOLDER}"
         sides = ("target", target), ("source", source)
         inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
         inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
@@ -264,16 +264,19 @@ class _Planner:
         request = {**inputs, "output": str(self.job.output / folder)}
         request |= {} if "map" in options else {"cache": self.cache}
         pair, needed_names = (source.name, target.name), tuple(task.name for task in needs)
-        title, reads = f"match {pair[0]} -> {pair[1]}", self.hashes.files_in(inputs)
-        return Task("match", title, key, needed_names, request, (f"{folder}/{ARRAYS}",), pair, reads=reads)
+        title, input_hashes = f"match {pair[0]} -> {pair[1]}", self.hashes.files_in(inputs)
+        return Task(
+            "match", title, key, needed_names, request, (f"{folder}/{ARRAYS}",), pair, input_hashes=input_hashes
+        )
 
     def picture(self, match: Task) -> Task:
         """The task of a pair's small picture on the job's page."""
         assert match.pair is not None
         source, target = match.pair
-        request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
+        folder = match.request["output"]
+        request = {"result": folder, "output": str(Path(folder).parent / PICTURE_FILE)}
         key = task_key(self.version, "picture", match.key)
-        file = f"{source}__{target}/{PICTURE}"
+        file = f"{source}__{target}/{PICTURE_FILE}"
         return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (file,), match.pair)
 
     def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, earlier: list[Task]) -> Task | str:
@@ -301,8 +304,18 @@ class _Planner:
         key = task_key(
             self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *earlier_keys
         )
-        reads, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
+        input_hashes, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / file) for option, file in files.items()}
         title = f"{rule.command} {pair}: {Path(files['output']).name}"
-        after = tuple(task.name for task in earlier[-1:])
-        return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after, reads)
+        predecessors = tuple(task.name for task in earlier[-1:])
+        return Task(
+            rule.command,
+            title,
+            key,
+            (match.name,),
+            request,
+            tuple(files.values()),
+            match.pair,
+            predecessors,
+            input_hashes,
+        )

@@ -1,4 +1,4 @@
-"""Execution of a plan on Dask: finished tasks are kept; a failure skips only tasks that need it."""
+"""Execution of a plan on Dask; finished tasks are kept, failures skip dependent tasks."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.schema import own_note
-from cagemap.jobs.plan import DETOUR, RESULT, STATE, Plan, Task, content_hash
+from cagemap.jobs.plan import DETOUR_FOLDER, RESULT_FOLDER, STATE_FOLDER, Plan, Task, content_hash
 from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
     from distributed import Client
 
-# Retries of a task after its worker was lost.
-RETRIES = 2
+# Of a task whose worker was lost.
+MAX_RETRIES = 2
 _REMEDY = "Run the same command again: what is done is kept."
 
 Runner = Callable[[Task], dict[str, Any]]
-Report = Callable[["Outcome", int, int], None]
+Report = Callable[["TaskOutcome", int, int], None]
 OpenClient = Callable[[], "Client"]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """The end of a task.
 
     Attributes
@@ -67,7 +67,7 @@ class Outcome:
 
 def run_plan(
     plan: Plan, runner: Runner, connect: OpenClient, report: Report = lambda outcome, finished, total: None
-) -> dict[str, Outcome]:
+) -> dict[str, TaskOutcome]:
     """Run the missing tasks of a plan.
 
     Parameters
@@ -82,7 +82,7 @@ def run_plan(
 
     Returns
     -------
-    dict of str to Outcome
+    dict of str to TaskOutcome
         By name, of all tasks of the plan except preparations that no missing task needs.
     """
     outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
@@ -99,8 +99,8 @@ def missing_tasks(plan: Plan) -> list[Task]:
 
 def _select_missing(plan: Plan, kept: set[str]) -> list[Task]:
     missing = [task for task in plan.tasks if task.name not in kept]
-    wanted = needed_tasks(plan, {task.name for task in missing if task.kind != "prepare"})
-    return [task for task in missing if task.name in wanted]
+    needed = needed_tasks(plan, {task.name for task in missing if task.kind != "prepare"})
+    return [task for task in missing if task.name in needed]
 
 
 def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
@@ -112,30 +112,28 @@ def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
     return needed
 
 
-def kept_outcome(root: Path, task: Task) -> Outcome | None:
-    """The outcome of an earlier run, if the task is unchanged and all its files exist."""
+def kept_outcome(root: Path, task: Task) -> TaskOutcome | None:
+    """The outcome of an earlier run, if the task and its files are unchanged."""
     note = own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
     files = ((root / path, size) for path, size in note["outputs"].items())
     is_complete = all(file.is_file() and file.stat().st_size == size for file, size in files)
-    return (
-        Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
-        if is_complete
-        else None
-    )
+    if not is_complete:
+        return None
+    return TaskOutcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
 
 
-def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> Outcome:
+def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutcome) -> TaskOutcome:
     """Run one task unless another run has done it; errors become a failed outcome."""
-    failed = [outcome for outcome in predecessors if outcome.name in task.needs and not outcome.usable]
+    failed = [outcome for outcome in earlier_outcomes if outcome.name in task.needs and not outcome.usable]
     if failed:
-        return Outcome(task.name, "skipped", _skip_message(failed[0]))
+        return TaskOutcome(task.name, "skipped", _skip_message(failed[0]))
     from filelock import FileLock  # here: plans and dry runs do not need it
 
     start = time.perf_counter()
     try:
-        state = root / STATE
+        state = root / STATE_FOLDER
         pairs = (root / Path(path).parts[0] for path in task.outputs)
         for folder in (state / "done", state / "locks", *pairs):
             folder.mkdir(parents=True, exist_ok=True)
@@ -148,7 +146,7 @@ def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> O
                 _note_path(root, task).unlink()  # its files are replaced below
             with files_written() as written:
                 figures = runner(task)
-            for path, expected_hash in task.reads.items():
+            for path, expected_hash in task.input_hashes.items():
                 if content_hash(path) != expected_hash:
                     raise FormatError(
                         f"{path}: has changed since this run began, so what came of it is not kept. {_REMEDY}"
@@ -164,7 +162,7 @@ def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> O
                 "figures": figures,
             }
             write_whole(_note_path(root, task), json.dumps(note, indent=1))
-            return Outcome(task.name, "done", "", seconds, figures, tuple(outputs))
+            return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except CagemapError as error:
         message = str(error)
     except MemoryError:
@@ -173,25 +171,31 @@ def execute(task: Task, root: Path, runner: Runner, *predecessors: Outcome) -> O
         message = f"{error.filename or 'file'}: {error.strerror or error}. Check the path and the room on the disk."
     except Exception as error:
         message = f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it."
-    return Outcome(task.name, "failed", message, time.perf_counter() - start)
+    return TaskOutcome(task.name, "failed", message, time.perf_counter() - start)
 
 
 def _run_tasks(
-    client: Client, plan: Plan, missing: list[Task], runner: Runner, known: dict[str, Outcome], report: Report
-) -> dict[str, Outcome]:
+    client: Client,
+    plan: Plan,
+    missing: list[Task],
+    runner: Runner,
+    kept_outcomes: dict[str, TaskOutcome],
+    report: Report,
+) -> dict[str, TaskOutcome]:
     from distributed import as_completed, wait
 
     run = uuid.uuid4().hex[:8]
 
-    def submit(task: Task, predecessors: Iterable[Any], trial: int) -> Any:
+    def submit(task: Task, earlier_outcomes: Iterable[Any], trial: int) -> Any:
         key = f"{task.kind}-{task.slug}-{run}-{trial}"
-        return client.submit(execute, task, plan.root, runner, *predecessors, key=key, pure=False)
+        return client.submit(execute, task, plan.root, runner, *earlier_outcomes, key=key, pure=False)
 
     futures: dict[str, Any] = {}
     for task in missing:
-        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _earlier_tasks(task)], 1)
+        earlier = [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)]
+        futures[task.name] = submit(task, earlier, 1)
     names = {future.key: name for name, future in futures.items()}
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, TaskOutcome] = {}
     lost = set()
     for future in as_completed(futures.values()):
         name = names[future.key]
@@ -204,41 +208,41 @@ def _run_tasks(
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
-            future = submit(task, [outcomes.get(name, known.get(name)) for name in _earlier_tasks(task)], 2)
+            future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
             wait(future)
-            finished = future.status == "finished"
-            outcomes[task.name] = _count_as_done(future.result()) if finished else _lost_outcome(task, outcomes)
+            is_finished = future.status == "finished"
+            outcomes[task.name] = _count_as_done(future.result()) if is_finished else _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
 
 
 def _earlier_tasks(task: Task) -> tuple[str, ...]:
-    return (*task.needs, *task.after)
+    return (*task.needs, *task.predecessors)
 
 
-def _count_as_done(outcome: Outcome) -> Outcome:
-    """Outcome "done" for a task that a lost worker or another run finished during this run."""
+def _count_as_done(outcome: TaskOutcome) -> TaskOutcome:
+    """State "done" for tasks that a lost worker or another run finished meanwhile."""
     return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
-def _skip_message(outcome: Outcome) -> str:
+def _skip_message(outcome: TaskOutcome) -> str:
     return f"needs '{outcome.name}', which {'was ' * (outcome.state == 'skipped')}{outcome.state}"
 
 
-def _lost_outcome(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
+def _lost_outcome(task: Task, outcomes: dict[str, TaskOutcome]) -> TaskOutcome:
     """Outcome of a task whose workers were lost, or that needs such a task."""
     for name in task.needs:
         if name in outcomes and not outcomes[name].usable:
-            return Outcome(task.name, "skipped", _skip_message(outcomes[name]))
-    cause = f"its worker died {RETRIES + 1} times: killed, or out of memory. Use fewer workers"
-    return Outcome(task.name, "failed", f"{cause}. {_REMEDY}")
+            return TaskOutcome(task.name, "skipped", _skip_message(outcomes[name]))
+    cause = f"its worker died {MAX_RETRIES + 1} times: killed, or out of memory. Use fewer workers"
+    return TaskOutcome(task.name, "failed", f"{cause}. {_REMEDY}")
 
 
 @contextmanager
 def open_client(
     scheduler: str | None = None, workers: int | None = None, tell: Callable[[str], None] = lambda words: None
 ) -> Iterator[OpenClient]:
-    """Connect to Dask when the first task needs it; disconnect at the end of the block.
+    """Connect to Dask for the first task; disconnect at the end of the block.
 
     Parameters
     ----------
@@ -288,7 +292,10 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed.system import MEMORY_LIMIT
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
-    settings = {"distributed.scheduler.allowed-failures": RETRIES, "distributed.nanny.pre-spawn-environ": environment}
+    settings = {
+        "distributed.scheduler.allowed-failures": MAX_RETRIES,
+        "distributed.nanny.pre-spawn-environ": environment,
+    }
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
     # Any free port, so that a second cluster on this machine causes no warning.
@@ -308,14 +315,15 @@ def _require_dask() -> None:
 
 
 def _note_path(root: Path, task: Task) -> Path:
-    return root / STATE / "done" / f"{task.slug}.json"
+    return root / STATE_FOLDER / "done" / f"{task.slug}.json"
 
 
 def _output_sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
     """Written files of a task and their sizes, without RESULT folders and the job's state."""
     expected = [path for path in task.outputs if (root / path).is_file()]
     relative = [Path(os.path.relpath(path, root)) for path in written]
-    additional = [path.as_posix() for path in relative if not {RESULT, DETOUR, STATE} & set(path.parts)]
+    internal = {RESULT_FOLDER, DETOUR_FOLDER, STATE_FOLDER}
+    additional = [path.as_posix() for path in relative if not internal & set(path.parts)]
     sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*expected, *additional])}
     if task.outputs and not sizes:
         raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")

@@ -1,4 +1,4 @@
-"""Minimum spanning tree of a collection by shape difference: the fewest matches that connect all models."""
+"""Minimum spanning tree of a collection by shape difference, for the fewest matches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, face_areas
 from cagemap.numerics.arrays import FloatArray
 
-SAMPLE_COUNT = 4000
+DISTANCE_COUNT = 4000
 QUANTILE_COUNT = 200
 
 
@@ -33,9 +33,8 @@ def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
             signatures.append(shape_distribution(read_whole(asset.file)))
         except CagemapError as error:
             raise FormatError(f"{asset.name}: a spanning tree needs every mesh, and this one: {error}") from error
-    lengths = (
-        squareform(pdist(np.array(signatures), "cityblock")) / QUANTILE_COUNT + 1.0
-    )  # a length of 0 would be no edge
+    # SciPy takes a length of 0 as no edge.
+    lengths = squareform(pdist(np.array(signatures), "cityblock")) / QUANTILE_COUNT + 1.0
     np.fill_diagonal(lengths, 0.0)
     edges = minimum_spanning_tree(lengths).tocoo()
     pairs = []
@@ -49,7 +48,6 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
 
     Invariant to position, rotation and scale, and nearly to connectivity.
 
-
     Raises
     ------
     InvalidMeshError
@@ -61,8 +59,8 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
         raise InvalidMeshError(f"{mesh.name}: expected faces with an area, got none. Export the mesh again.")
     share = (areas / np.maximum(mesh.face_sizes - 2, 1))[faces]
     random = np.random.default_rng(20020107)
-    sampled = random.choice(len(triangles), size=(2, SAMPLE_COUNT), p=share / share.sum())
-    u, v = np.sqrt(random.random((2, 2, SAMPLE_COUNT, 1)))[0], random.random((2, SAMPLE_COUNT, 1))
+    sampled = random.choice(len(triangles), size=(2, DISTANCE_COUNT), p=share / share.sum())
+    u, v = np.sqrt(random.random((2, 2, DISTANCE_COUNT, 1)))[0], random.random((2, DISTANCE_COUNT, 1))
     a, b, c = (mesh.positions[triangles[sampled, k]] for k in range(3))
     points = (1 - u) * a + u * (1 - v) * b + u * v * c
     distances = np.linalg.norm(points[0] - points[1], axis=1) / np.sqrt(areas.sum())

@@ -1,4 +1,4 @@
-"""Cameras that frame a surface, and named views of a figure that faces +Z with +Y up."""
+"""Cameras that frame a surface that faces +Z with +Y up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 
 # Vertical opening angle in degrees, and free border as a share of the image.
-OPENING_ANGLE, MARGIN = 28.0, 0.06
+OPENING_DEGREES, MARGIN = 28.0, 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def frame(positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3) -
     local = positions @ axes.T  # (n,3) in camera axes
     centre = (local.min(0) + local.max(0)) / 2
     local = local - centre
-    tangent = float(np.tan(np.radians(OPENING_ANGLE) / 2))
+    tangent = float(np.tan(np.radians(OPENING_DEGREES) / 2))
     usable = tangent * (1.0 - MARGIN)
     # |x| <= (distance - z) * usable * aspect for every point, and the same upwards.
     distance = float(np.max(local[:, 2] + np.maximum(np.abs(local[:, 0]) / aspect, np.abs(local[:, 1])) / usable))

@@ -1,4 +1,4 @@
-"""Colour encodings, colour scales, and colours that show a map. Colours are sRGB in [0, 1]."""
+"""Colour encodings, colour scales, colours that show a map; sRGB in [0, 1]."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray
 
 
 def position_colors(points: FloatArray, reference: FloatArray, cells: int = 24) -> FloatArray:
-    """Colours of positions on the source: x, y, z as red, green, blue, with a faint checker.
+    """Colours of positions: x, y, z as red, green, blue, with a faint checker.
 
     They show a map when the source gets its own positions and the target the positions its vertices map to.
 

@@ -1,4 +1,4 @@
-"""Orientation of a model in pictures: up axis and front, from its file or its shape.
+"""Orientation of a model: up axis and front, from its file or shape.
 
 Files mostly have +Y up and face +Z, or +Z up and face -Y. A mirror plane, or feet that are stable along one axis only,
 can show other axes; otherwise +Y is up. Bounds were chosen on the animals and neutral humans of the test data.
@@ -134,9 +134,8 @@ def _sample_points(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(p, 3) points distributed evenly over a surface."""
     cumulative = np.cumsum(triangle_areas(positions, triangles))
     steps = np.arange(SAMPLE_COUNT) + 0.5
-    corners = triangles[
-        np.searchsorted(cumulative, steps * (cumulative[-1] / SAMPLE_COUNT)).clip(max=len(triangles) - 1)
-    ]
+    numbers = np.searchsorted(cumulative, steps * (cumulative[-1] / SAMPLE_COUNT))
+    corners = triangles[numbers.clip(max=len(triangles) - 1)]
     # Roberts' sequence, folded into the triangle.
     s, t = np.modf(np.outer([0.7548776662466927, 0.5698402909980532], steps))[0]
     outside = s + t > 1
@@ -152,12 +151,10 @@ def _upright_turn(points: FloatArray) -> FloatArray | None:
         return Z_UP  # left and right are mirrored, not top and bottom
     if mirror_axis == 2:
         return Y_UP
-    for turn, other in ((Y_UP, Z_UP), (Z_UP, Y_UP)):
+    for turn, other_turn in ((Y_UP, Z_UP), (Z_UP, Y_UP)):
         width, height, _ = np.ptp(points @ turn, axis=0)
-        if (
-            _stability(points @ turn) > max(MIN_STABILITY, _stability(points @ other) + MIN_STABILITY_GAIN)
-            and height > MIN_HEIGHT_RATIO * width
-        ):
+        min_stability = max(MIN_STABILITY, _stability(points @ other_turn) + MIN_STABILITY_GAIN)
+        if _stability(points @ turn) > min_stability and height > MIN_HEIGHT_RATIO * width:
             return turn
     return None
 
@@ -177,7 +174,7 @@ def _mirror_axis(points: FloatArray) -> int | None:
 
 
 def _stability(points: FloatArray) -> float:
-    """Distance of the centre inside the convex hull of the feet, Y up; negative if unstable."""
+    """Distance of the centre inside the feet's convex hull, Y up; negative if unstable."""
     height = points[:, 1]
     sole = points[height < height.min() + SOLE_HEIGHT * np.ptp(height)][:, [0, 2]]
     offsets = np.abs(sole[:, 0] - (points[:, 0].min() + points[:, 0].max()) / 2)

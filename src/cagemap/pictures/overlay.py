@@ -11,7 +11,7 @@ from cagemap.pictures.render import Image, Model, visible_points
 from cagemap.surface.polylines import Polyline
 
 # Points that a segment of a line is drawn with.
-POINTS_A_SEGMENT = 12
+POINTS_PER_SEGMENT = 12
 
 
 def draw_dots(
@@ -30,9 +30,8 @@ def draw_dots(
     height, width = image.shape[:2]
     pixels = image.astype(np.float64)
     positions = camera.project(points, width, height)
-    for position, color in zip(
-        positions[is_visible := visible_points(model, camera, points)], colors[is_visible], strict=True
-    ):
+    is_visible = visible_points(model, camera, points)
+    for position, color in zip(positions[is_visible], colors[is_visible], strict=True):
         reach = radius + 3.0
         x0, y0 = np.maximum(np.floor(position - reach).astype(int), 0)
         x1, y1 = np.minimum(np.ceil(position + reach).astype(int) + 1, [width, height])
@@ -41,11 +40,8 @@ def draw_dots(
         y, x = np.mgrid[y0:y1, x0:x1] + 0.5
         distance = np.hypot(x - position[0], y - position[1])
         tile = pixels[y0:y1, x0:x1]
-        for disc, pixel_color in (
-            (radius + 2.0, np.full(3, 255.0)),
-            (radius + 0.6, np.full(3, 40.0)),
-            (radius, color * 255),
-        ):
+        rings = (radius + 2.0, np.full(3, 255.0)), (radius + 0.6, np.full(3, 40.0)), (radius, color * 255)
+        for disc, pixel_color in rings:
             cover = np.clip(disc - distance + 0.5, 0.0, 1.0)[..., None]
             tile[:] = tile * (1 - cover) + pixel_color * cover
     return np.round(pixels).astype(np.uint8)
@@ -60,7 +56,7 @@ def draw_line(image: Image, model: Model, camera: Camera, line: Polyline, color:
         In the surface's unit.
     color : (3,) sRGB in [0, 1]
     """
-    return _draw_stroke(image, model, camera, line.finer(POINTS_A_SEGMENT), color, width=3.0, rim=1.0)
+    return _draw_stroke(image, model, camera, line.finer(POINTS_PER_SEGMENT), color, width=3.0, rim=1.0)
 
 
 def draw_segments(image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray) -> Image:

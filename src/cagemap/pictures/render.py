@@ -22,7 +22,7 @@ from cagemap.pictures.colors import to_display, to_linear
 from cagemap.surface.triangles import vertex_normals
 
 Image = NDArray[np.uint8]
-CLAY = np.array([0.80, 0.78, 0.75])
+DEFAULT_COLOR = np.array([0.80, 0.78, 0.75])
 WHITE = np.ones(3)
 FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid points a side
 SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
@@ -96,7 +96,7 @@ class Model:
 
     @kept
     def floor_shadow(self) -> FloatArray:
-        """(cells, cells) share of the sky hidden from floor points, by x and z; 0 at the border."""
+        """(cells, cells) share of the sky hidden from floor points; 0 at the border."""
         reach = np.linspace(-FLOOR_REACH, FLOOR_REACH, FLOOR_CELLS)
         x, z = np.meshgrid(reach, reach, indexing="ij")
         points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1) * self.scale
@@ -199,7 +199,7 @@ def _to_unit(model: Model, points: FloatArray) -> FloatArray:
 
 
 def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[str, NDArray[Any]]:
-    """First hits of rays from origins in the unit box; ``tfar`` is in units of the directions' lengths."""
+    """First hits of rays from origins in the unit box; ``tfar`` multiplies the directions."""
     starts = np.broadcast_to(origins, directions.shape)
     hits: dict[str, NDArray[Any]] = model.scene.run(
         np.ascontiguousarray(starts, np.float32), np.ascontiguousarray(directions, np.float32), output=1
@@ -210,7 +210,7 @@ def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[s
 def _radiance(
     scene: _Scene, directions: FloatArray, openness: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Linear light (r, 3) along rays from the eye, and the share of the sky (r,) seen from their hits.
+    """Linear light (r, 3) along eye rays, and the sky's share (r,) at their hits.
 
     The share is -1 without a hit, and is not computed if ``openness`` is given.
     """
@@ -248,7 +248,7 @@ def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) 
         return np.einsum("rc,rcd->rd", corner, to_linear(skin.vertex_colors[model.triangles[triangle]]))
     if skin.face_colors is not None:
         return to_linear(skin.face_colors[triangle])
-    return np.tile(to_linear(CLAY), (len(triangle), 1))
+    return np.tile(to_linear(DEFAULT_COLOR), (len(triangle), 1))
 
 
 def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
@@ -258,10 +258,10 @@ def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
     y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
     column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
     column, row = np.maximum(column, 0), np.maximum(row, 0)
-    right, below = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
+    next_column, next_row = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
     s, t = (x - column)[:, None], (y - row)[:, None]
-    upper = texture[row, column] * (1 - s) + texture[row, right] * s
-    lower = texture[below, column] * (1 - s) + texture[below, right] * s
+    upper = texture[row, column] * (1 - s) + texture[row, next_column] * s
+    lower = texture[next_row, column] * (1 - s) + texture[next_row, next_column] * s
     return np.asarray(upper * (1 - t) + lower * t, dtype=np.float64)
 
 

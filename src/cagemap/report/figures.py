@@ -48,7 +48,7 @@ WIDTH, HEIGHT = 600, 460
 THUMBNAIL_SIZE = 220, 190
 # Of sqrt(area): distance of two answers that gets the last colour of the scale.
 MAX_ANSWER_DISTANCE = 0.3
-CHECKER_CELLS = 28  # along the longest side
+STILL_CHECKER_CELLS = 28  # along the longest side
 MAX_TEXTURE_SIZE = 2048  # texels a side
 BACKGROUND = np.array([0.962, 0.966, 0.970])
 
@@ -99,7 +99,7 @@ class Gallery:
 
 
 @dataclass(frozen=True, eq=False)
-class _Scene:
+class _ModelPair:
     """Both surfaces, rotated for drawing."""
 
     result: MatchResult
@@ -135,25 +135,25 @@ def draw_gallery(
     viewpoints : Viewpoints, optional
         Default: `choose_viewpoints`.
     """
-    scene = _make_scene(result, viewpoints or choose_viewpoints(result))
-    appearance, source_skin, target_skin = _skins(scene, texture, baked)
+    models = _model_pair(result, viewpoints or choose_viewpoints(result))
+    appearance, source_skin, target_skin = _skins(models, texture, baked)
     target_colors = position_colors(result.image(), result.source.vertices)
     source_colors = position_colors(result.source.vertices, result.source.vertices)
     trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
-    jobs: list[_Job] = [
+    jobs: list[_FigureJob] = [
         *((view, source_skin, target_skin, False) for view in VIEWS),
         *((view, Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors), True) for view in (FRONT, BACK)),
         *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
     ]
     masks, answers = _mask_jobs(result), _answer_jobs(result)
-    figures = tuple(_draw_figures(scene, [*jobs, *masks, *answers], size, progress))
+    figures = tuple(_draw_figures(models, [*jobs, *masks, *answers], size, progress))
     mask_figures, answer_figures = figures[7 : 7 + len(masks)], figures[7 + len(masks) :]
     answer_pairs = tuple(zip(answer_figures[::2], answer_figures[1::2], strict=True))
-    orientation = str(scene.viewpoints.target)
+    orientation = str(models.viewpoints.target)
     return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], orientation, mask_figures, answer_pairs)
 
 
-def _mask_jobs(result: MatchResult) -> list[_Job]:
+def _mask_jobs(result: MatchResult) -> list[_FigureJob]:
     """Pictures of the masks from the front and from behind; none if nothing is masked."""
     masks = result.masks
     if not masks.any:
@@ -172,7 +172,7 @@ def runner_up_image(result: MatchResult) -> FloatArray | None:
     return np.asarray(image + refinement.prolong(runner_ups[0] - image[: runner_ups.shape[1]], 0, refinement.n_levels))
 
 
-def _answer_jobs(result: MatchResult) -> list[_Job]:
+def _answer_jobs(result: MatchResult) -> list[_FigureJob]:
     """Pictures of the runner-up and of its distance from the map; none without a runner-up."""
     image, vertices = runner_up_image(result), result.source.vertices
     if image is None:
@@ -191,16 +191,16 @@ def _answer_jobs(result: MatchResult) -> list[_Job]:
 
 def draw_thumbnail(result: MatchResult) -> Image:
     """One small picture of a map: source left, target right; equal colours correspond."""
-    scene = _make_scene(result, choose_viewpoints(result))
+    models = _model_pair(result, choose_viewpoints(result))
     source_skin = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
     target_skin = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
-    figure = _draw_figure(scene, (FRONT, source_skin, target_skin, False), THUMBNAIL_SIZE)
+    figure = _draw_figure(models, (FRONT, source_skin, target_skin, False), THUMBNAIL_SIZE)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
-def _make_scene(result: MatchResult, viewpoints: Viewpoints) -> _Scene:
+def _model_pair(result: MatchResult, viewpoints: Viewpoints) -> _ModelPair:
     target, source = (TexturedSurface.from_level(side.refinement.finest) for side in (result.target, result.source))
-    return _Scene(
+    return _ModelPair(
         result,
         target,
         source,
@@ -210,43 +210,43 @@ def _make_scene(result: MatchResult, viewpoints: Viewpoints) -> _Scene:
     )
 
 
-def _skins(scene: _Scene, texture: Pixels | None, baked: Pixels | None) -> tuple[str, Skin, Skin]:
+def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> tuple[str, Skin, Skin]:
     """Appearance (texture, material colours or checker) and the skins of source and target."""
-    if texture is not None and scene.source.uvs is not None:
+    if texture is not None and models.source.uvs is not None:
         pixels = display_image(texture)
-        source_skin = Skin(texture=pixels, corner_uvs=scene.source.corner_uvs())
-        if baked is not None and scene.target.uvs is not None:
-            return "texture", source_skin, Skin(texture=display_image(baked), corner_uvs=scene.target.corner_uvs())
-        return "texture", source_skin, Skin(vertex_colors=_vertex_texture(scene, pixels))
-    control = scene.result.source.control
+        source_skin = Skin(texture=pixels, corner_uvs=models.source.corner_uvs())
+        if baked is not None and models.target.uvs is not None:
+            return "texture", source_skin, Skin(texture=display_image(baked), corner_uvs=models.target.corner_uvs())
+        return "texture", source_skin, Skin(vertex_colors=_pulled_back_texture(models, pixels))
+    control = models.result.source.control
     colors_of_faces = np.zeros((1, 3))
     if control.face_materials is not None and control.material_colors is not None:
         colors_of_faces = face_colors(control)
     if np.ptp(colors_of_faces, axis=0).any():  # a single colour shows nothing
-        parents = scene.source.face_parents[scene.source.triangle_faces]
+        parents = models.source.face_parents[models.source.triangle_faces]
         colors = to_display(colors_of_faces[parents])
-        return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[scene.result.triangle])
-    source_checker = _checker(scene.result.source.vertices, scene.result.source.vertices)
-    target_checker = _checker(scene.result.image(), scene.result.source.vertices)
+        return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[models.result.triangle])
+    source_checker = _checker(models.result.source.vertices, models.result.source.vertices)
+    target_checker = _checker(models.result.image(), models.result.source.vertices)
     return "checker", Skin(vertex_colors=source_checker), Skin(vertex_colors=target_checker)
 
 
-def _vertex_texture(scene: _Scene, texture: FloatArray) -> FloatArray:
+def _pulled_back_texture(models: _ModelPair, texture: FloatArray) -> FloatArray:
     """(n1, 3) the source's texture at the image of every target vertex."""
-    corners = scene.source.corner_uvs()[scene.result.triangle]
-    return sample_texture(texture, np.einsum("nc,ncd->nd", scene.result.barycentric, corners))[:, :3]
+    corners = models.source.corner_uvs()[models.result.triangle]
+    return sample_texture(texture, np.einsum("nc,ncd->nd", models.result.barycentric, corners))[:, :3]
 
 
 def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
     """(n, 3) colours of a three-dimensional checker."""
     size = float(np.ptp(reference, axis=0).max())
-    cells = np.floor((points - reference.min(0)) * (CHECKER_CELLS / size)).astype(np.int64)
+    cells = np.floor((points - reference.min(0)) * (STILL_CHECKER_CELLS / size)).astype(np.int64)
     odd = (cells.sum(1) % 2 == 1)[:, None]
     return np.where(odd, np.array([0.20, 0.45, 0.55]), np.array([0.93, 0.90, 0.84]))
 
 
 def display_image(image: Pixels) -> FloatArray:
-    """(h, w, 3) sRGB in [0, 1] with at most 2048 texels a side; grey images get three channels."""
+    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels."""
     pixels = np.asarray(image)
     if np.issubdtype(pixels.dtype, np.integer):
         scale = 1.0 / np.iinfo(pixels.dtype).max
@@ -261,33 +261,33 @@ def display_image(image: Pixels) -> FloatArray:
 
 
 # View, skin of the source, skin of the target, whether landmarks and curves are drawn.
-_Job = tuple[View, Skin | None, Skin, bool]
+_FigureJob = tuple[View, Skin | None, Skin, bool]
 
 
 def _draw_figures(
-    scene: _Scene, jobs: list[_Job], size: tuple[int, int], progress: Progress | None
+    models: _ModelPair, jobs: list[_FigureJob], size: tuple[int, int], progress: Progress | None
 ) -> Iterator[Figure]:
     # NumPy and Embree release the interpreter lock, so two threads draw nearly twice as fast.
     with ThreadPool(2) as pool:
-        for number, figure in enumerate(pool.map(lambda job: _draw_figure(scene, job, size), jobs), start=1):
+        for number, figure in enumerate(pool.map(lambda job: _draw_figure(models, job, size), jobs), start=1):
             if progress is not None:
                 progress(f"picture {number} of {len(jobs)}")
             yield figure
 
 
-def _draw_figure(scene: _Scene, job: _Job, size: tuple[int, int]) -> Figure:
+def _draw_figure(models: _ModelPair, job: _FigureJob, size: tuple[int, int]) -> Figure:
     view, source_skin, target_skin, has_overlay = job
-    result = scene.result
+    result = models.result
     pairs = result.landmarks
     overlay = [
         _make_overlay(side, points, lines, turn) if has_overlay else None
         for side, points, lines, turn in (
-            (result.target, pairs.target_points, pairs.curves.target, scene.viewpoints.target.turn),
-            (result.source, pairs.source_points, pairs.curves.source, scene.viewpoints.source_turn),
+            (result.target, pairs.target_points, pairs.curves.target, models.viewpoints.target.turn),
+            (result.source, pairs.source_points, pairs.curves.source, models.viewpoints.source_turn),
         )
     ]
-    source = None if source_skin is None else _draw(scene.source_model, source_skin, view, size, overlay[1])
-    return Figure(view.name, source, _draw(scene.target_model, target_skin, view, size, overlay[0]))
+    source = None if source_skin is None else _draw(models.source_model, source_skin, view, size, overlay[1])
+    return Figure(view.name, source, _draw(models.target_model, target_skin, view, size, overlay[0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,20 +61,12 @@ def report_models(
     looks = [
         *([] if source_look is None else [source_look.look]),
         Look(
-            "Checker",
-            "The source's checker on both. Squares stay squares where the map keeps shape.",
-            kind="checker",
+            "Checker", "The source's checker on both. Squares stay squares where the map keeps shape.", kind="checker"
         ),
         Look(
-            "Places",
-            "Equal colours are equal places. Point at one model: a ring marks the same place.",
-            kind="places",
+            "Places", "Equal colours are equal places. Point at one model: a ring marks the same place.", kind="places"
         ),
-        Look(
-            "Problems",
-            "Red: folded or stretched strongly; on the source: nothing from here arrives.",
-            kind="doubt",
-        ),
+        Look("Problems", "Red: folded or stretched strongly; on the source: nothing from here arrives.", kind="doubt"),
         Look(
             "Sizes",
             "Red: larger on the target than on the source; blue: smaller. The darkest are twice or half as long. Both "
@@ -85,36 +77,31 @@ def report_models(
     ]
     runner_up = runner_up_image(result)
     if runner_up is not None:
-        colors = [
-            position_colors(places, result.source.vertices)
-            for places in (result.source.vertices[source.vertices], runner_up[target.vertices])
-        ]
+        reference = result.source.vertices
+        on_source = position_colors(reference[source.vertices], reference)
+        on_target = position_colors(runner_up[target.vertices], reference)
         looks.append(
-            Look("Other answer", "As Places, of the next best answer: is it the right one?", colors[0], colors[1])
+            Look("Other answer", "As Places, of the next best answer: is it the right one?", on_source, on_target)
         )
     if result.masks.any:
-        source_mask, joint = result.masks.of_source(len(result.source.vertices)), result.masks.joint(result.point_map)
-        colors = [scalar_colors(values, 0.0, 1.0) for values in (source_mask[source.vertices], joint[target.vertices])]
-        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", colors[0], colors[1]))
-    if result.shared is not None:
-        colors = [
-            scalar_colors(values, 0.0, 1.0)
-            for values in (result.shared.source[source.vertices], result.shared.target[target.vertices])
-        ]
-        shared = result.shared
+        source_mask = result.masks.of_source(len(result.source.vertices))[source.vertices]
+        on_source = scalar_colors(source_mask, 0.0, 1.0)
+        on_target = scalar_colors(result.masks.joint(result.point_map)[target.vertices], 0.0, 1.0)
+        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", on_source, on_target))
+    shared = result.shared
+    if shared is not None:
         legend = (
             f"Dark parts have no counterpart: {1 - shared.target_share:.0%} of the target, "
             f"{1 - shared.source_share:.0%} of the source."
         )
-        looks.append(Look("Shared", legend, colors[0], colors[1]))
+        on_source = scalar_colors(shared.source[source.vertices], 0.0, 1.0)
+        on_target = scalar_colors(shared.target[target.vertices], 0.0, 1.0)
+        looks.append(Look("Shared", legend, on_source, on_target))
     if carried.weights is not None:
-        colors = [
-            _prolong(side, joint_colors(values))
-            for side, values in ((source, carried.weights.source), (target, carried.weights.target))
-        ]
-        looks.append(
-            Look("Weights", "One colour for each joint, mixed where several hold a vertex.", colors[0], colors[1])
-        )
+        on_source = _prolong(source, joint_colors(carried.weights.source))
+        on_target = _prolong(target, joint_colors(carried.weights.target))
+        legend = "One colour for each joint, mixed where several hold a vertex."
+        looks.append(Look("Weights", legend, on_source, on_target))
     return Models(
         target,
         source,

@@ -21,7 +21,7 @@ TARGET, SOURCE = "target", "source"
 # Trust below which a place is marked, and the smallest marked share of the surface's area.
 MAX_MARKED_TRUST, MIN_MARKED_AREA = 0.5, 5e-4
 # Largest places first.
-MAX_MARKS_A_KIND = 4
+MAX_MARKS_PER_KIND = 4
 DECIDING_TEXT = "a landmark here tells which answer is right"
 
 
@@ -97,7 +97,7 @@ def largest_regions(selected: NDArray[np.bool_], display: DisplaySurface) -> lis
     label = connected_components(graph, directed=False)[1][faces[:, 0]]
     share = np.bincount(label, weights=areas[is_inside]) / areas.sum()
     regions = []
-    for number in np.argsort(-share)[:MAX_MARKS_A_KIND]:
+    for number in np.argsort(-share)[:MAX_MARKS_PER_KIND]:
         if share[number] >= MIN_MARKED_AREA:
             of_region = label == number
             vertex = _central_vertex(display.positions, faces[of_region], areas[is_inside][of_region])

@@ -175,7 +175,7 @@ def _box(result: MatchResult) -> tuple[FloatArray, FloatArray]:
 
 
 def _split_vertices(display: DisplaySurface, keys: IndexArray | None) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Split vertices by key: triangles, the original of each added vertex, the key of every vertex."""
+    """Split vertices by key: triangles, originals of added vertices, keys of all vertices."""
     n = len(display.vertices)
     if keys is None:
         return display.triangles, np.zeros(0, dtype=np.int64), np.zeros(n, dtype=np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
@@ -26,7 +27,7 @@ from cagemap.report.figures import Figure, Gallery
 from cagemap.report.marks import Mark, name_marks
 from cagemap.report.models import Models, pack_models
 from cagemap.report.rig_panels import Panel
-from cagemap.report.verdicts import overall_verdict, rate_figures, verdict_sentence
+from cagemap.report.verdicts import Rating, overall_verdict, rate_figures, verdict_sentence
 
 # Of one texture as JPEG: two textures and the models fit into a page of 5 MB.
 MAX_TEXTURE_BYTES = 700_000
@@ -74,9 +75,7 @@ def build_page(
     ratings = rate_figures(quality)
     verdict = overall_verdict(ratings, warnings)
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
-    panel_sections = [
-        _folded_section(escape(panel.title), escape(panel.lead), _panel_pictures(panel)) for panel in panels
-    ]
+    panel_sections = [_details(escape(panel.title), escape(panel.lead), _pictures(panel.pictures)) for panel in panels]
     sections = [
         _page_header(title, verdict_sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
         "" if models is None else _viewer_section(result, models),
@@ -90,10 +89,10 @@ def build_page(
         _answers_section(result, gallery),
         _texture_section(textures),
         *panel_sections,
-        _folded_section(
+        _details(
             "Numbers", "how good the map is, measured without knowing the true one", _figure_section(result, ratings)
         ),
-        _folded_section(
+        _details(
             "Landmarks",
             "how far each is missed, as a share of the model's size; how long the target is around it where the source "
             "has length 1, both models at equal area",
@@ -101,10 +100,10 @@ def build_page(
         )
         if len(result.landmarks)
         else "",
-        _folded_section("Curves", "distance between a curve and its counterpart, both ways", _curve_table(result))
+        _details("Curves", "distance between a curve and its counterpart, both ways", _curve_table(result))
         if len(result.curves)
         else "",
-        _folded_section(
+        _details(
             "How it was made",
             _time_summary(manifest),
             _timing_table(manifest.get("timings") or {}) + _provenance_table(result),
@@ -199,7 +198,7 @@ def _still_pictures(result: MatchResult, gallery: Gallery) -> str:
         _section(
             "Where to trust it",
             "The target. Grey: unfolded and stretched little. Red: folded or stretched strongly; look there first.",
-            '<div class="pair">' + "".join(_picture(f.target, f.view) for f in gallery.trust) + "</div>",
+            _pictures((figure.target, figure.view) for figure in gallery.trust),
         ),
     ]
     if gallery.masks:
@@ -235,18 +234,14 @@ def _texture_section(textures: tuple[Texture, ...]) -> str:
         f"<figcaption>{escape(texture.caption)}</figcaption></figure>"
         for texture in textures
     )
-    return (
-        _folded_section("Textures", "as they lie in the layouts", f'<div class="pair">{figures}</div>')
-        if figures
-        else ""
-    )
+    return _details("Textures", "as they lie in the layouts", f'<div class="pair">{figures}</div>') if figures else ""
 
 
-def _folded_section(title: str, lead: str, body: str) -> str:
+def _details(title: str, lead: str, body: str) -> str:
     return f"<details>\n<summary>{title}<small>{lead}</small></summary>\n{body}\n</details>"
 
 
-def _figure_section(result: MatchResult, ratings: list[Any]) -> str:
+def _figure_section(result: MatchResult, ratings: list[Rating]) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
@@ -312,15 +307,14 @@ def _picture(image: Image, caption: str) -> str:
     )
 
 
-def _panel_pictures(panel: Panel) -> str:
-    return '<div class="pair">' + "".join(_picture(image, caption) for image, caption in panel.pictures) + "</div>"
+def _pictures(pictures: Iterable[tuple[Image, str]]) -> str:
+    return '<div class="pair">' + "".join(_picture(image, caption) for image, caption in pictures) + "</div>"
 
 
 def _picture_pair(figure: Figure, result: MatchResult) -> str:
-    source = _stem(result.source.control.name)
-    target = _stem(result.target.control.name)
-    left = "" if figure.source is None else _picture(figure.source, f"{source} (source), {figure.view}")
-    return f'<div class="pair">{left}{_picture(figure.target, f"{target} (target), {figure.view}")}</div>'
+    source, target = (_stem(side.control.name) for side in (result.source, result.target))
+    left = [] if figure.source is None else [(figure.source, f"{source} (source), {figure.view}")]
+    return _pictures([*left, (figure.target, f"{target} (target), {figure.view}")])
 
 
 def _answers_section(result: MatchResult, gallery: Gallery) -> str:
@@ -328,19 +322,18 @@ def _answers_section(result: MatchResult, gallery: Gallery) -> str:
     if result.confidence is None or not gallery.answers:
         return ""
     best, other = result.confidence.readings[:2]
-    body = "".join(
-        '<div class="pair">'
-        + _picture(best_figure.target, f"this map: {best.name}, {best_figure.view}")
-        + _picture(runner_up.target, f"the other: {other.name}, {best_figure.view}")
-        + (
-            ""
-            if runner_up.source is None
-            else _picture(runner_up.source, f"the source's own colours, {best_figure.view}")
+    body = ""
+    for best_figure, (runner_up, difference) in zip(gallery.maps, gallery.answers, strict=True):
+        view = best_figure.view
+        colors = [] if runner_up.source is None else [(runner_up.source, f"the source's own colours, {view}")]
+        body += _pictures(
+            [
+                (best_figure.target, f"this map: {best.name}, {view}"),
+                (runner_up.target, f"the other: {other.name}, {view}"),
+                *colors,
+                (difference.target, f"red: where the two differ, {view}"),
+            ]
         )
-        + _picture(difference.target, f"red: where the two differ, {best_figure.view}")
-        + "</div>"
-        for best_figure, (runner_up, difference) in zip(gallery.maps, gallery.answers, strict=True)
-    )
     lead = (
         "Colours say where on the source a point goes, as above: the right map has the source's colours in the right "
         "places. A landmark where they differ decides; `answer=1` takes the other."
@@ -349,7 +342,7 @@ def _answers_section(result: MatchResult, gallery: Gallery) -> str:
     return _section(f"{title}: which is right?", use_option_names(lead), body)
 
 
-def _rating_cards(ratings: list[Any]) -> str:
+def _rating_cards(ratings: list[Rating]) -> str:
     cards = [
         f'<div class="card {rating.verdict}"><p class="label">{escape(rating.label)}</p>'
         f'<p class="value">{escape(rating.value)}</p><p>{escape(rating.meaning)}</p></div>'
@@ -364,10 +357,9 @@ def _landmark_table(result: MatchResult) -> str:
     regions = {region.landmark: region for region in region_figures(result)} if len(result.trusted) else {}
     rows = []
     for number, color in enumerate(distinct_colors(len(names))):
-        red, green, blue = np.round(color * 255).astype(int)
         error, name = 100 * float(result.landmark_errors[number]), escape(names[number])
         rows.append(
-            f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>{name}</td>'
+            f"<tr><td>{_dot(color)}{name}</td>"
             f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td>"
             f"<td>{_size_text(regions.get(names[number]))}</td>"
             f'<td><button type="button" data-landmark="{number}" aria-label="Show {name}">Show</button>'
@@ -375,6 +367,11 @@ def _landmark_table(result: MatchResult) -> str:
         )
     head = "<tr><th>landmark</th><th>miss</th><th>size around it</th><td></td></tr>"
     return f'<table class="columns">{head}{"".join(rows)}</table>'
+
+
+def _dot(color: FloatArray) -> str:
+    red, green, blue = np.round(color * 255).astype(int)
+    return f'<span class="dot" style="background:rgb({red},{green},{blue})"></span>'
 
 
 def _size_text(region: RegionFigures | None) -> str:
@@ -392,23 +389,18 @@ def _size_text(region: RegionFigures | None) -> str:
 def _curve_table(result: MatchResult) -> str:
     rows = []
     for entry, color in zip(result.manifest.get("curves") or [], distinct_colors(len(result.curves)), strict=True):
-        red, green, blue = np.round(color * 255).astype(int)
-        dot = f'<span class="dot" style="background:rgb({red},{green},{blue})"></span>'
         rows.append(
-            f"<tr><td>{dot}{escape(entry['name'])}</td>"
+            f"<tr><td>{_dot(color)}{escape(entry['name'])}</td>"
             f"<td>{100 * entry['mean']:.2f} %</td><td>{100 * entry['worst']:.2f} %</td></tr>"
         )
     return f'<table class="columns"><tr><th>curve</th><th>mean miss</th><th>at most</th></tr>{"".join(rows)}</table>'
 
 
-def _total(timings: dict[str, Any]) -> float:
-    return sum(float(value) for value in timings.values() if isinstance(value, int | float))
-
-
 def _time_summary(manifest: dict[str, Any]) -> str:
     memory = manifest.get("peak_memory_bytes")
     peak = f", {memory / 2**30:.1f} GiB of memory at most" if isinstance(memory, int | float) else ""
-    return f"{_total(manifest.get('timings') or {}):.1f} seconds in all{peak}."
+    seconds = sum(value for value in (manifest.get("timings") or {}).values() if isinstance(value, int | float))
+    return f"{seconds:.1f} seconds in all{peak}."
 
 
 def _timing_table(timings: dict[str, Any]) -> str:

@@ -60,7 +60,7 @@ class CarriedShape:
 
 @dataclass(frozen=True, eq=False)
 class Passenger:
-    """Clothes, hair or a prop on the source, and carried to the target, in file units."""
+    """Clothes, hair or a prop: on the source, and carried, in file units."""
 
     name: str
     source: ControlMesh
@@ -101,7 +101,7 @@ NO_DATA = CarriedData()
 
 _Value = TypeVar("_Value")
 # Model, skin, view, segments to draw on it, caption.
-_Job = tuple[Model, Skin, View, FloatArray | None, str]
+_PictureJob = tuple[Model, Skin, View, FloatArray | None, str]
 
 
 @dataclass(frozen=True)
@@ -153,18 +153,11 @@ def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, 
     target_model = _finest_model(target, target_turn)
     distance_skin = Skin(vertex_colors=scalar_colors(distance, 0.0, max_distance))
     wrapped_edges, target_edges = control_edges(wrapped) @ source_turn, control_edges(target) @ target_turn
-    jobs: list[_Job] = []
+    clay, caption = _clay_skin(wrapped_model), "wrapped surface, the edges of the cage on it"
+    jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
-        jobs += [
-            (source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"),
-            (
-                wrapped_model,
-                _clay_skin(wrapped_model),
-                view,
-                wrapped_edges,
-                f"wrapped surface, the edges of the cage on it, {view.name}",
-            ),
-        ]
+        jobs.append((source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"))
+        jobs.append((wrapped_model, clay, view, wrapped_edges, f"{caption}, {view.name}"))
     scale = f"distance to the source: dark 0, yellow {100 * max_distance:.2g} % of sqrt(area)"
     jobs += [
         (wrapped_model, distance_skin, FRONT, None, scale),
@@ -185,7 +178,7 @@ def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, 
 
 def _weights_panel(result: MatchResult, weights: Weights, viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
     """Skinning weights as colours, from the front and from behind."""
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
         for refinement, values, turn, side in _both_sides(result, viewpoints, weights.source, weights.target):
             colors = refinement.prolong(joint_colors(values), 0, refinement.n_levels).clip(0.0, 1.0)
@@ -200,7 +193,7 @@ def _shapes_panel(
 ) -> Panel:
     """The largest shapes on both models, coloured by the length of the offsets."""
     largest = sorted(shapes, key=lambda shape: -float(np.linalg.norm(shape.source, axis=1).max(initial=0.0)))
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for shape in sorted(largest[:MAX_PANEL_SHAPES], key=lambda shape: shape.name):
         for refinement, offsets, turn, side in _both_sides(result, viewpoints, shape.source, shape.target):
             finest_offsets = refinement.prolong(offsets, 0, refinement.n_levels)
@@ -221,7 +214,7 @@ def _passengers_panel(
     """Both bodies with their passengers, a colour for each."""
     palette = distinct_colors(len(passengers))
     meshes = [passenger.source for passenger in passengers], [passenger.target for passenger in passengers]
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
         for refinement, worn, turn, side in _both_sides(result, viewpoints, *meshes):
             body = _finest_model(refinement, turn)
@@ -237,7 +230,7 @@ def _passengers_panel(
 
 def _poses_panel(result: MatchResult, poses: Sequence[Pose], viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
     """Both models in the first poses."""
-    jobs: list[_Job] = []
+    jobs: list[_PictureJob] = []
     for pose in poses[:MAX_PANEL_POSES]:
         for refinement, positions, turn, side in _both_sides(result, viewpoints, pose.source, pose.target):
             offsets = refinement.prolong(positions - refinement.control.positions, 0, refinement.n_levels)
@@ -258,7 +251,7 @@ def _both_sides(
 
 
 def joint_colors(weights: FloatArray) -> FloatArray:
-    """(n, 3) one colour for every joint, mixed by skinning weights (n, joints); clay where they sum to less than 1."""
+    """(n, 3) joint colours mixed by skinning weights (n, joints); clay fills sums below 1."""
     palette = distinct_colors(weights.shape[1])
     return np.asarray(weights @ palette + (1.0 - weights.sum(axis=1, keepdims=True)).clip(0.0) * CLAY)
 
@@ -270,12 +263,12 @@ def _join_models(models: Sequence[Model]) -> Model:
     return Model(np.concatenate([model.positions for model in models]), np.concatenate(triangles))
 
 
-def _draw_all(jobs: Sequence[_Job], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
+def _draw_all(jobs: Sequence[_PictureJob], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
     with ThreadPool(2) as pool:
         yield from zip(pool.map(partial(_draw, size=size), jobs), (job[4] for job in jobs), strict=True)
 
 
-def _draw(job: _Job, size: tuple[int, int]) -> Image:
+def _draw(job: _PictureJob, size: tuple[int, int]) -> Image:
     model, skin, view, segments, _ = job
     camera = frame(model.positions, view, aspect=size[0] / size[1])
     image = render(model, skin, camera, width=size[0], height=size[1], background=BACKGROUND)

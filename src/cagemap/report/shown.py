@@ -57,7 +57,7 @@ class DisplaySurface:
 
 
 def display_surface(surface: Surface, turn: FloatArray, max_vertices: int = MAX_MODEL_VERTICES) -> DisplaySurface:
-    """The finest level with at most ``max_vertices``; a simplified mesh if a plain mesh has more."""
+    """The finest level with at most ``max_vertices``; larger plain meshes are simplified."""
     refinement = surface.refinement
     positions = np.asarray(refinement.finest.positions)
     level_numbers = [

@@ -33,8 +33,8 @@ class Rating:
 def rate_figures(quality: dict[str, Any]) -> list[Rating]:
     """Rate the known figures of a manifest's ``quality``."""
     ratings = []
-    for read, label, formatted, meaning, good, fair, finding in _FIGURES:
-        value = read(quality)
+    for reader, label, formatted, meaning, good, fair, finding in _FIGURES:
+        value = reader(quality)
         if value is None:
             continue
         badness = abs(value)
@@ -81,11 +81,11 @@ def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
 
 
 def _complement(name: str) -> Callable[[dict[str, Any]], float | None]:
-    def read(quality: dict[str, Any]) -> float | None:
+    def reader(quality: dict[str, Any]) -> float | None:
         share = _read_figure(quality, name)
         return None if share is None else 1.0 - share
 
-    return read
+    return reader
 
 
 _FigureRow = tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float, str]

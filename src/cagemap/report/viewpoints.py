@@ -27,7 +27,7 @@ class Viewpoints:
 
 
 def choose_viewpoints(result: MatchResult, upright: FloatArray | None = None, reason: str = "") -> Viewpoints:
-    """Viewpoints of a result: the target's from its file or shape, the source's from the map.
+    """Orient the target by its file or shape, the source by the map.
 
     Parameters
     ----------

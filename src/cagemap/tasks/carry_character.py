@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.character.normals import move_vertices
-from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body, passenger_word
@@ -53,7 +53,7 @@ def carry_character(
     *,
     bodies: tuple[str | None, str | None] = (None, None),
     passengers: Sequence[str] | None = None,
-    kinds: Mapping[str, Kind] | None = None,
+    kinds: Mapping[str, PassengerKind] | None = None,
     influences: int | None = 4,
     stages: Stages | None = None,
 ) -> CarriedCharacter:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import pose_at
 from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, skinned_positions
@@ -172,8 +172,8 @@ def _names(words: str | None) -> list[str] | None:
     return None if words is None else [] if words == "none" else comma_words(words)
 
 
-def _kinds(request: RigRequest) -> dict[str, Kind]:
-    kinds: dict[str, Kind] = dict.fromkeys(_names(request.rigid) or [], "rigid")
+def _kinds(request: RigRequest) -> dict[str, PassengerKind]:
+    kinds: dict[str, PassengerKind] = dict.fromkeys(_names(request.rigid) or [], "rigid")
     return kinds | dict.fromkeys(_names(request.cloth) or [], "cloth")
 
 

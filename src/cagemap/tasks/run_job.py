@@ -18,9 +18,9 @@ from cagemap.files.result.manifest import code_version, landmark_messages, read_
 from cagemap.files.result.surface_store import prepared
 from cagemap.jobs import (
     Consistency,
-    Outcome,
     Plan,
     Task,
+    TaskOutcome,
     measure_consistency,
     missing_tasks,
     open_client,
@@ -36,7 +36,7 @@ from cagemap.jobs.consistency import read_consistency, write_consistency
 from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
 from cagemap.jobs.farm import PAGE_STEP, Step, farm_steps, openjd_template, parse_task_range, slurm_script
 from cagemap.jobs.page import PairRow
-from cagemap.jobs.plan import STATE
+from cagemap.jobs.plan import STATE_FOLDER
 from cagemap.jobs.run import execute, kept_outcome
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.mesh_report import counted
@@ -59,9 +59,9 @@ class Ticker:
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
-        self._slowest: Outcome | None = None
+        self._slowest: TaskOutcome | None = None
 
-    def __call__(self, outcome: Outcome, finished: int, total: int) -> None:
+    def __call__(self, outcome: TaskOutcome, finished: int, total: int) -> None:
         """Note an outcome and show where things stand."""
         if outcome.state == "done" and (self._slowest is None or outcome.seconds > self._slowest.seconds):
             self._slowest = outcome
@@ -85,7 +85,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     started = time.perf_counter()
     stages("run tasks")
     with open_client(request.scheduler, request.workers, stages.note) as connect:
-        verdict, matched = Consistency({}, 0, (), {}), dict[str, Outcome]()
+        verdict, matched = Consistency({}, 0, (), {}), dict[str, TaskOutcome]()
         if has_detours(plan):
             matched = run_plan(keep_matches(plan), run_task, connect, Ticker(stages))
             stages("compare maps with each other")
@@ -146,7 +146,7 @@ def _require_one_way(request: RunRequest) -> None:
         raise ParameterError(f"{given[0]}: expected none of {', '.join(given[1:])} beside it. Give one of them.")
 
 
-def _done_alone(name: str, plan: Plan) -> Outcome:
+def _done_alone(name: str, plan: Plan) -> TaskOutcome:
     """Do one task of a plan, after the composed maps that it needs."""
     tasks = {task.name: task for task in plan.tasks}
     task, before = tasks[name], []
@@ -154,17 +154,17 @@ def _done_alone(name: str, plan: Plan) -> Outcome:
         kept = kept_outcome(plan.root, tasks[need])
         if kept is None and tasks[need].kind == "compose":
             kept = _done_alone(need, plan)
-        before.append(kept or Outcome(need, "failed", "not done"))
+        before.append(kept or TaskOutcome(need, "failed", "not done"))
     unusable = [outcome for outcome in before if not outcome.usable]
     if unusable and kept_outcome(plan.root, task) is None and unusable[0].message == "not done":
-        return Outcome(name, "skipped", f"needs '{unusable[0].name}', which is not done. Run its number first.")
+        return TaskOutcome(name, "skipped", f"needs '{unusable[0].name}', which is not done. Run its number first.")
     return execute(task, plan.root, run_task, *before)
 
 
-def _kept_so_far(plan: Plan) -> dict[str, Outcome]:
+def _kept_so_far(plan: Plan) -> dict[str, TaskOutcome]:
     """Outcomes of what is done, and of what is not."""
     kept = {task.name: kept_outcome(plan.root, task) for task in plan.tasks}
-    missing = {task.name: Outcome(task.name, "failed", "not done") for task in missing_tasks(plan)}
+    missing = {task.name: TaskOutcome(task.name, "failed", "not done") for task in missing_tasks(plan)}
     return {name: outcome for name, outcome in kept.items() if outcome is not None} | missing
 
 
@@ -174,14 +174,14 @@ def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
         return Consistency({}, 0, (), {}), plan
     from filelock import FileLock
 
-    (plan.root / STATE).mkdir(parents=True, exist_ok=True)
-    with FileLock(plan.root / STATE / "consistency.lock"):
+    (plan.root / STATE_FOLDER).mkdir(parents=True, exist_ok=True)
+    with FileLock(plan.root / STATE_FOLDER / "consistency.lock"):
         verdict = collection_verdict(plan, _kept_so_far(plan))
     return verdict, add_detours(plan, verdict.detours, version)
 
 
 def _concluded(
-    title: str, plan: Plan, outcomes: dict[str, Outcome], verdict: Consistency, started: float
+    title: str, plan: Plan, outcomes: dict[str, TaskOutcome], verdict: Consistency, started: float
 ) -> tuple[str, bool]:
     """Write the page of a job; its summary, and whether everything is there."""
     carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
@@ -206,11 +206,11 @@ def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
     return [replace(row, messages=tuple(map(use_option_names, row.messages))) for row in rows]
 
 
-def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
+def collection_verdict(plan: Plan, outcomes: dict[str, TaskOutcome]) -> Consistency:
     """How the maps of a job agree with each other; kept beside them, and measured again when one of them changes."""
     matches = [task for task in plan.tasks if task.kind == "match" and outcomes[task.name].usable]
     keys = {task.name: task.key for task in matches}
-    place = plan.root / STATE / "consistency.json"
+    place = plan.root / STATE_FOLDER / "consistency.json"
     known = read_consistency(place, keys)
     if known is not None:
         return known
@@ -234,7 +234,7 @@ def cycle_notes(verdict: Consistency) -> list[str]:
     return notes
 
 
-def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Path | None, seconds: float) -> str:
+def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page: Path | None, seconds: float) -> str:
     """A few lines for the terminal: what was done, what failed and why."""
     states = {
         state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")

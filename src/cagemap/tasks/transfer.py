@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passenger
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
@@ -220,7 +220,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     mesh = read_mesh(request.passenger)
     check_outputs(mesh_files(request.output, mesh), [request.passenger], force=request.force)
     stages("passenger")
-    carried = carry_passenger(result, mesh, kind=cast(Kind | None, request.kind))
+    carried = carry_passenger(result, mesh, kind=cast(PassengerKind | None, request.kind))
     write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     warnings = []
