@@ -66,7 +66,7 @@ def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
     browser.get(page.as_uri())
     shown = browser.find_element("tag name", "main").text
     # The page names a mark where the terminal names a vertex.
-    assert message.partition("target vertex")[0] in shown
+    assert message[:1].upper() + message[1:].partition("target vertex")[0] in shown
     assert heading in shown
     assert ("which is right?" in shown) == (verdict != "sure")
 
