@@ -94,7 +94,7 @@ export class Views {
     }
     for (const one of meshes) {
       const mesh = this.part(side, one);
-      mesh.kind = kind;
+      Object.assign(mesh, {kind, key});
       side.parts[one.name] = mesh;
       side.world.add(mesh);
     }
