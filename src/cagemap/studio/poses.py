@@ -35,7 +35,7 @@ def animated_character(path: Path) -> Character:
 def poses_of(character: Character) -> dict[str, tuple[int, float]]:
     """Number of the animation and seconds of every pose, by what the page calls it."""
     found = dict[str, tuple[int, float]]()
-    if character.rig is not None:
+    if character.rig is not None and any(part.weights is not None for part in character.parts):
         for number, animation in enumerate(character.animations):
             end = max((float(track.times[-1]) for track in animation.tracks), default=0.0)
             found |= {f"{animation.name}, {share * end:.2g} s": (number, share * end) for share in _SHARES}
