@@ -373,7 +373,7 @@ def main() -> None:
         try:
             send(replies, "done", getattr(session, name)(**arguments))
         except CagemapError as error:
-            send(replies, "refused", str(error))
+            send(replies, "refused", str(error).replace("`plain_mesh`", "the object without its Subdivision modifier"))
         except MemoryError:
             send(replies, "refused", "Not enough memory. Use fewer Vertices.")
         except Exception as error:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 import cagemap
 from cagemap.example import example_pair
@@ -26,6 +27,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 
 from locations import FIXTURES, ROOT
+from mesh_faults import flip
 
 EXTENSION = ROOT / "blender" / "cagemap_blender"
 BUILD = ROOT / "blender" / "build.py"
@@ -146,6 +148,9 @@ def test_what_is_wrong_is_said_and_the_process_goes_on(worker: Any) -> None:
     kind, said = answer(worker, "match", target=broken, source=mesh, **asked)
     assert kind == "refused"
     assert said.startswith("corner")
+    kind, said = answer(worker, "match", target=arrays(flip(cube(), 1)), source=mesh, **asked)
+    assert kind == "refused"
+    assert "Or use the object without its Subdivision modifier" in said
     kind, said = answer(worker, "match", target={}, source=mesh, **asked)
     assert kind == "refused"
     assert "fault of cagemap" in said

@@ -111,7 +111,14 @@ def skinned_positions(part: Part, rig: Rig, transforms: FloatArray) -> FloatArra
     """Linear blend skinning: vertices (n, 3) of a part with its joints at world transforms (j, 4, 4)."""
     if part.weights is None:
         return part.mesh.positions
+    return skin_positions(part.mesh.positions, part.weights, rig, transforms)
+
+
+def skin_positions(
+    positions: FloatArray, weights: FloatArray | sparse.csr_array, rig: Rig, transforms: FloatArray
+) -> FloatArray:
+    """Linear blend skinning: positions (n, 3) with weights (n, j) and world transforms (j, 4, 4)."""
     from_bind = np.linalg.inv(rig.bind) @ transforms
-    blended = (part.weights @ from_bind.reshape(len(from_bind), 16)).reshape(-1, 4, 4)
-    homogeneous = np.concatenate([part.mesh.positions, np.ones((part.mesh.n_vertices, 1))], axis=1)
+    blended = (weights @ from_bind.reshape(len(from_bind), 16)).reshape(-1, 4, 4)
+    homogeneous = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
     return np.einsum("na,nab->nb", homogeneous, blended)[:, :3]

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.values import Character
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
+from cagemap.errors import ParameterError
 from cagemap.files.gltf.material_images import extract_texture
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
@@ -18,6 +20,7 @@ from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.models import OpenedModel, open_model, with_texture
+from cagemap.studio.poses import NO_CHARACTER, animated_character, pose_shapes, poses_of
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import Images, faced, source_skin, target_skin
 from cagemap.studio.state import MapState
@@ -81,7 +84,15 @@ class ShowBaked:
     images: Images | None
 
 
-Task = OpenModels | FindMap | ShowBaked
+@dataclass(frozen=True)
+class ShowPosed:
+    """Show both models in a pose of the source's animations; '': as their files have them."""
+
+    opening: Opening
+    pose: str
+
+
+Task = OpenModels | FindMap | ShowBaked | ShowPosed
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +137,7 @@ class Found:
     known: MapState
 
 
-Answer = Opened | Found | bytes
+Answer = Opened | Found | bytes | tuple[bytes, bytes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +156,8 @@ class Bench:
         The answer that maps go on from.
     result : MatchResult or None
         The map that is shown.
+    character : Character or None
+        Of the source's file; None as long as there was no map.
     """
 
     opening: Opening | None = None
@@ -154,12 +167,13 @@ class Bench:
     free: MatchResult | None = None
     chosen: int = 0
     result: MatchResult | None = None
+    character: Character | None = None
 
 
 def perform(
     bench: Bench, task: Task, progress: Progress, show: Callable[[Found], None] = lambda _: None
 ) -> tuple[Bench, Answer]:
-    """Do one task; the answer to `ShowBaked` is the target's skin. Rough maps are shown on the way to the first one.
+    """Do one task; `ShowBaked` gives the target's skin, `ShowPosed` both. Rough maps are shown before the first one.
 
     Raises
     ------
@@ -180,6 +194,8 @@ def perform(
             return find_map(bench, task, progress, show)
         case ShowBaked():
             return bench, _baked_skin(target, source, task)
+        case ShowPosed():
+            return bench, _posed_skins(bench, task.pose)
 
 
 def open_models(opening: Opening, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
@@ -263,6 +279,9 @@ def _found(bench: Bench, started: float) -> tuple[Bench, Found]:
     bench = replace(bench, source=replace(source, shape=shape))
     skin = target_skin(target.shape, target.look, shape, source.look, images)
     free = None if bench.free is None else bench.free.confidence
+    if bench.character is None:
+        assert bench.opening is not None
+        bench = replace(bench, character=animated_character(bench.opening.source))
     known = MapState(
         answers=() if free is None else told_apart([reading.name for reading in free.readings]),
         chosen=bench.chosen,
@@ -272,6 +291,7 @@ def _found(bench: Bench, started: float) -> tuple[Bench, Found]:
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         seconds=time.perf_counter() - started,
         suggestion=_suggestion(bench, result),
+        poses=tuple(poses_of(bench.character or NO_CHARACTER)),
     )
     return bench, Found(images, (skin, turned), known)
 
@@ -299,6 +319,28 @@ def _strain(result: MatchResult) -> dict[str, float]:
     if len(known) == len(result.landmarks):
         missed |= dict(zip(result.landmarks.names, known.tolist(), strict=True))
     return missed | {suspect.name: suspect.distance for suspect in result.suspects}
+
+
+def _posed_skins(bench: Bench, pose: str) -> tuple[bytes, bytes]:
+    """Target and source in a pose of the source's animations, with what the map gives.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such pose.
+    """
+    target, source = _models(bench)
+    shapes, images, result = (target.shape, source.shape), None, bench.result
+    if result is not None:
+        images = Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
+    if pose:
+        character = bench.character or NO_CHARACTER
+        found = poses_of(character).get(pose)
+        if found is None or result is None or images is None:
+            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {pose!r}. Choose another.")
+        shapes = pose_shapes(character, found, *shapes, images, result.point_map)
+    skin = target_skin(shapes[0], target.look, shapes[1], source.look, images)
+    return skin, source_skin(shapes[1], source.look)
 
 
 def _baked_skin(target: OpenedModel, source: OpenedModel, task: ShowBaked) -> bytes:

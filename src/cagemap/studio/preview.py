@@ -6,15 +6,15 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from cagemap.studio.compute import FindMap, Opening, OpenModels, ShowBaked, Task
+from cagemap.studio.compute import FindMap, Opening, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.skins import Images
 from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker
 
 # What a computation is called on the page.
-OPENING, MATCHING, DRAWING = "Opening the models", "Matching", "Showing the baked image"
-_TITLES = {OpenModels: OPENING, FindMap: MATCHING, ShowBaked: DRAWING}
+OPENING, MATCHING, DRAWING, POSING = "Opening the models", "Matching", "Showing the baked image", "Showing a pose"
+_TITLES = {OpenModels: OPENING, FindMap: MATCHING, ShowBaked: DRAWING, ShowPosed: POSING}
 # What may last when a version of cagemap runs for the first time; said until it was done once.
 _COMPILES = " (some seconds longer on the first run after installing)"
 
@@ -52,6 +52,7 @@ class Preview:
         self._finding: bool | None = None  # None: nothing to find; True: from the start
         self._choosing: int | None = None
         self._showing: tuple[Path, Path | None] | None = None
+        self._posing: str | None = None
         self._closed = False
         self._title = ""
         self._task: Task | None = None
@@ -68,7 +69,7 @@ class Preview:
             if task is not None and not isinstance(task, OpenModels) and task.opening != self._models:
                 self._worker.drop(task)
             self._opening = True
-            self._finding = self._choosing = self._showing = None
+            self._finding = self._choosing = self._showing = self._posing = None
             self._wake.notify()
 
     @property
@@ -92,6 +93,12 @@ class Preview:
         """Show a baked image, in the target's layout or that of another file."""
         with self._wake:
             self._showing = image, layout
+            self._wake.notify()
+
+    def show_posed(self, pose: str) -> None:
+        """Show both models in a pose; '': as their files have them."""
+        with self._wake:
+            self._posing = pose
             self._wake.notify()
 
     def stop(self) -> None:
@@ -132,13 +139,15 @@ class Preview:
             if self._closed:
                 return None
             models, opening = self._models, self._opening
-            finding, choosing, showing = self._finding, self._choosing, self._showing
+            finding, choosing, showing, posing = self._finding, self._choosing, self._showing, self._posing
             if opening:
                 self._opening = False
             elif finding is not None:
                 self._finding = None
             elif choosing is not None:
                 self._choosing = None
+            elif posing is not None:
+                self._posing = None
             else:
                 self._showing = None
         # Outside the lock: whoever answers has one of its own, and may be about to wish something.
@@ -148,10 +157,12 @@ class Preview:
             return OpenModels(models)
         if finding is not None or choosing is not None:
             return FindMap(models, landmarks, bool(finding), choosing if finding is None else None)
+        if posing is not None:
+            return ShowPosed(models, posing)
         assert showing is not None
         return ShowBaked(models, *showing, images)
 
     def _anything_wanted(self) -> bool:
         wished = self._opening or self._finding is not None or self._choosing is not None
-        wished = wished or self._showing is not None
+        wished = wished or self._showing is not None or self._posing is not None
         return self._closed or wished

@@ -13,7 +13,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import led_elsewhere
 from cagemap.studio.autosave import Owned, Parts, autosave_path, kept_parts, set_aside
-from cagemap.studio.compute import FindMap, Found, Opened, OpenModels, ShowBaked, Task
+from cagemap.studio.compute import FindMap, Found, Opened, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.landmark_files import FIRST, in_files, load_landmarks, save_landmarks
@@ -199,6 +199,8 @@ class Session(Held):
         with self._lock:
             before = self._state.view
             self._change(view=view)
+            if view.pose != before.pose and self._scene is not None:
+                self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
                 self._preview.show_baked(view.baked, view.layout)
 
@@ -352,6 +354,10 @@ class Session(Held):
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
                 if task.image == self._state.view.baked:
                     self._scene = replace(self._scene, skins=(answer, self._scene.skins[1]))
+                    self._change()
+            case (bytes() as target, bytes() as source) if self._scene is not None and isinstance(task, ShowPosed):
+                if task.pose == self._state.view.pose:
+                    self._scene = replace(self._scene, skins=(target, source))
                     self._change()
             case _:
                 log.warning("unexpected answer %r to %r", type(answer), type(task))

@@ -82,6 +82,8 @@ class View:
         The image that "baked" shows.
     layout : Path or None
         The mesh that has the layout, where the target has none itself.
+    pose : str
+        Pose of the source's animations that both models are in; '': as their files have them.
     """
 
     mode: Mode = "texture"
@@ -92,6 +94,7 @@ class View:
     rest: bool = True
     baked: Path | None = None
     layout: Path | None = None
+    pose: str = ""
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,8 @@ class MapState:
         Control vertex of the target at which one more landmark would tell most.
     rough : bool
         Whether it is a first look, while the search goes on.
+    poses : tuple of str
+        Of the source's animations.
     """
 
     revision: int = 0
@@ -132,6 +137,7 @@ class MapState:
     seconds: float = 0.0
     suggestion: int | None = None
     rough: bool = False
+    poses: tuple[str, ...] = ()
 
     def under_names(self, before: LandmarkList, now: LandmarkList) -> MapState:
         """What is known of landmarks, under the names that they have now."""
@@ -263,15 +269,15 @@ AFRESH: dict[str, object] = {
 
 
 def map_view(view: View) -> View:
-    """The view without any baked image."""
-    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None)
+    """The view without any baked image or pose."""
+    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None, pose="")
 
 
 def baked_view(state: Studio, image: Path | None) -> View:
     """The view that shows an image that was baked; None: the map, as a texture where a baked image was shown."""
     if image is None:
         return map_view(state.view)
-    return replace(state.view, mode="baked", baked=image, layout=layout_of(state, image))
+    return replace(state.view, mode="baked", baked=image, layout=layout_of(state, image), pose="")
 
 
 def layout_of(state: Studio, image: Path) -> Path | None:
@@ -288,7 +294,7 @@ def changed_view(state: Studio, **fields: object) -> View:
     ParameterError
         If there is no baked image.
     """
-    view = replace(state.view, **fields)  # type: ignore[arg-type]
+    view = replace(map_view(state.view) if fields.get("pose") else state.view, **fields)  # type: ignore[arg-type]
     if view.mode != "baked" or view.baked is not None:
         return view
     if not state.images:

@@ -33,7 +33,7 @@ from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
-ANOTHER_WAY = " in another way"
+ANOTHER_WAY = " (limbs assigned differently)"
 
 
 def least_cost(prepared: PreparedPair) -> float:

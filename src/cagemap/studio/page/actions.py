@@ -115,4 +115,4 @@ def _ray(sent: Sent) -> tuple[FloatArray, FloatArray]:
 
 
 def _view(fields: Sent) -> dict[str, Any]:
-    return {name: str(value) if name == "mode" else bool(value) for name, value in fields.items()}
+    return {name: str(value) if name in ("mode", "pose") else bool(value) for name, value in fields.items()}

@@ -22,6 +22,8 @@ from cagemap.studio.workspace import ADDED, IMAGES, LANDMARKS, MESHES, Workspace
 
 # Of landmarks and curves, by their numbers.
 _COLORS = distinct_colors(64)
+# Fields of the view that pages show.
+_VIEW = ("mode", "cages", "doubts", "linked", "rest", "symmetric", "pose")
 # Of a model's radius: lines lie above the model.
 _LIFT = 0.004
 _CAGE = np.array([0.35, 0.67, 1.0])
@@ -50,7 +52,8 @@ def page_state(state: Studio, scene: Scene | None, workspace: Workspace, keys: d
         "symmetric": scene is not None and scene.symmetric,
         "rest": scene is not None and scene.leaves_any,
         "drawn": keys,
-        "view": {name: getattr(view, name) for name in ("mode", "cages", "doubts", "linked", "rest", "symmetric")},
+        "view": {name: getattr(view, name) for name in _VIEW},
+        "poses": known.poses,
         "baked": "" if view.baked is None else view.baked.name,
         "images": [path.name for path in state.images],
         "landmarks": [] if scene is None else _landmarks(state, scene),

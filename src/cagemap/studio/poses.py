@@ -1,0 +1,71 @@
+"""Poses of the source's animations, on it and on the target as `cagemap rig` would rig that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.character.poses import pose_at
+from cagemap.character.retarget import retargeted
+from cagemap.character.skeleton import carry_rig
+from cagemap.character.values import Animation, Character, Rig, skin_positions
+from cagemap.files.gltf.character import read_character
+from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh.parts import join_meshes
+from cagemap.numerics.arrays import FloatArray
+from cagemap.studio.shape import Shape
+from cagemap.studio.skins import Images
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.triangles import fan_triangles, vertex_normals
+
+NO_CHARACTER = Character(())
+# Of an animation: moments that are offered.
+_SHARES = (0.25, 0.5, 0.75)
+
+
+def animated_character(path: Path) -> Character:
+    """The character in a glTF or FBX file, `NO_CHARACTER` in any other."""
+    return read_character(path) if path.suffix.lower() in SCENE_SUFFIXES else NO_CHARACTER
+
+
+def poses_of(character: Character) -> dict[str, tuple[int, float]]:
+    """Number of the animation and seconds of every pose, by what the page calls it."""
+    found = dict[str, tuple[int, float]]()
+    if character.rig is not None and any(part.weights is not None for part in character.parts):
+        for number, animation in enumerate(character.animations):
+            end = max((float(track.times[-1]) for track in animation.tracks), default=0.0)
+            found |= {f"{animation.name}, {share * end:.2g} s": (number, share * end) for share in _SHARES}
+    return found
+
+
+def pose_shapes(
+    character: Character, pose: tuple[int, float], target: Shape, source: Shape, images: Images, point_map: PointMap
+) -> tuple[Shape, Shape]:
+    """Both models in a pose of an animation; the target's joints and weights are carried along the map."""
+    (number, time), rig = pose, character.rig
+    assert rig is not None
+    animation = character.animations[number]
+    weights = _weights_at(character, source.positions)
+    carried = carry_rig(point_map, rig)
+    (adapted,), _ = retargeted([animation], rig, carried)
+    followed = images.on(source.triangles, weights)
+    return _posed(target, followed, carried, adapted, time), _posed(source, weights, rig, animation, time)
+
+
+def _weights_at(character: Character, points: FloatArray) -> FloatArray:
+    """(n, joints) skinning weights at points of the character's surface."""
+    skins = [(part.mesh, part.weights) for part in character.parts if part.weights is not None]
+    joined = join_meshes([mesh for mesh, _ in skins])
+    triangles = fan_triangles(joined.face_offsets, joined.face_indices)[0]
+    triangle, barycentric, _ = closest_points(build_tree(joined.positions, triangles), points)
+    rows = sparse.vstack([weights for _, weights in skins]).toarray()
+    return np.einsum("nc,ncj->nj", barycentric, rows[triangles[triangle]])
+
+
+def _posed(shape: Shape, weights: FloatArray, rig: Rig, animation: Animation, time: float) -> Shape:
+    positions = skin_positions(shape.positions, weights, rig, pose_at(rig, animation, time))
+    return replace(shape, positions=positions, normals=vertex_normals(positions, shape.triangles))
