@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from test_studio_models import attributes_of
 
 from cagemap.character.poses import pose_at
-from cagemap.character.values import posed
+from cagemap.character.values import skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
@@ -44,7 +44,7 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
         assert np.abs(still - moved).max() > 0.02
     assert cKDTree(nodding[0]).query(nodding[1])[0].max() < 2e-3  # one body, so that both are one picture
     assert made.rig is not None
-    wanted = posed(made.parts[0], made.rig, pose_at(made.rig, made.animations[0], 0.5))
+    wanted = skinned_positions(made.parts[0], made.rig, pose_at(made.rig, made.animations[0], 0.5))
     size = np.linalg.norm(np.ptp(wanted, axis=0)) / 2
     np.testing.assert_allclose(np.ptp(nodding[0], axis=0), np.ptp(wanted, axis=0) / size, atol=5e-3)
     with pytest.raises(ParameterError, match="Pose: expected a pose of the source"):

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.character.poses import pose_at
-from cagemap.character.retarget import retargeted
+from cagemap.character.retarget import retarget_all
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Animation, Character, Rig, skin_positions
 from cagemap.files.gltf.character import read_character
@@ -51,7 +51,7 @@ def pose_shapes(
     animation = character.animations[number]
     weights = _weights_at(character, source.positions)
     carried = carry_rig(point_map, rig)
-    (adapted,), _ = retargeted([animation], rig, carried)
+    (adapted,), _ = retarget_all([animation], rig, carried)
     followed = images.on(source.triangles, weights)
     return _posed(target, followed, carried, adapted, time), _posed(source, weights, rig, animation, time)
 
