@@ -20,8 +20,8 @@ from examples.shapes import creature
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.studio.finish_process import Made, perform, serve
-from cagemap.studio.worker import STOPPED, Failure, Worker
+from cagemap.studio.finish_process import RequestResult, run_finish_request, serve
+from cagemap.studio.worker import STOPPED_KIND, Failure, Worker
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -46,7 +46,7 @@ def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
         worker.run(TransferRequest(result, tmp_path / "map.npz", write_map=True)),
     ]
     worker.end()
-    assert all(isinstance(one, Made) for one in made)
+    assert all(isinstance(one, RequestResult) for one in made)
     assert {result / name for name in ("manifest.json", "map.npz")} <= {*made[0].files}
     assert made[2].files[0] == tmp_path / "map.npz"
     assert [bool(one.failure) for one in made] == [False, True, False]
@@ -66,7 +66,7 @@ def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
         raise ParameterError("exists (`force=True`)")
 
     monkeypatch.setattr("cagemap.tasks.run_request.run_request", work)
-    made = perform(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
+    made = run_finish_request(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
     assert made.warnings == ("a.obj has no UVs: --unwrap",)
     assert made.files == (tmp_path / "a.txt",)
     assert made.failure == "exists (--force)"
@@ -80,7 +80,7 @@ def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -
     worker = Worker(lambda stage: (stages.append(stage), worker.end() if len(stages) == 2 else None), serve)
     stopped = worker.run(MatchRequest(target, source, None, tmp_path / "R", vertices=30_000))
     assert isinstance(stopped, Failure)
-    assert stopped.kind == STOPPED
+    assert stopped.kind == STOPPED_KIND
     assert "exit code 0" in stopped.message  # by itself, not by force once patience is over
     assert sorted(os.listdir(tmp_path)) == before
     made = worker.run(MatchRequest(target, target, None, tmp_path / "R", vertices=300))  # by another process
