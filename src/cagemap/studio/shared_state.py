@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from cagemap.errors import CagemapError, in_options
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import StudioState, add_message
+from cagemap.studio.state import MessageKind, StudioState, add_message
 
 log = logging.getLogger(__name__)
 
@@ -46,13 +46,13 @@ class SharedState:
         """Show an error."""
         self._say("error", f"{type(error).__name__}: {error}")
 
-    def _say(self, kind: str, text: str) -> None:
+    def _say(self, kind: MessageKind, text: str) -> None:
         with self._lock:
-            self._change(messages=add_message(self._state.messages, "error" if kind == "error" else "note", text))
+            self._change(messages=add_message(self._state.messages, kind, text))
 
-    def _say_all(self, notes: Iterable[str], kind: str = "note") -> None:
-        for note in notes:
-            self._say(kind, in_options(note))
+    def _say_all(self, texts: Iterable[str], kind: MessageKind = "note") -> None:
+        for text in texts:
+            self._say(kind, in_options(text))
 
     def _change(self, **fields: object) -> None:
         with self._lock:

@@ -14,6 +14,7 @@ from cagemap.studio.landmarks import History, LandmarkList, Proposal, SideNames
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
+MessageKind = Literal["error", "note"]
 _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped"
@@ -190,7 +191,7 @@ class Message:
     text : str
     """
 
-    kind: Literal["error", "note"]
+    kind: MessageKind
     text: str
 
 
@@ -294,7 +295,7 @@ def update_view(state: StudioState, **fields: object) -> View:
     return baked_view(replace(state, view=view), state.baked_images[0])
 
 
-def add_message(messages: tuple[Message, ...], kind: Literal["error", "note"], text: str) -> tuple[Message, ...]:
+def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> tuple[Message, ...]:
     """Append a message; an equal earlier one is removed."""
     new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # file names may have invalid characters
     return (*(old for old in messages if old != new), new)[-MAX_MESSAGES:]
