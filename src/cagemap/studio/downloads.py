@@ -79,9 +79,8 @@ def zip_outputs(outputs: Iterable[Output]) -> bytes:
     with zipfile.ZipFile(buffer, "w") as archive:
         for output in outputs:
             for file in sorted(_regular_files(output.path)):
-                compression = zipfile.ZIP_DEFLATED
-                if file.suffix.lower() in _COMPRESSED_SUFFIXES:
-                    compression = zipfile.ZIP_STORED
+                is_compressed = file.suffix.lower() in _COMPRESSED_SUFFIXES
+                compression = zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED
                 archive.write(file, file.relative_to(output.path.parent), compression)
     return buffer.getvalue()
 

@@ -63,13 +63,14 @@ MORE_IMAGES, DETAIL, RIG, WRAP, MATCH, MASKS, FILES, ADVANCED = (
     "Files",
     "Advanced",
 )
+# Suffixes of files to choose from.
 _IMAGES, _MESHES, _TABLES = IMAGE_SUFFIXES, MESH_SUFFIXES, TABLE_SUFFIXES
-_RIG_SUFFIXES = (*USD_SUFFIXES, *SCENE_SUFFIXES)
-_VALUE_SUFFIXES = (*_TABLES, ".json", *USD_SUFFIXES)
+_RIGS = (*USD_SUFFIXES, *SCENE_SUFFIXES)
+_VALUES = (*_TABLES, ".json", *USD_SUFFIXES)
 _BASES_HINT = (
     "the target's own, kept outside the masks: FILE under the texture, NAME=FILE under another (normal map, ao)"
 )
-_MASK_HINT = "match and bake only this: a part's name, or a file; not:... for all but that"
+_MASK_HINT = "match and bake only this part or mask file; not:... for all except it"
 SECTIONS = (
     Section(
         MORE_IMAGES,
@@ -83,7 +84,7 @@ SECTIONS = (
             ("scale", "Height scale", (), "in the source's units: height between the values 0 and 1", 0.001),
             ("midlevel", "Mid level", (), "value that means no height; empty: 0.5 for integers, 0 for floats"),
             ("material_colors", "Material colours", (), "those of the source's materials, as an image"),
-            ("as_color", "As a picture", (), "carry as colours what looks like a normal map"),
+            ("as_color", "As a picture", (), "transfer it as colours, also if it looks like a normal map"),
             ("filter", "Sharpness", (), "smooth or linear; nearest for labels and ID maps, whose colours must not mix"),
         ),
     ),
@@ -101,25 +102,15 @@ SECTIONS = (
         RIG,
         _fields(
             "transfer",
-            ("weights", "Skin weights", (".csv", ".npz", *_RIG_SUFFIXES), "of the source's cage, one column per joint"),
+            ("weights", "Skin weights", (".csv", ".npz", *_RIGS), "of the source's cage, one column per joint"),
             ("influences", "Influences", (), "most joints per vertex; 0: all"),
             ("only", "Joints carried", (), "names with commas; the target's own weights stay for all others"),
             ("mirror", "Both sides alike", (), "by left and right in the joints' names"),
-            ("joints", "Joints", (".json", *_RIG_SUFFIXES), "skeleton of the source"),
-            ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIG_SUFFIXES, FOLDER_SUFFIX), "of the source's cage"),
-            (
-                "passenger",
-                "Passenger",
-                (".obj", ".ply", *_RIG_SUFFIXES),
-                "clothes, eyes, hair or a prop that sit on the source",
-            ),
+            ("joints", "Joints", (".json", *_RIGS), "skeleton of the source"),
+            ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIGS, FOLDER_SUFFIX), "of the source's cage"),
+            ("passenger", "Passenger", (".obj", ".ply", *_RIGS), "clothes, eyes, hair or a prop on the source"),
             ("kind", "Keeps shape", (), "cloth, rigid or similarity; empty: as the passenger's pieces look"),
-            (
-                "attribute",
-                "Attribute",
-                _VALUE_SUFFIXES,
-                "any values at the source's vertices, faces or corners; vertex groups",
-            ),
+            ("attribute", "Attribute", _VALUES, "values at the source's vertices, faces or corners; vertex groups"),
         ),
     ),
     Section(
@@ -128,11 +119,11 @@ SECTIONS = (
             "wrap",
             ("amount", "Amount", (), "0: the target's own shape, 1: the source's", 0.05),
             ("fit_level", "Fit level", (), "0 moves the control points, 1 or more the refined net of that level"),
-            ("fairness", "Fairness", (), "larger keeps the net smoother, smaller lies closer", 1e-5),
+            ("fairness", "Fairness", (), "larger: a smoother net; smaller: closer to the source", 1e-5),
             ("symmetric", "Symmetric", (), "keep a mirror symmetric cage symmetric"),
             ("weights", "Follow", _TABLES, "how far each control vertex may follow, 0 to 1"),
-            ("displacement", "Displacement", (), "image of what the cage still misses, along the normal"),
-            ("vector_displacement", "Vectors", (), "image of what the cage still misses, as vectors"),
+            ("displacement", "Displacement", (), "image of the remaining distance along the normal"),
+            ("vector_displacement", "Vectors", (), "image of the remaining offset, as vectors"),
             ("normal_map", "Normal map", (), "image of the source's normals, or the detailed mesh's"),
             ("occlusion", "Occlusion", (), "image of the source's ambient occlusion, or the detailed mesh's"),
             ("colors", "Vertex colours", (), "image of the source's vertex colours, or the detailed mesh's"),
@@ -145,8 +136,8 @@ SECTIONS = (
         _fields(
             "match",
             ("target_mask", "Target mask", (*_TABLES, *_IMAGES), _MASK_HINT),
-            ("source_mask", "Source mask", (*_TABLES, *_IMAGES), "the same of the source"),
-            ("mask_edge", "Soft edge", (), "share of the model's size; empty: 0.02 of sets of faces, else 0"),
+            ("source_mask", "Source mask", (*_TABLES, *_IMAGES), "the same for the source"),
+            ("mask_edge", "Soft edge", (), "relative to the model's size; empty: 0.02 for sets of faces, else 0"),
         )
         + _fields("transfer", ("bases", "Own images", (*_IMAGES, *_TABLES), _BASES_HINT))
         + _fields(
@@ -162,7 +153,7 @@ SECTIONS = (
             ("method", "Method", (), "elastic meets landmarks exactly; hfm and paper are functional maps"),
             ("level", "Level", (), "subdivision level of both, in place of Vertices"),
             ("k", "Functions", (), "basis functions of each surface; empty: 100"),
-            ("trust_landmarks", "Trust landmarks", (), "meet every landmark, also one that looks wrong"),
+            ("trust_landmarks", "Trust landmarks", (), "use every landmark, also those that look wrong"),
             ("symmetry", "Symmetry", (), "method paper: use mirror symmetry where both meshes have it"),
             ("boundary", "Boundary"),
             ("uv_interpolation", "UVs linear"),
@@ -187,7 +178,7 @@ VERTICES_KEY, SIZE_KEY = ("match", "vertices"), ("transfer", "size")
 _SIDE_PREFIXES = ("target_", "source_")
 _UNDER_MODELS = "chosen under Models"
 _BASIS_RESEARCH = "how the spectral basis is computed: for research"
-_SAME_FOR_BOTH = "both models have about as many"
+_SAME_FOR_BOTH = "one number is used for both models"
 _BASIS_FIELDS = ("schedule", "laplacian", "accuracy", "literal")
 _PAGE_NAMES_OUTPUT = "the page names what it writes"
 # Options that are not on the page, and the reason.
@@ -208,7 +199,7 @@ OMITTED_OPTIONS: dict[Key, str] = {
     **{(command, "output"): _PAGE_NAMES_OUTPUT for command in ("match", "transfer", "wrap", "report")},
     ("transfer", "texture"): _UNDER_MODELS,
     **{
-        (command, name): "masks of the match, under Masks, hold for all that is made with it"
+        (command, name): "the masks of the match are used for everything"
         for command in ("transfer", "wrap")
         for name in ("target_mask", "source_mask", "mask_edge")
     },
