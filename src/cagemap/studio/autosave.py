@@ -53,7 +53,7 @@ class FileTracker:
         notes: tuple[str, ...] = ()
         if self.is_changed(path):
             path = self._autosaves[default] = _unused_name(default)
-            notes = (f"another studio has {landmarks.name} open; what is not saved here is kept as {path.name}",)
+            notes = (f"another studio has {landmarks.name} open; unsaved landmarks of this one are in {path.name}",)
         write_autosave(path, present, parts)
         self.record(path)
         return notes

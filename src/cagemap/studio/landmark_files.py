@@ -55,7 +55,7 @@ def load_landmarks(
     check_landmarks(landmarks, target, source)
     used, unused = split_by_part(landmarks, scene)
     if unused is not None and len(unused):
-        notes = (*notes, f"{len(unused)} landmarks lie on other parts of the files; they stay in the file")
+        notes = (*notes, f"{len(unused)} landmarks are on other parts of the files; they stay in the file")
     if unused is not None and len(unused.curves):
         names = ", ".join(unused.curves.names)
         notes = (*notes, f"curves on other parts or between vertices are not used here; they stay in the file: {names}")
@@ -114,7 +114,7 @@ def to_part_numbers(file_list: LandmarkList, scene: Scene) -> tuple[LandmarkList
     ]
     outside = LandmarkList(tuple(item for item, inside in zip(file_list.items, is_inside, strict=True) if not inside))
     notes = [
-        f"{item.name}, not yet complete, lies on another part and is left out"
+        f"{item.name} is incomplete and on another part; it is removed"
         for item in outside.items
         if not item.is_complete
     ]
@@ -125,7 +125,7 @@ def to_part_numbers(file_list: LandmarkList, scene: Scene) -> tuple[LandmarkList
     items = tuple(item for item, inside in zip(renumbered, is_inside, strict=True) if inside)
     items += _to_items(used, scene, 1 + max((item.number for item in items), default=0))
     if unused is not None and len(unused):
-        notes.append(f"{len(unused)} landmarks lie on other parts of the files; they are kept for these")
+        notes.append(f"{len(unused)} landmarks are on other parts of the files; they are kept for these parts")
     return LandmarkList(items, used.curves if len(used.curves) else None, unused), notes
 
 
@@ -185,7 +185,7 @@ def save_landmarks(
     if path.is_file() and (is_open or is_own(path)) and is_foreign:
         copy = next(name for name in _backup_names(path) if not name.exists())
         shutil.copy2(path, copy)
-        notes = (f"{path.name} was changed by others or is of other models; what it held is kept as {copy.name}",)
+        notes = (f"{path.name} was changed by others or belongs to other models; its old content is in {copy.name}",)
     write_landmarks(path, complete, force=is_open)
     tracker.record(path)
     return (path,), notes

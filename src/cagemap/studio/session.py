@@ -145,7 +145,7 @@ class Session(SharedState):
         with self.report_errors(), self._lock:
             proposal = self._state.proposal
             if proposal is None:
-                raise ParameterError("expected a landmark that waits for its other place, and a map; click a model")
+                raise ParameterError("Accept: expected a proposed place, there is none. Click a model first.")
             self._edit(lambda present: edit.move(present, proposal.number, proposal.side, proposal.place))
 
     def next_landmark(self) -> None:
@@ -154,7 +154,7 @@ class Session(SharedState):
             _, scene = self._require_open()
             vertex = self._state.map.suggestion
             if vertex is None:
-                raise ParameterError("next landmark: expected a map to judge; there is none yet")
+                raise ParameterError("Next landmark: expected a map, there is none yet. Wait for the first one.")
             self._edit(lambda present: edit.begin(present, "target", vertex_place(scene.target, vertex)), select=True)
 
     def move(self, number: int, side: Side, origin: FloatArray, direction: FloatArray) -> None:
@@ -180,8 +180,8 @@ class Session(SharedState):
             after = edit.mirror(before, number, lambda side, place: mirror_place(scene, side, place))
             if after == before:
                 raise ParameterError(
-                    "mirror: expected a complete landmark beside the mirror plane of two symmetric models; "
-                    "this one lies on it, or a model has none. Place the counterpart by hand."
+                    "Mirror: expected a complete landmark of two symmetric models that is not on the mirror plane. "
+                    "Place the mirrored landmark by hand."
                 )
             self._edit(lambda _: after)
 

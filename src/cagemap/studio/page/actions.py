@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.errors import ParameterError
+from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
@@ -64,8 +64,10 @@ class Actions:
                     return
                 sent = json.loads(message)
                 self._handlers[sent["do"]](sent)
+            except CagemapError:  # also a ValueError
+                raise
             except (KeyError, TypeError, ValueError, IndexError) as error:
-                raise ParameterError(f"the page sent {error!r}, which is not understood. Load it again.") from None
+                raise ParameterError(f"the page sent {error!r}, which is not understood. Reload it.") from None
 
     def _open(self, sent: Entries) -> None:
         paths = {name: self._session.workspace.resolve(sent[name]) for name in _FILES if sent.get(name)}

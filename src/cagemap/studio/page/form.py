@@ -83,9 +83,7 @@ def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> Finish
                 _named_files(str(sent_value)) if is_maps else type(getattr(_DEFAULTS, name))(sent_value)
             )
         else:
-            raise ParameterError(
-                f"{name}: expected an option of this page, got none of that name. Load the page again."
-            )
+            raise ParameterError(f"{name}: expected an option of this page, got another name. Reload the page.")
     if option_values.get(("match", "level")) is not None:
         del option_values[VERTICES_KEY]
     return FinishOptions(**finish_values, option_values=option_values)
