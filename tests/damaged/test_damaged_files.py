@@ -44,7 +44,7 @@ from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
 from cagemap.spectral import BasisConfig
-from cagemap.studio.autosave import kept_parts, read_autosave, write_autosave
+from cagemap.studio.autosave import read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 from cagemap.studio.opening import result_files
 from cagemap.tasks.masks import read_mask
@@ -132,7 +132,7 @@ def write_states(place: Path) -> None:
 
 def use_autosave(path: Path) -> None:
     """What the studio reads when it opens; a damaged file is moved aside."""
-    kept_parts(path)
+    read_autosave_parts(path)
     for item in read_autosave(path, (8, 8)).items:
         for place in (item.target, item.source):
             assert place is None or np.isfinite([*place.position, *place.weights]).all()

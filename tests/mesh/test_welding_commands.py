@@ -20,9 +20,9 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.weld import weld_mesh
-from cagemap.studio.autosave import Owned
-from cagemap.studio.compute import Bench, Opened, Opening, OpenModels, perform
-from cagemap.studio.finish import FinishOptions, commands
+from cagemap.studio.autosave import FileTracker
+from cagemap.studio.compute import OpenedPair, OpenModels, PairFiles, PreviewCache, run_task
+from cagemap.studio.finish import FinishOptions, finish_commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.models import open_model
 from cagemap.studio.opening import default_files
@@ -199,12 +199,12 @@ def test_the_studio_opens_the_welded_whole(folder: Path) -> None:
     split = read_mesh(folder / "split.obj")
     assert model.weld == "0"
     assert model.control.n_faces == split.n_faces
-    assert model.offer.opened is None
+    assert model.part_choices.opened is None
     assert any("became 1 piece" in note for note in model.notes)
-    assert not model.shape.leaves_any
-    own = model.shape.from_file(np.arange(split.n_vertices))
+    assert not model.shape.has_other_parts
+    own = model.shape.to_control_vertices(np.arange(split.n_vertices))
     np.testing.assert_array_equal(model.control.positions[own], split.positions)
-    numbers = model.shape.in_file(np.arange(model.control.n_vertices))
+    numbers = model.shape.to_file_vertices(np.arange(model.control.n_vertices))
     np.testing.assert_array_equal(split.positions[numbers], model.control.positions)
     assert open_model(folder / "whole.obj", None, None, 300).weld is None
 
@@ -215,21 +215,21 @@ def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, 
     session.open(default_files(boxes, boxes / "split.obj", boxes / "whole.obj", None))
     until(lambda: session.state.files is not None and session.state.files.welds == ("0", None), session)
     assert session.state.files is not None
-    request = commands(all_options(), session.state.files, FinishOptions(), landmarks=False)[0].request
+    request = finish_commands(all_options(), session.state.files, FinishOptions(), use_landmarks=False)[0].request
     assert (request.target_weld, request.source_weld) == ("0", None)
 
 
 def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
-    opening = Opening(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
-    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
-    assert isinstance(opened, Opened)
+    opening = PairFiles(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
+    _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+    assert isinstance(opened, OpenedPair)
     files = replace(default_files(tmp_path, opening.target, opening.source, None), landmarks=folder / "pairs.json")
-    found, notes = load_landmarks(files.landmarks, None, opened.scene, files, Owned())
+    found, notes = load_landmarks(files.landmarks, None, opened.scene, files, FileTracker())
     assert len(found.items) == 9, notes
     for item in found.items:
         np.testing.assert_allclose(item.target.position, item.source.position, atol=1e-9)
     files = replace(files, landmarks=tmp_path / "saved.json")
-    save_landmarks(files.landmarks, found, opened.scene, files, Owned())
+    save_landmarks(files.landmarks, found, opened.scene, files, FileTracker())
     saved, _ = read_landmarks(files.landmarks, "split", "whole")
     split, body = read_mesh(folder / "split.obj"), read_mesh(folder / "whole.obj")
     np.testing.assert_array_equal(split.positions[saved.target], body.positions[saved.source])

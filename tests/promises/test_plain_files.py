@@ -20,7 +20,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.pipeline import update_match
-from cagemap.studio.compute import Bench, FindMap, Opening, OpenModels, _suggestion, perform
+from cagemap.studio.compute import FindMap, OpenModels, PairFiles, PreviewCache, _suggested_vertex, run_task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import build_tree, closest_points
@@ -72,21 +72,22 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
     mesh = animal(2)
     for place, height in zip(places, (1.0, 1.2), strict=True):
         write_mesh(place, mesh.with_positions(mesh.positions * (1.0, height, 1.0)))
-    opening = Opening(*places, None, 5000, tmp_path)
-    bench, opened = perform(Bench(), OpenModels(opening), lambda stage: None)
+    opening = PairFiles(*places, None, 5000, tmp_path)
+    cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda stage: None)
     assert len(opened.scene.target.positions) == mesh.n_vertices
-    bench, found = perform(bench, FindMap(opening, LandmarkList()), lambda stage: None)
+    cache, found = run_task(cache, FindMap(opening, LandmarkList()), lambda stage: None)
+    assert cache.result is not None
     wanted = mesh.positions * (1.0, 1.2, 1.0)
-    assert np.linalg.norm(bench.result.image() - wanted, axis=1).mean() < 0.02 * np.ptp(wanted, axis=0).max()
+    assert np.linalg.norm(cache.result.image() - wanted, axis=1).mean() < 0.02 * np.ptp(wanted, axis=0).max()
     # The next landmark is asked for where other answers differ, in the mesh's own numbers: were another one chosen, the
     # first would be such an answer.
-    _suggestion(replace(bench, chosen=1), bench.result)
+    _suggested_vertex(replace(cache, chosen_answer=1), cache.result)
     images, runners_up = asked[-1][1:3]
-    assert len(runners_up) == max(1, len(found.known.answers) - 1)
+    assert len(runners_up) == max(1, len(found.map_state.answers) - 1)
     assert np.linalg.norm(runners_up[0] - images, axis=1).mean() < 0.02 * np.ptp(images, axis=0).max()
-    for other in range(1, len(found.known.answers)):
-        bench, chosen = perform(bench, FindMap(opening, LandmarkList(), answer=other), lambda stage: None)
-        assert chosen.known.chosen == other
+    for other in range(1, len(found.map_state.answers)):
+        cache, chosen = run_task(cache, FindMap(opening, LandmarkList(), answer=other), lambda stage: None)
+        assert chosen.map_state.chosen_answer == other
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 import typed_request
 from test_studio_finish_files import compared, rich_finish, same, write_inputs
 
-from cagemap.studio.finish import commands
+from cagemap.studio.finish import finish_commands
 from cagemap.studio.opening import built_in_files
 from cagemap.studio.state import Files
 from cagemap.tasks.requests.catalogue import all_options
@@ -85,7 +85,7 @@ def run_typed(folder: Path) -> Path:
     """Run the commands that one would type in a folder; returns it."""
     own = built_in_files(folder)
     asked = replace(rich_finish(own, SIZE, VERTICES), report=False)
-    for command in commands(all_options(), own, asked, landmarks=True):
+    for command in finish_commands(all_options(), own, asked, use_landmarks=True):
         typed_request.run_typed(command.request)
     return folder
 

@@ -22,9 +22,9 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import choose_level
 from cagemap.studio.autosave import autosave_path
-from cagemap.studio.landmark_files import FORMS, points_file
-from cagemap.studio.places import places_of
-from cagemap.studio.shape import Shape, pick, shape_of
+from cagemap.studio.landmark_files import SAVE_FORMATS, side_file
+from cagemap.studio.places import cage_places
+from cagemap.studio.shape import Shape, pick, refined_shape
 from cagemap.studio.state import Files
 from cagemap.subdivision import refine
 
@@ -54,16 +54,17 @@ def ray(page: Page, side: str, point: tuple[float, float]) -> tuple[FloatArray, 
 
 def shape(path: Path) -> Shape:
     control = read_mesh(path)
-    return shape_of(refine(control, choose_level(control, VERTICES)))
+    return refined_shape(refine(control, choose_level(control, VERTICES)))
 
 
 def misses(page: Page, files: Files, pair: dict[str, Any], side: str, point: tuple[float, float]) -> float:
     """How far an end of a saved landmark lies from where the page was clicked, of the model's radius."""
     surface = shape(getattr(files, side))
     hit = pick(surface, *ray(page, side, point))
+    assert hit is not None
     end = pair[side]
     corners, weights = ([end] * 3, [1, 0, 0]) if isinstance(end, int) else (end["corners"], end["weights"])
-    (place,) = places_of(surface, CagePoints(np.array([corners]), np.array([weights], dtype=float)))
+    (place,) = cage_places(surface, CagePoints(np.array([corners]), np.array([weights], dtype=float)))
     return float(np.linalg.norm(np.array(place.position) - hit.position)) / surface.radius
 
 
@@ -287,13 +288,13 @@ def test_landmarks_are_named_mirrored_and_go_through_every_form(page: Page, file
 def every_form_is_saved_and_read(page: Page, files: Files, count: int) -> None:
     before = json.loads(files.landmarks.read_text())
     save(page, files, count)
-    for ending in FORMS.values():
+    for ending in SAVE_FORMATS.values():
         if ending != ".json":
             page.set("file-form", ending)
             page.press("save")
-            written = points_file(files.landmarks.with_name(f"landmarks{ending}"), "target")
+            written = side_file(files.landmarks.with_name(f"landmarks{ending}"), "target")
             page.until(written.is_file, f"{ending} on disk")
-    assert {form.ending for form in POINT_FORMS} < set(FORMS.values())
+    assert {form.ending for form in POINT_FORMS} < set(SAVE_FORMATS.values())
     page.until(lambda: page.said("order alone"), "what Wrap's form cannot hold")
     page.set("file-form", ".json")
     (files.landmarks.parent / "wrong.json").write_text("{")

@@ -11,7 +11,7 @@ from test_studio_parts import dense
 
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.studio.autosave import autosave_path
-from cagemap.studio.models import DENSE
+from cagemap.studio.models import MIN_SCAN_FACES
 from cagemap.studio.state import Files
 
 from browser_page import Page, studio
@@ -89,7 +89,7 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
 ) -> None:
     held.pop("failed")  # other models are open at its end: a test after it begins anew
     (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
-    write_mesh(tmp_path / "scan.obj", dense(DENSE))
+    write_mesh(tmp_path / "scan.obj", dense(MIN_SCAN_FACES))
     page.press("open")
     for name in ("broken.obj", "scan.obj"):
         page.upload(tmp_path / name)

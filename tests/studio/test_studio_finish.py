@@ -21,12 +21,20 @@ from test_obj import QUICK
 from typed_request import run_typed, typed
 
 from cagemap.errors import ParameterError
-from cagemap.studio.downloads import ALL, content
-from cagemap.studio.finish import SHARED, Command, FinishOptions, commands, planned
-from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, on_the_page
+from cagemap.studio.downloads import ARCHIVE_NAME, output_content
+from cagemap.studio.finish import SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
+from cagemap.studio.finish_layout import (
+    ADVANCED,
+    OMITTED_OPTIONS,
+    SECTIONS,
+    SIZE_KEY,
+    VERTICES_KEY,
+    explain_flags,
+    sections,
+)
 from cagemap.studio.opening import default_files
-from cagemap.studio.runner import Runner, outputs_of
-from cagemap.studio.state import Message, Output, RunningJob, with_message
+from cagemap.studio.runner import Runner, command_outputs
+from cagemap.studio.state import Message, Output, RunningJob, add_message
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
@@ -35,25 +43,25 @@ from cagemap.tasks.requests.options import MASK_FILES, Option
 from cagemap.tasks.requests.results import ReportRequest, TransferRequest
 
 OPTIONS = all_options()
-SHOWN = (*(field.key for fold in FOLDS for field in fold.fields), VERTICES, SIZE)
+SHOWN = (*(field.key for fold in SECTIONS for field in fold.fields), VERTICES_KEY, SIZE_KEY)
 
 
 def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
-    asked = FinishOptions(given={VERTICES: 5000, SIZE: 256, ("transfer", "unwrap"): True})
-    todo = commands(OPTIONS, files, asked, landmarks=True)
+    asked = FinishOptions(option_values={VERTICES_KEY: 5000, SIZE_KEY: 256, ("transfer", "unwrap"): True})
+    todo = finish_commands(OPTIONS, files, asked, use_landmarks=True)
     assert [command.title for command in todo] == ["match", "texture", "report"]
     assert "--landmarks" in typed(todo[0].request)
-    assert "--landmarks" not in typed(commands(OPTIONS, files, FinishOptions(), landmarks=False)[0].request)
+    assert "--landmarks" not in typed(finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)[0].request)
     assert todo[1].request == TransferRequest(
         files.result, tmp_path / "cow_from_spot.png", tmp_path / "spot.png", size=256, unwrap=True
     )
 
 
 def test_every_option_is_on_the_page_or_left_out_for_a_reason() -> None:
-    assert {*SHOWN, *LEFT_OUT, *SHARED} <= {*OPTIONS}
+    assert {*SHOWN, *OMITTED_OPTIONS, *SHARED_OPTIONS} <= {*OPTIONS}
     assert len({*SHOWN}) == len(SHOWN)
-    assert not {*SHOWN} & {*LEFT_OUT}
+    assert not {*SHOWN} & {*OMITTED_OPTIONS}
 
 
 def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,15 +69,15 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
     more = make_dataclass("More", [grain], bases=(TransferRequest,), frozen=True)
     monkeypatch.setitem(COMMANDS, "transfer", more)
     options = all_options()
-    assert folds(options)[-1].title == ADVANCED
+    assert sections(options)[-1].title == ADVANCED
     key = ("transfer", "grain")
-    assert [field.key for fold in folds(options)[len(FOLDS) :] for field in fold.fields] == [key]
+    assert [field.key for fold in sections(options)[len(SECTIONS) :] for field in fold.fields] == [key]
     files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
-    todo = commands(options, files, FinishOptions(given={key: 2.0}), landmarks=False)
+    todo = finish_commands(options, files, FinishOptions(option_values={key: 2.0}), use_landmarks=False)
     assert todo[1].request.grain == 2.0
     for outside in (0.0, 5.0):
         with pytest.raises(ParameterError, match="--grain: expected"):
-            commands(options, files, FinishOptions(given={key: outside}), landmarks=False)
+            finish_commands(options, files, FinishOptions(option_values={key: outside}), use_landmarks=False)
 
 
 def test_words_that_the_command_line_knows_by_other_means_are_the_same() -> None:
@@ -106,7 +114,7 @@ ASKED = st.builds(
     wrap=st.booleans(),
     report=st.booleans(),
     name=st.sampled_from(["", "hero"]),
-    given=GIVEN,
+    option_values=GIVEN,
 )
 
 
@@ -114,7 +122,7 @@ ASKED = st.builds(
 @given(asked=ASKED)
 def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None:
     files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
-    todo = commands(OPTIONS, files, asked, landmarks=True)
+    todo = finish_commands(OPTIONS, files, asked, use_landmarks=True)
     said: list[object] = []
     for command in todo:
         name = typed(command.request)[0]
@@ -127,11 +135,11 @@ def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None
     assert not set(written) & {files.target, files.source, files.texture}
     # Every option that is asked for is in some command, unless what it belongs to is not.
     match, *others = [command.request for command in todo]
-    for name, value in ((name, value) for (command, name), value in asked.given.items() if command == "match"):
+    for name, value in ((name, value) for (command, name), value in asked.option_values.items() if command == "match"):
         assert str(getattr(match, name)) == str(value)
     for name in ("normal_map", "displacement", "weights", "attribute", "blend_shapes"):
         carried = [getattr(request, name) for request in others if isinstance(request, TransferRequest)]
-        assert any(carried) == (("transfer", name) in asked.given)
+        assert any(carried) == (("transfer", name) in asked.option_values)
 
 
 def given_values(**given: Value) -> dict[Key, Value]:
@@ -141,13 +149,13 @@ def given_values(**given: Value) -> dict[Key, Value]:
 def test_own_images_lie_under_what_they_are_named_after() -> None:
     files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
     own = (("", Path("/w/c.png")), ("Normal Map", Path("/w/n.png")), ("ao", Path("/w/ao.png")))
-    asked = FinishOptions(given=given_values(bases=own, normal_map=Path("/w/bumps.png"), bake=("ao",)))
-    texture, normals, baked = commands(OPTIONS, files, asked, landmarks=False)[1:4]
+    asked = FinishOptions(option_values=given_values(bases=own, normal_map=Path("/w/bumps.png"), bake=("ao",)))
+    texture, normals, baked = finish_commands(OPTIONS, files, asked, use_landmarks=False)[1:4]
     assert texture.request.bases == (("", Path("/w/c.png")),)
     assert normals.request.bases == (("", Path("/w/n.png")),)
     assert baked.request.bases == (("ao", Path("/w/ao.png")),)
-    with_maps = FinishOptions(maps=(("roughness", Path("/w/r.png")),), given=given_values(bases=own))
-    (color, *_) = commands(OPTIONS, files, with_maps, landmarks=False)[1].request.bases
+    with_maps = FinishOptions(maps=(("roughness", Path("/w/r.png")),), option_values=given_values(bases=own))
+    (color, *_) = finish_commands(OPTIONS, files, with_maps, use_landmarks=False)[1].request.bases
     assert color == ("color", Path("/w/c.png"))
 
 
@@ -162,30 +170,30 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
 
     def refused(asked: FinishOptions) -> None:
         with pytest.raises(ParameterError, match="outside"):
-            planned(OPTIONS, workspace, files, asked, landmarks=False)
+            plan_commands(OPTIONS, workspace, files, asked, use_landmarks=False)
 
-    shapes = FinishOptions(given=given_values(blend_shapes=(Path("shapes"),)))
-    planned(OPTIONS, workspace, files, shapes, landmarks=False)
+    shapes = FinishOptions(option_values=given_values(blend_shapes=(Path("shapes"),)))
+    plan_commands(OPTIONS, workspace, files, shapes, use_landmarks=False)
     (inside / "shapes" / "smile.obj").symlink_to(outside / "secret.obj")
     refused(shapes)
     (inside / "skin.1001.png").touch()
     (inside / "skin.1002.png").symlink_to(outside / "secret.png")
-    refused(FinishOptions(given=given_values(normal_map=Path("skin.<UDIM>.png"))))
-    refused(FinishOptions(given={("match", "target_mask"): "not:../out/secret.png"}))
+    refused(FinishOptions(option_values=given_values(normal_map=Path("skin.<UDIM>.png"))))
+    refused(FinishOptions(option_values={("match", "target_mask"): "not:../out/secret.png"}))
     with pytest.raises(ParameterError, match="outside"):  # the open texture as well
-        workspace.within(default_files(inside, files.target, files.source, inside / "skin.<UDIM>.png"))
+        workspace.resolve_paths(default_files(inside, files.target, files.source, inside / "skin.<UDIM>.png"))
     (inside / "cow_from_spot.1002.png").symlink_to(outside / "secret.png")
     refused(FinishOptions())
     with pytest.raises(ParameterError, match="Name"):
-        planned(OPTIONS, workspace, files, FinishOptions(name="../hero"), landmarks=False)
+        plan_commands(OPTIONS, workspace, files, FinishOptions(name="../hero"), use_landmarks=False)
 
 
 def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_path: Path) -> None:
     for name in ("skin.1001.png", "skin.1002.png", "photo_1024.png", "faces/smile.obj"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    assert Workspace.of(tmp_path).listing((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
-    assert Workspace.of(tmp_path).listing((".obj", "/")) == ("faces", "faces/smile.obj")
+    assert Workspace.of(tmp_path).list_files((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
+    assert Workspace.of(tmp_path).list_files((".obj", "/")) == ("faces", "faces/smile.obj")
 
 
 def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_path: Path) -> None:
@@ -193,17 +201,17 @@ def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_
     for path in (odd, tmp_path / "caf\u00e9.obj"):
         path.touch()
     workspace = Workspace.of(tmp_path)
-    assert workspace.listing((".obj",)) == ("caf\u00e9.obj",)
+    assert workspace.list_files((".obj",)) == ("caf\u00e9.obj",)
     with pytest.raises(ParameterError, match="expected the name of a file"):
-        workspace.require(odd)
-    (message,) = with_message((), "error", f"{odd}: not found")
+        workspace.resolve(odd)
+    (message,) = add_message((), "error", f"{odd}: not found")
     assert message.text.encode()
 
 
 def test_a_message_says_where_on_the_page_its_remedy_is() -> None:
-    text = on_the_page(OPTIONS, "x.png: exists. Give another name, or allow it with force (--force).")
+    text = explain_flags(OPTIONS, "x.png: exists. Give another name, or allow it with force (--force).")
     assert text.endswith("(On this page --force: Overwrite, under Files.)")
-    assert on_the_page(OPTIONS, "too many landmarks") == "too many landmarks"
+    assert explain_flags(OPTIONS, "too many landmarks") == "too many landmarks"
 
 
 def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
@@ -213,20 +221,20 @@ def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "cow.png").write_bytes(b"png")
     (tmp_path / "secret.png").write_bytes(b"secret")
     outputs = (Output(tmp_path / "RESULT", "the map"), Output(tmp_path / "cow.png", "texture"))
-    assert content(outputs, "cow.png") == (b"png", "image/png")
+    assert output_content(outputs, "cow.png") == (b"png", "image/png")
     for name in ("secret.png", "../cow.png", "RESULT", "RESULT/map.npz", "", "/etc/passwd", str(tmp_path / "cow.png")):
-        assert content(outputs, name) is None
-    packed, kind = content(outputs, ALL) or (b"", "")
+        assert output_content(outputs, name) is None
+    packed, kind = output_content(outputs, ARCHIVE_NAME) or (b"", "")
     assert kind == "application/zip"
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
         assert {name: archive.read(name) for name in archive.namelist()} == {
             "RESULT/map.npz": b"map",
             "cow.png": b"png",
         }
-    folder, kind = content(outputs, "RESULT.zip") or (b"", "")
+    folder, kind = output_content(outputs, "RESULT.zip") or (b"", "")
     with zipfile.ZipFile(io.BytesIO(folder)) as archive:
         assert archive.namelist() == ["RESULT/map.npz"]
-    assert content((), ALL) is None
+    assert output_content((), ARCHIVE_NAME) is None
 
 
 def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
@@ -234,7 +242,7 @@ def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Pa
     told: list[Message] = []
     ended: queue.Queue[Message] = queue.Queue()
     runner = Runner(lambda _: None, lambda _: None, told.append, ended.put)
-    todo = commands(OPTIONS, files, FinishOptions(), landmarks=True)
+    todo = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=True)
     runner.start(todo)
     assert ended.get(timeout=60).kind == "error"
     # Nothing can be done without a map.
@@ -291,15 +299,15 @@ def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> Non
 
     runner = Runner(on_job, lambda _: None, lambda _: None, ended.put)
     runner._cancelled = True
-    runner._work(())
+    runner._run_commands(())
     assert ended.get(timeout=10).text == "Bake: cancelled"
 
 
 def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
-    (match, *_) = commands(OPTIONS, files, FinishOptions(), landmarks=False)
+    (match, *_) = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)
     inside = (files.result / "map.npz", files.result / "manifest.json", tmp_path / "a.png", tmp_path.parent / "b.png")
-    assert [output.path.name for output in outputs_of(match, inside)] == [files.result.name, "a.png"]
+    assert [output.path.name for output in command_outputs(match, inside)] == [files.result.name, "a.png"]
 
 
 def test_every_command_of_a_finish_is_asked_by_its_request() -> None:

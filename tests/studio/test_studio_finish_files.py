@@ -10,9 +10,8 @@ from typed_request import run_typed
 
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.studio.finish import FinishOptions, commands
-from cagemap.studio.finish_layout import SIZE
-from cagemap.studio.finish_layout import VERTICES as VERTICES_KEY
+from cagemap.studio.finish import FinishOptions, finish_commands
+from cagemap.studio.finish_layout import SIZE_KEY, VERTICES_KEY
 from cagemap.studio.opening import built_in_files
 from cagemap.studio.state import Files
 from cagemap.tasks.progress import Stages
@@ -56,11 +55,11 @@ def write_inputs(files: Files) -> None:
 def rich_finish(files: Files, size: int, vertices: int) -> FinishOptions:
     """A finish that asks for something of every kind, of the built-in pair."""
     folder = files.source.parent
-    given: dict[Key, Value] = {VERTICES_KEY: vertices, SIZE: size, ("match", "k"): 60}
+    given: dict[Key, Value] = {VERTICES_KEY: vertices, SIZE_KEY: size, ("match", "k"): 60}
     given |= {("transfer", name): value for name, value in TRANSFER.items()}
     given |= {("wrap", name): value for name, value in WRAP.items()}
-    asked = FinishOptions(maps=(("roughness", Path("bumps.png")),), map_form=".npz", wrap=True, given=given)
-    return asked.placed(all_options(), lambda path: folder / path)
+    asked = FinishOptions(maps=(("roughness", Path("bumps.png")),), map_form=".npz", wrap=True, option_values=given)
+    return asked.resolve_paths(all_options(), lambda path: folder / path)
 
 
 def compared(folder: Path) -> list[Path]:
@@ -81,7 +80,9 @@ def test_the_job_file_of_a_finish_makes_the_same_files_again(tmp_path: Path) -> 
     files = built_in_files(tmp_path)
     write_inputs(files)
     before = compared(tmp_path)
-    for command in commands(all_options(), files, rich_finish(files, size=32, vertices=1000), landmarks=True):
+    for command in finish_commands(
+        all_options(), files, rich_finish(files, size=32, vertices=1000), use_landmarks=True
+    ):
         run_typed(command.request)
     made = [path for path in compared(tmp_path) if path not in before]
     text, whole = run_job(RunRequest(files.result / "job.toml", workers=1), Stages())

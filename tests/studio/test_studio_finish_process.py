@@ -20,8 +20,8 @@ from examples.shapes import creature
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.studio.finish_process import Made, perform, serve
-from cagemap.studio.worker import STOPPED, Failure, Worker
+from cagemap.studio.finish_process import RequestResult, run_finish_request, serve
+from cagemap.studio.worker import STOPPED_KIND, Failure, Worker
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.results import TransferRequest
@@ -46,7 +46,7 @@ def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
         worker.run(TransferRequest(result, tmp_path / "map.npz", write_map=True)),
     ]
     worker.end()
-    assert all(isinstance(one, Made) for one in made)
+    assert all(isinstance(one, RequestResult) for one in made)
     assert {result / name for name in ("manifest.json", "map.npz")} <= {*made[0].files}
     assert made[2].files[0] == tmp_path / "map.npz"
     assert [bool(one.failure) for one in made] == [False, True, False]
@@ -65,8 +65,8 @@ def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
         write_whole(tmp_path / "a.txt", "a")
         raise ParameterError("exists (`force=True`)")
 
-    monkeypatch.setattr("cagemap.tasks.requests.catalogue.run_request", work)
-    made = perform(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
+    monkeypatch.setattr("cagemap.tasks.run_request.run_request", work)
+    made = run_finish_request(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
     assert made.warnings == ("a.obj has no UVs: --unwrap",)
     assert made.files == (tmp_path / "a.txt",)
     assert made.failure == "exists (--force)"
@@ -80,7 +80,7 @@ def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -
     worker = Worker(lambda stage: (stages.append(stage), worker.end() if len(stages) == 2 else None), serve)
     stopped = worker.run(MatchRequest(target, source, None, tmp_path / "R", vertices=30_000))
     assert isinstance(stopped, Failure)
-    assert stopped.kind == STOPPED
+    assert stopped.kind == STOPPED_KIND
     assert "exit code 0" in stopped.message  # by itself, not by force once patience is over
     assert sorted(os.listdir(tmp_path)) == before
     made = worker.run(MatchRequest(target, target, None, tmp_path / "R", vertices=300))  # by another process
@@ -102,6 +102,7 @@ def test_a_request_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp
     )
     before = sorted(os.listdir(tmp_path))
     with subprocess.Popen([sys.executable, script], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as runs:
+        assert runs.stdout is not None
         assert runs.stdout.readline()
         children = psutil.Process(runs.pid).children(recursive=True)
         assert children
@@ -118,9 +119,9 @@ def wait_for_threads(connection: Connection) -> None:
         stages("waits")
         threading.Event().wait()
 
-    import cagemap.tasks.requests.catalogue
+    import cagemap.tasks.run_request
 
-    cagemap.tasks.requests.catalogue.run_request = wait  # type: ignore[assignment]
+    cagemap.tasks.run_request.run_request = wait  # type: ignore[assignment]
     serve(connection)
 
 
@@ -135,6 +136,7 @@ def test_a_second_signal_does_not_interrupt_what_the_first_one_removes(tmp_path:
     worker = Worker(lambda _: None, remove_slowly)
     worker.start()
     process = worker._process
+    assert process is not None
     assert process.pid is not None
     ended = threading.Thread(target=worker.run, args=(TransferRequest(tmp_path, tmp_path / "a.png"),))
     ended.start()
@@ -157,9 +159,9 @@ def remove_slowly(connection: Connection) -> None:
             time.sleep(0.5)
             (request.result / "removed").touch()
 
-    import cagemap.tasks.requests.catalogue
+    import cagemap.tasks.run_request
 
-    cagemap.tasks.requests.catalogue.run_request = wait  # type: ignore[assignment]
+    cagemap.tasks.run_request.run_request = wait  # type: ignore[assignment]
     serve(connection)
 
 

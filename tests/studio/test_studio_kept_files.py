@@ -15,7 +15,7 @@ from cagemap.files.landmarks.point_formats import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.finish import FinishOptions
-from cagemap.studio.landmark_files import points_file
+from cagemap.studio.landmark_files import side_file
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.session import Session
 from cagemap.tasks.requests.catalogue import Value
@@ -36,12 +36,12 @@ def test_saved_landmarks_are_read_again_and_a_persons_file_is_kept(opened: Sessi
     assert opened.state.saved
     assert not autosave_path(files.landmarks).exists()
     assert json.loads(files.landmarks.with_name(f"{files.landmarks.name}.before-studio").read_text()) == theirs
-    before = opened.state.history.present.complete
+    before = opened.state.history.present.complete_landmarks
     opened.remove(1)
     opened.load(files.landmarks)
-    assert [item.name for item in opened.state.history.present.complete] == [item.name for item in before]
+    assert [item.name for item in opened.state.history.present.complete_landmarks] == [item.name for item in before]
     opened.undo()
-    assert len(opened.state.history.present.complete) == 2
+    assert len(opened.state.history.present.complete_landmarks) == 2
 
 
 def test_a_landmark_is_kept_before_a_page_shows_it(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +126,7 @@ PER_MESH = [f"both{form.ending}" for form in POINT_FORMS]
 @pytest.mark.parametrize("name", ["", "other.json", *PER_MESH])
 def test_a_click_between_vertices_stays_where_it_was(opened: Session, boxes: Path, name: str) -> None:
     clicked = [click_between(opened, side) for side in ("target", "source")]
-    item = opened.state.history.present.complete[0]
+    item = opened.state.history.present.complete_landmarks[0]
     for place, position, side in ((item.target, clicked[0], "target"), (item.source, clicked[1], "source")):
         assert np.linalg.norm(np.array(place.position) - position) < 0.01 * opened.scene.shape(side).radius
         assert max(place.weights) < 0.9
@@ -137,14 +137,14 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, boxes: Pat
         opened.load(Path(name or "b__a.json"))
     else:
         assert opened.state.files.landmarks.name == "b__a.json"
-        opened.load(points_file(Path(name), "target"), points_file(Path(name), "source"))
+        opened.load(side_file(Path(name), "target"), side_file(Path(name), "source"))
         for side in ("target", "source"):  # Wrap's form has no mark, so that nothing is written over it
-            points_file(boxes / name, side).unlink()
+            side_file(boxes / name, side).unlink()
         said = [message.text for message in opened.state.messages if "order alone" in message.text]
         assert bool(said) == (name == "both.txt")
-    again = opened.state.history.present.complete[0]
+    again = opened.state.history.present.complete_landmarks[0]
     for side in ("target", "source"):
-        np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
+        np.testing.assert_allclose(again.place_on(side).position, item.place_on(side).position, atol=1e-6)
     for refused in ("refused.md", "refused"):
         opened.save(refused)
         assert "Choose such a name" in opened.state.messages[-1].text
@@ -194,7 +194,7 @@ def test_errors_are_messages_and_paths_outside_are_refused(opened: Session, tmp_
     opened.accept()  # nothing waits
     opened.mirror(1)  # nothing to mirror
     assert opened.state.messages[-1].kind == "error"
-    opened.finish(FinishOptions(given={("transfer", "displacement"): tmp_path / "secret.png"}))
+    opened.finish(FinishOptions(option_values={("transfer", "displacement"): tmp_path / "secret.png"}))
     assert opened.state.finish_job is None
 
 
@@ -211,7 +211,7 @@ def test_no_word_of_the_page_reaches_outside(opened: Session, boxes: Path, path:
         named: dict[str, Value] = {"file": Path(path), "files": (Path(path),), "named files": (("a", Path(path)),)}
         named |= {"name or file": f"not:{path}.png"}
         if option.kind in named:
-            opened.finish(FinishOptions(given={key: named[option.kind]}))
+            opened.finish(FinishOptions(option_values={key: named[option.kind]}))
     opened.finish(FinishOptions(maps=(("roughness", Path(path)),)))
     opened.finish(FinishOptions(name=path))
     for name in ("target", "source", "texture", "landmarks", "result"):

@@ -1,11 +1,15 @@
-"""What the studio shows: clicks on the smooth surface, skins through a map, and seams."""
+"""What the studio shows: clicks on the smooth surface, skins through a map, seams, and the answers of its bench."""
 
 from __future__ import annotations
 
 import io
 import json
 import re
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -16,36 +20,46 @@ import trimesh
 from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
+from cagemap.errors import ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.studio.autosave import Owned
+from cagemap.studio.autosave import FileTracker
 from cagemap.studio.compute import (
-    Bench,
     FindMap,
-    Found,
-    Opened,
-    Opening,
+    MapUpdate,
+    OpenedPair,
     OpenModels,
+    PairFiles,
+    PreviewCache,
     ShowBaked,
-    perform,
+    number_duplicates,
+    run_task,
 )
-from cagemap.studio.downloads import textured
-from cagemap.studio.finish import FinishOptions, commands
-from cagemap.studio.glb import Drawn, glb
+from cagemap.studio.downloads import textured_model
+from cagemap.studio.finish import FinishOptions, finish_commands
+from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.landmarks import Landmark, LandmarkList
 from cagemap.studio.models import open_model, with_texture
 from cagemap.studio.opening import default_files
-from cagemap.studio.places import place_at, place_of
-from cagemap.studio.scene import part_name
-from cagemap.studio.shape import Hit, pick, shape_of
-from cagemap.studio.skins import Images, Look, crossing_triangles, faced, source_skin, target_skin, texture_colors
-from cagemap.studio.state import Output, Studio
+from cagemap.studio.places import hit_place, nearest_place, vertex_place
+from cagemap.studio.scene import Scene, map_place, mirror_place, part_name
+from cagemap.studio.shape import Hit, pick, refined_shape
+from cagemap.studio.skins import (
+    Look,
+    PreviewMap,
+    align_facing,
+    seam_triangles,
+    source_skin,
+    target_skin,
+    texture_colors,
+)
+from cagemap.studio.state import Output, StudioState
+from cagemap.studio.worker import CANCELLED_KIND, Failure, Worker, _serve_preview
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 from cagemap.transfer.attributes import encode_srgb as to_display
-
-from studio_boxes import landmarks, unwrapped_cube
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -72,8 +86,8 @@ def attributes_of(data: bytes, name: str) -> dict[str, np.ndarray]:
 def test_glb_is_read_by_others_as_it_was_written() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     attributes = {"POSITION": points, "TEXCOORD_0": points[:, :2], "_TRUST": points[:, 0]}
-    none = Drawn("none", attributes, np.zeros((0, 3), dtype=np.int64))
-    data = glb([Drawn("model", attributes, np.array([[0, 1, 2], [0, 2, 3]])), none])
+    none = MeshPart("none", attributes, np.zeros((0, 3), dtype=np.int64))
+    data = pack_glb([MeshPart("model", attributes, np.array([[0, 1, 2], [0, 2, 3]])), none])
     (mesh,) = read_back(data)
     np.testing.assert_allclose(mesh.vertices, points)
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
@@ -86,19 +100,19 @@ def test_glb_is_read_by_others_as_it_was_written() -> None:
 def test_a_source_is_seen_from_the_side_that_the_target_is_seen_from(quarters: int) -> None:
     mesh = creature()
     level = refine(mesh, 1)
-    target = shape_of(level)
+    target = refined_shape(level)
     about = np.linalg.matrix_power(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), quarters)
     upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of a file whose z is up
     other = mesh.with_positions(mesh.positions @ about @ upright.T + [3.0, 1.0, 2.0])
-    source = shape_of(refine(other, 1), turn=upright)
+    source = refined_shape(refine(other, 1), rotation=upright)
     owner = np.zeros(len(target.positions), dtype=np.int64)
     owner[target.triangles.ravel()] = np.arange(target.triangles.size)
-    images = Images(owner // 3, np.eye(3)[owner % 3], np.ones(len(owner)))
-    seen = faced(source, target, images)
+    images = PreviewMap(owner // 3, np.eye(3)[owner % 3], np.ones(len(owner)))
+    seen = align_facing(source, target, images)
     np.testing.assert_allclose(seen.to_view(seen.positions), target.to_view(target.positions), atol=1e-9)
     np.testing.assert_allclose(seen.to_file(target.to_view(target.positions)), source.positions, atol=1e-9)
-    assert faced(seen, target, images) is seen
-    assert faced(source, target, None) is source
+    assert align_facing(seen, target, images) is seen
+    assert align_facing(source, target, None) is source
 
 
 def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
@@ -111,11 +125,13 @@ def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
     turned = open_model(tmp_path / "lying.obj", None, "z", 300).shape
     places = upright.to_view(upright.positions)
     np.testing.assert_allclose(turned.to_view(turned.positions), places, atol=1e-6)
-    np.testing.assert_allclose(turned.turned(turned.normals), upright.normals, atol=1e-5)
+    np.testing.assert_allclose(turned.directions_to_view(turned.normals), upright.normals, atol=1e-5)
     np.testing.assert_allclose(turned.to_file(places), turned.positions, atol=1e-6)
     # What is clicked is what is seen, in the file's own units.
     ray = np.array([0.1, 0.2, 3.0]), np.array([-0.02, -0.05, -1.0])
     one, other = (pick(shape, *ray) for shape in (upright, turned))
+    assert one is not None
+    assert other is not None
     assert one.triangle == other.triangle
     np.testing.assert_allclose(other.position[[0, 2, 1]] * [1.0, 1.0, -1.0], one.position, atol=1e-5)
 
@@ -130,10 +146,10 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
     write_image(tmp_path / "c.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     for scheme in ("none", "bilinear", None):
         paths = tmp_path / "a.obj", tmp_path / "b.obj"
-        opening = Opening(*paths, None, 300, tmp_path, schemes=(scheme, scheme), ups=("z", None))
-        bench, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+        opening = PairFiles(*paths, None, 300, tmp_path, schemes=(scheme, scheme), ups=("z", None))
+        cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
         task = ShowBaked(opening, tmp_path / "c.png", tmp_path / "c_unwrapped.obj", None)
-        _, skin = perform(bench, task, lambda _: None)
+        _, skin = run_task(cache, task, lambda _: None)
         (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
         assert b'"baked"' in skin
         assert cKDTree(plain.vertices).query(shown.vertices)[0].max() < 1e-6
@@ -147,7 +163,7 @@ def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
     for axis in ("Y", "Z"):
         file = tmp_path / f"{axis}.usda"
         file.write_text(re.sub(r'upAxis = "\w"', f'upAxis = "{axis}"', written))
-        turns[axis] = [open_model(file, None, up, 300).shape.turn for up in (None, "y")]
+        turns[axis] = [open_model(file, None, up, 300).shape.rotation for up in (None, "y")]
     np.testing.assert_allclose(turns["Y"], [np.eye(3)] * 2, atol=1e-12)
     np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ turns["Z"][0], [1.0, 3.0, -2.0], atol=1e-12)
     np.testing.assert_array_equal(turns["Z"][1], np.eye(3))
@@ -157,6 +173,7 @@ def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
 def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     mesh = refine(creature(), 2).finest
     points = mesh.positions
+    assert mesh.faces is not None
     # Ahead of the creature stand vertices of a speck that is set aside.
     speck = ControlMesh.from_faces(
         np.concatenate([[[9.0, 0, 0], [9.1, 0, 0], [9.1, 0.1, 0], [9.0, 0.1, 0]], points]),
@@ -164,34 +181,35 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     )
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, speck)
-    opening = Opening(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, ("none", "none"))
-    bench, opened = perform(Bench(), OpenModels(opening), lambda _: None)
-    assert isinstance(opened, Opened)
+    opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, ("none", "none"))
+    cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+    assert isinstance(opened, OpenedPair)
     assert any("set aside" in note for note in opened.target.notes)
     shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
     files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)
     scene = opened.scene
-    picked = landmarks(bench, 3, 40, 90)
-    save_landmarks(files.landmarks, picked, scene, files, Owned())
+    picked = landmarks(cache, 3, 40, 90)
+    save_landmarks(files.landmarks, picked, scene, files, FileTracker())
     stored = json.loads(files.landmarks.read_text())["pairs"]
     assert [pair["target"] for pair in stored] == [7, 44, 94]
-    again, _ = load_landmarks(files.landmarks, None, scene, files, Owned())
+    again, _ = load_landmarks(files.landmarks, None, scene, files, FileTracker())
     assert [item.target for item in again.items] == [item.target for item in picked.items]
     # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
-    assert commands(all_options(), files, FinishOptions(), landmarks=True)[0].request.target_scheme == "none"
-    bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120)), lambda _: None)
-    assert isinstance(found, Found)
-    places = found.images.on(opened.scene.source.triangles, opened.scene.source.positions)
+    assert finish_commands(all_options(), files, FinishOptions(), use_landmarks=True)[0].request.target_scheme == "none"
+    cache, found = run_task(cache, FindMap(opening, landmarks(cache, 0, 17, 33, 60, 90, 120)), lambda _: None)
+    assert isinstance(found, MapUpdate)
+    places = found.preview_map.pull_back(opened.scene.source.triangles, opened.scene.source.positions)
     assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
-    assert found.known.suggestion is not None
+    assert found.map_state.suggestion is not None
 
 
 def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
-    shape = shape_of(refine(cube(), 4))
+    shape = refined_shape(refine(cube(), 4))
     for direction in ([0.0, 0.0, -1.0], [0.3, -0.2, -1.0], [1.0, 1.0, -1.0]):
         ray = np.array(direction) / np.linalg.norm(direction)
         hit = pick(shape, -3 * ray, ray)
+        assert hit is not None
         # On the ray, on the near side, and on the triangle that is named.
         view = shape.to_view(hit.position)
         np.testing.assert_allclose(np.cross(view, ray), 0, atol=1e-12)
@@ -201,27 +219,27 @@ def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
 
 
 def test_a_click_at_a_control_vertex_means_it() -> None:
-    shape = shape_of(refine(cube(), 4))
+    shape = refined_shape(refine(cube(), 4))
     corner = shape.to_view(shape.positions[3])
     ray = -corner / np.linalg.norm(corner)
     hit = pick(shape, corner - 3 * ray, ray)
     assert hit is not None
-    place = place_of(shape, hit)
+    place = hit_place(shape, hit)
     np.testing.assert_allclose(place.position, shape.positions[3], atol=1e-9)
     np.testing.assert_allclose(np.array(place.weights) @ np.eye(8)[list(place.corners)], np.eye(8)[3], atol=1e-6)
 
 
 @pytest.mark.parametrize("mesh", [cube(), creature()], ids=["cube", "creature"])
 def test_a_place_lies_where_it_was_wanted(mesh: ControlMesh) -> None:
-    shape = shape_of(refine(mesh, 4))
+    shape = refined_shape(refine(mesh, 4))
     rng = np.random.default_rng(3)
     triangles, weights = rng.integers(0, len(shape.triangles), 60), rng.dirichlet(np.ones(3), 60)
     missed = []
     for triangle, inside in zip(triangles, weights, strict=True):
         position = inside @ shape.positions[shape.triangles[triangle]]
-        found = np.array(place_of(shape, Hit(int(triangle), inside, position)).position)
+        found = np.array(hit_place(shape, Hit(int(triangle), inside, position)).position)
         missed.append(np.linalg.norm(found - position) / shape.radius)
-        assert np.linalg.norm(np.array(place_at(shape, found).position) - found) < 0.01 * shape.radius
+        assert np.linalg.norm(np.array(nearest_place(shape, found).position) - found) < 0.01 * shape.radius
     assert np.median(missed) < 1e-3
     assert max(missed) < 0.005
 
@@ -230,17 +248,26 @@ def test_parts_have_names_and_triangles_belong_to_them() -> None:
     mesh = cube()
     numbers = np.array([0, 0, 0, 1, 1, 1])
     named = replace(mesh, face_objects=numbers, object_names=("head", "body"), face_materials=numbers * 0)
-    shape = shape_of(refine(replace(named, material_names=("skin",)), 2))
+    shape = refined_shape(refine(replace(named, material_names=("skin",)), 2))
     assert part_name(shape, 0) == "head, skin"
     assert part_name(shape, len(shape.triangles) - 1) == "body, skin"
-    assert part_name(shape_of(refine(mesh, 2)), 0) == ""
+    assert part_name(refined_shape(refine(mesh, 2)), 0) == ""
 
 
-def identity(n: int, triangles: np.ndarray) -> Images:
+def identity(n: int, triangles: np.ndarray) -> PreviewMap:
     """Every vertex of a shape to itself."""
     first = np.zeros(n, dtype=np.int64)
     first[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
-    return Images(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
+    return PreviewMap(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
+
+
+def unwrapped_cube():
+    """A cube whose six faces are islands of their own."""
+    mesh = cube()
+    corners = np.array([[0.02, 0.02], [0.31, 0.02], [0.31, 0.48], [0.02, 0.48]])
+    steps = np.array([[x / 3, y / 2] for y in range(2) for x in range(3)])
+    uvs = (corners[None] + steps[:, None]).reshape(-1, 2)
+    return mesh.with_uvs(uvs, np.arange(24))
 
 
 def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
@@ -250,11 +277,12 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
         write_image(tmp_path / f"skin.{number}.png", np.full((side, side, 3), color, dtype=np.uint8))
     look = with_texture(Look(), tmp_path / "skin.<UDIM>.png")
     places = np.array([[0.1, 0.9], [1.9, 0.1], [0.9, 1.1], [1.5, 1.5]])
+    assert look.texture is not None
     assert look.texture.shape == (16, 16, 3)
     np.testing.assert_array_equal(texture_colors(look, places), [*(255 * np.eye(3)), np.zeros(3)])
     # The page's card has the whole of it between 0 and 1.
     mesh = unwrapped_cube()
-    shape = shape_of(refine(mesh.with_uvs(2 * mesh.uvs, mesh.uv_indices), 1))
+    shape = refined_shape(refine(mesh.with_uvs(2 * mesh.uvs, mesh.uv_indices), 1))
     drawn = attributes_of(source_skin(shape, look), "model")
     assert shape.uvs.max() > 1.9
     assert 0.9 < drawn["TEXCOORD_0"].max() < 1.0
@@ -264,28 +292,29 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     write_mesh(tmp_path / "box.obj", unwrapped_cube())
     write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
     files = default_files(tmp_path, tmp_path / "box.obj", tmp_path / "box.obj", None)
-    model = textured(Studio(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)))
+    model = textured_model(StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)))
     (tmp_path / "box.glb").write_bytes(model)
-    opening = Opening(tmp_path / "box.obj", tmp_path / "box.glb", None, 300, tmp_path)
+    opening = PairFiles(tmp_path / "box.obj", tmp_path / "box.glb", None, 300, tmp_path)
     for _ in range(2):  # the file that was put there is used again
-        _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+        _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
         assert opened.source.texture == tmp_path / "box_texture.png"
+    assert opened.source.look.texture is not None
     np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
     (tmp_path / "box_texture.png").write_bytes(b"another's")
-    _, opened = perform(Bench(), OpenModels(opening), lambda _: None)
+    _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
     assert opened.source.texture == tmp_path / "box_texture1.png"
     assert (tmp_path / "box_texture.png").read_bytes() == b"another's"
     named = replace(opening, texture=tmp_path / "t.png")
-    _, opened = perform(Bench(), OpenModels(named), lambda _: None)
+    _, opened = run_task(PreviewCache(), OpenModels(named), lambda _: None)
     assert opened.source.texture == tmp_path / "t.png"
 
 
 def test_seams_are_found_where_texture_coordinates_jump() -> None:
-    shape = shape_of(refine(unwrapped_cube(), 3))
+    shape = refined_shape(refine(unwrapped_cube(), 3))
     images = identity(len(shape.positions), shape.triangles)
     assert shape.uvs is not None
-    uvs = images.on(shape.uv_triangles, shape.uvs)
-    crossing = crossing_triangles(shape, shape, images, uvs)
+    uvs = images.pull_back(shape.uv_triangles, shape.uvs)
+    crossing = seam_triangles(shape, shape, images, uvs)
     # Under the identity a triangle crosses a seam if it has a vertex on one and lies on another face than its image.
     island = shape.faces
     own = island[images.triangle[shape.triangles]]
@@ -296,10 +325,10 @@ def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:
     """Under the identity the samples of a triangle are the source's own colours, whatever corners they lie between."""
     mesh = replace(unwrapped_cube(), face_materials=np.arange(6), material_names=tuple("abcdef"))
     colors = np.random.default_rng(3).random((6, 3))
-    shape = shape_of(refine(mesh, 3))
+    shape = refined_shape(refine(mesh, 3))
     images = identity(len(shape.positions), shape.triangles)
     pixels = np.random.default_rng(4).integers(0, 255, (64, 64, 3), dtype=np.uint8)
-    for look in (Look(colors=colors), Look(texture=pixels, encoded=b"\xff\xd8\xff")):
+    for look in (Look(colors=colors), Look(texture=pixels, jpeg=b"\xff\xd8\xff")):
         data = target_skin(shape, Look(), shape, look, images)
         picture = imageio.imread(data[data.index(b"\x89PNG") :], extension=".png")
         seams = attributes_of(data, "seams")
@@ -317,3 +346,164 @@ def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:
         found = picture[row, column]
         assert side >= 3
         assert (np.abs(found.astype(float) - wanted).max(axis=1) < 2).mean() > (0.95 if look.texture is None else 0.3)
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreviewCache, OpenModels]:
+    folder = tmp_path_factory.mktemp("models")
+    mesh = unwrapped_cube()
+    write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
+    # Not the very same surface, which has one answer.
+    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
+    write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
+    task = OpenModels(PairFiles(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, folder))
+    cache, _ = run_task(PreviewCache(), task, lambda _: None)
+    return cache, task
+
+
+def landmarks(cache: PreviewCache, *vertices: int) -> LandmarkList:
+    shapes = cache.target.shape, cache.source.shape
+    pairs = (Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
+    return LandmarkList(tuple(pairs))
+
+
+def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, OpenModels]) -> None:
+    cache, task = opened
+    cache, first = run_task(cache, FindMap(task.pair_files, landmarks(cache, *range(8))), lambda _: None)
+    assert isinstance(first, MapUpdate)
+    cache, second = run_task(cache, FindMap(task.pair_files, landmarks(cache, *range(7))), lambda _: None)
+    assert isinstance(second, MapUpdate)
+    assert set(second.map_state.strain) == {f"v{v}" for v in range(7)}
+    assert second.skins[1] is None  # the source faces as the target does
+    # The models are translates of each other: the map carries a point to the same point, five units to the right.
+    target, source = cache.target, cache.source
+    mirrors = target.mirror, source.mirror
+    scene = Scene(target.shape, source.shape, mirrors, (second.skins[0], b""), second.preview_map)
+    there = map_place(scene, "target", vertex_place(scene.target, 0))
+    assert there is not None
+    # Within two edges of the preview's level.
+    np.testing.assert_allclose(np.array(there.position) - [5, 0, 0], scene.target.positions[0], atol=0.3)
+    back = map_place(scene, "source", there)
+    assert back is not None
+    np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
+
+
+@pytest.mark.slow
+def test_without_landmarks_the_preview_has_answers_to_choose_from(opened: tuple[PreviewCache, OpenModels]) -> None:
+    cache, task = opened
+    with pytest.raises(ParameterError, match="answer 99"):
+        run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=99), lambda _: None)
+    looks = list[MapUpdate]()
+    cache, first = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None, looks.append)
+    assert isinstance(first, MapUpdate)
+    # As the files stand, and the best of all rough fits; both are maps of every vertex, and said to be rough.
+    assert [look.map_state.rough for look in looks] == [True, True]
+    assert not first.map_state.rough
+    assert {look.preview_map.triangle.shape for look in looks} == {first.preview_map.triangle.shape}
+    # A box on a box: each half turn is an answer.
+    assert len(first.map_state.answers) > 1
+    assert first.map_state.confidence
+    cache, second = run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
+    assert isinstance(second, MapUpdate)
+    assert second.map_state.chosen_answer == 1
+    assert not np.array_equal(first.preview_map.triangle, second.preview_map.triangle)
+    # One landmark moves that answer, and taking it away gives it back.
+    cache, third = run_task(cache, FindMap(task.pair_files, landmarks(cache, 0)), lambda _: None)
+    assert isinstance(third, MapUpdate)
+    assert set(third.map_state.strain) == {"v0"}
+    cache, fourth = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None)
+    assert isinstance(fourth, MapUpdate)
+    np.testing.assert_array_equal(fourth.preview_map.triangle, second.preview_map.triangle)
+
+
+def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[PreviewCache, OpenModels]) -> None:
+    cache, task = opened
+    taken: list[int] = []
+    for step in range(3):
+        if step == 1:  # all but two of the eight
+            taken += [vertex for vertex in range(8) if vertex not in taken][:5]
+        cache, found = run_task(cache, FindMap(task.pair_files, landmarks(cache, *taken)), lambda _: None)
+        assert isinstance(found, MapUpdate)
+        assert found.map_state.suggestion not in (None, *taken)
+        taken.append(found.map_state.suggestion or 0)
+    _, found = run_task(cache, FindMap(task.pair_files, landmarks(cache, *taken)), lambda _: None)
+    assert isinstance(found, MapUpdate)
+    assert found.map_state.suggestion is None
+
+
+def test_mirror_images_lie_across_the_plane(opened: tuple[PreviewCache, OpenModels]) -> None:
+    cache, _ = opened
+    shape = cache.target.shape
+    scene = Scene(shape, cache.source.shape, (cache.target.mirror, cache.source.mirror), (b"", b""))
+    corner = vertex_place(shape, 0)
+    across = mirror_place(scene, "target", corner)
+    assert across is not None
+    assert across.corners != corner.corners
+    assert mirror_place(scene, "target", across) == corner
+    assert mirror_place(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
+
+
+def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[PreviewCache, OpenModels]) -> None:
+    _, task = opened
+    stages: list[str] = []
+    worker = Worker(stages.append)
+    missing = worker.run(OpenModels(replace(task.pair_files, target=Path("/nowhere/a.obj"))))
+    assert isinstance(missing, Failure)
+    assert missing.kind == "FormatError"
+    assert "a.obj" in missing.message
+    answer = worker.run(task)
+    assert not isinstance(answer, Failure)
+    assert stages
+    worker.kill()
+    assert isinstance(worker.run(task), (Failure, type(answer)))
+    # Whatever happened to the process that was killed, the next task has one.
+    assert not isinstance(worker.run(task), Failure)
+    worker.kill()
+
+
+def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
+    opened: tuple[PreviewCache, OpenModels], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that has ended already, or is named no more, disturbs no other."""
+    _, task = opened
+    unwanted, wanted = FindMap(task.pair_files, LandmarkList()), ShowBaked(task.pair_files, Path(), None, None)
+    here, there = Pipe()
+    worker = Worker(lambda stage: worker.cancel(unwanted))
+    monkeypatch.setattr(worker, "_connect", lambda: here)
+    worker._connection = here
+
+    def work(
+        cache: PreviewCache, task: object, progress: Callable[[str], None], _: object
+    ) -> tuple[PreviewCache, object]:
+        for stage in range(10_000 if isinstance(task, FindMap) else 3):  # the unwanted one has time to hear of it
+            progress(str(stage))
+            time.sleep(1e-3)
+        return cache, type(task).__name__
+
+    monkeypatch.setattr("cagemap.studio.compute.run_task", work)
+    monkeypatch.setattr("cagemap.studio.worker._lower_priority", lambda: None)  # it is this process that serves
+    serving = threading.Thread(target=_serve_preview, args=(there,), daemon=True)
+    serving.start()
+    for _ in range(2):
+        assert worker.run(unwanted) == Failure(CANCELLED_KIND, "the computation was cancelled")
+        worker.cancel(unwanted)
+        assert worker.run(wanted) == "ShowBaked"
+    here.close()
+    serving.join(10)
+    assert not serving.is_alive()
+
+
+def test_a_vertex_cannot_be_named_twice(opened: tuple[PreviewCache, OpenModels]) -> None:
+    cache, task = opened
+    one = landmarks(cache, 0).items[0]
+    with pytest.raises(ValueError, match="one pair only"):
+        run_task(cache, FindMap(task.pair_files, LandmarkList((one, replace(one, name="again")))), lambda _: None)
+
+
+def test_answers_of_one_name_are_numbered() -> None:
+    assert number_duplicates(["as filed", "turned", "as filed", "as filed"]) == (
+        "as filed",
+        "turned",
+        "as filed (2)",
+        "as filed (3)",
+    )

@@ -11,20 +11,20 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from cagemap.studio.compute import Bench, FindMap, OpenModels, perform
-from cagemap.studio.downloads import textured, textured_name
+from cagemap.studio.compute import FindMap, OpenModels, PreviewCache, run_task
+from cagemap.studio.downloads import textured_model, textured_model_name
 from cagemap.studio.finish import DEFAULT_VERTICES, FinishOptions
-from cagemap.studio.finish_layout import LEFT_OUT, folds
+from cagemap.studio.finish_layout import OMITTED_OPTIONS, sections
 from cagemap.studio.landmarks import History, Landmark, LandmarkList, Proposal
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.actions import Actions
 from cagemap.studio.page.app import PageRequest, StudioApp
-from cagemap.studio.page.form import finish_options, form
+from cagemap.studio.page.form import form_fields, read_form
 from cagemap.studio.page.shown import page_state
-from cagemap.studio.page.words import STAGES, confidence_text, status, verdict
+from cagemap.studio.page.words import STAGES, confidence_text, status_entries, verdict
 from cagemap.studio.places import vertex_place
 from cagemap.studio.session import Session
-from cagemap.studio.state import MapState, Message, Output, RunningJob, Studio
+from cagemap.studio.state import MapState, Message, Output, RunningJob, StudioState
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import all_options
 
@@ -35,25 +35,25 @@ FOREIGN = ("hypothes", "projection", "coarse fit", "operator", "basis", "eigen",
 
 
 def sent(session: Any, **message: Any) -> None:
-    Actions(session).do(json.dumps(message))
+    Actions(session).handle(json.dumps(message))
 
 
 def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) -> None:
     stages: list[str] = []
-    opening = opened._preview.models
+    opening = opened._preview.pair_files
     assert opening is not None
-    bench, _ = perform(Bench(), OpenModels(opening), stages.append)
-    shapes = bench.target.shape, bench.source.shape
+    cache, _ = run_task(PreviewCache(), OpenModels(opening), stages.append)
+    shapes = cache.target.shape, cache.source.shape
     pairs = [(0, 0), (2, 2), (5, 5), (6, 1)]
     items = tuple(
         Landmark(k, f"l{k}", *(vertex_place(shape, one) for shape, one in zip(shapes, pair, strict=True)))
         for k, pair in enumerate(pairs, 1)
     )
     for count, fresh in ((0, True), (1, False), (4, True)):
-        bench, _ = perform(bench, FindMap(opening, LandmarkList(items[:count]), fresh), stages.append)
+        cache, _ = run_task(cache, FindMap(opening, LandmarkList(items[:count]), fresh), stages.append)
     assert len(set(stages)) > 5
     for stage in stages:
-        said = status(Studio(preview_job=RunningJob("Matching", stage)))
+        said = status_entries(StudioState(preview_job=RunningJob("Matching", stage)))
         assert said["text"] != f"Matching: {stage}", f"{stage}: no words for it in page/words.py"
         assert said["fraction"] is not None
     assert not [word for _, words, _ in STAGES for word in FOREIGN if word in words]
@@ -62,10 +62,10 @@ def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) ->
 def test_the_status_says_what_is_asked_of_the_user() -> None:
     files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
     landmark = LandmarkList((Landmark(1, "nose"),))
-    ready = Studio(files=files, map=MapState(revision=1, seconds=1.25))
+    ready = StudioState(files=files, map=MapState(revision=1, seconds=1.25))
     wrong = Message("error", "a.obj, line 4: expected a number. Correct it.")
     for state, kind, words in (
-        (Studio(), "ready", "Open two models"),
+        (StudioState(), "ready", "Open two models"),
         (ready, "ready", "Map found."),
         (replace(ready, history=History(landmark)), "ask", "the same place on the other model"),
         (replace(ready, messages=(wrong,)), "error", "line 4"),
@@ -75,7 +75,7 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
             "step 2/3",
         ),
     ):
-        said = status(state)
+        said = status_entries(state)
         assert (said["kind"], words in said["text"]) == (kind, True), said
     assert said["fraction"] == 0.4
     assert said["cancel"]
@@ -83,16 +83,16 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
 
 def test_how_sure_a_map_is_is_said_in_words() -> None:
     scene: Any = MagicMock()
-    scene.images.trust = np.array([1.0, 0.2, 1.0, 1.0])
-    assert verdict(Studio(), scene) == ""
+    scene.preview_map.trust = np.array([1.0, 0.2, 1.0, 1.0])
+    assert verdict(StudioState(), scene) == ""
     known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
-    assert verdict(Studio(map=known), scene) == "Sure, 25 % doubtful"
+    assert verdict(StudioState(map=known), scene) == "Sure, 25 % doubtful"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
-    assert verdict(Studio(map=doubt), scene).startswith("Two ways fit")
+    assert verdict(StudioState(map=doubt), scene).startswith("Two ways fit")
     assert "`" not in confidence_text(doubt.confidence)
     assert "Next landmark" in confidence_text(doubt.confidence)
-    assert "contradicts" in verdict(Studio(map=replace(known, contradictions={"nose": "far off"})), scene)
-    assert "not yet checked" in verdict(Studio(map=MapState(rough=True)), scene)
+    assert "contradicts" in verdict(StudioState(map=replace(known, contradictions={"nose": "far off"})), scene)
+    assert "not yet checked" in verdict(StudioState(map=MapState(rough=True)), scene)
 
 
 def test_the_state_of_a_page_names_all_that_is_drawn(opened: Session) -> None:
@@ -101,23 +101,23 @@ def test_the_state_of_a_page_names_all_that_is_drawn(opened: Session) -> None:
     json.dumps(state)
     (row,) = state["landmarks"]
     assert (row["complete"], row["proposed"], state["proposal"], state["asks"]) == (False, "source", True, True)
-    place = opened.state.history.present.open.target
+    place = opened.state.history.present.open_landmark.target
     np.testing.assert_allclose(row["target"][:3], opened.scene.target.to_view(np.array(place.position)), atol=1e-5)
     assert isinstance(opened.state.proposal, Proposal)
     assert state["models"]["target"]["name"] == "a.obj"
-    assert page_state(Studio(), None, opened.workspace, {})["models"] is None
+    assert page_state(StudioState(), None, opened.workspace, {})["models"] is None
 
 
 def test_names_of_what_is_drawn_change_with_it_alone(opened: Session) -> None:
     app = StudioApp.__new__(StudioApp)
-    app.__dict__.update(session=opened, _drawn={}, _count=iter(range(1, 99)), _drawing=MagicMock())
-    first = app._keys(opened.state, opened.scene)
-    again = app._keys(opened.state, opened.scene)
+    app.__dict__.update(session=opened, _drawings={}, _key_count=iter(range(1, 99)), _drawings_lock=MagicMock())
+    first = app._drawing_keys(opened.state, opened.scene)
+    again = app._drawing_keys(opened.state, opened.scene)
     assert again == first
     assert app._draw(first["target/skin"]) == opened.scene.skins[0]
     assert app._draw(first["target/cage"]).startswith(b"glTF")
     assert app._draw(first["source/curves"]).startswith(b"glTF")
-    other = app._keys(opened.state, replace(opened.scene, skins=(b"new", opened.scene.skins[1])))
+    other = app._drawing_keys(opened.state, replace(opened.scene, skins=(b"new", opened.scene.skins[1])))
     assert {name for name in first if other[name] != first[name]} == {"target/skin"}
     assert app._draw(first["target/skin"]) is None
 
@@ -130,7 +130,7 @@ def test_messages_of_a_page_reach_the_session() -> None:
     sent(session, do="move", number=2, **ray)
     assert session.move.call_args.args[:2] == (2, "source")
     sent(session, do="view", fields={"cages": True, "mode": "checker"})
-    session.show_as.assert_called_once_with(cages=True, mode="checker")
+    session.change_view.assert_called_once_with(cages=True, mode="checker")
     for name in ("undo", "redo", "accept", "cancel"):
         sent(session, do=name)
         assert getattr(session, name).called
@@ -152,10 +152,15 @@ def test_messages_of_a_page_reach_the_session() -> None:
 )
 def test_what_no_page_of_ours_sends_is_refused_in_words(opened: Session, message: str | bytes) -> None:
     before = opened.state.history
-    Actions(opened).do(message)
+    Actions(opened).handle(message)
     assert opened.state.history == before
-    assert "Load" in opened.state.messages[-1].text
+    assert "Reload" in opened.state.messages[-1].text
     assert "internal error" not in opened.state.messages[-1].text
+
+
+def test_a_refusal_is_shown_in_its_own_words(opened: Session) -> None:
+    Actions(opened).handle('{"do": "open", "target": "a.obj"}')
+    assert opened.state.messages[-1].text.startswith("ParameterError: expected a target and a source")
 
 
 def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, boxes: Path) -> None:
@@ -164,7 +169,7 @@ def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, bo
     session.open.side_effect = begun.append
     content = (boxes / "a.obj").read_bytes()
     for role in ("target", "source"):
-        Actions(session).do(json.dumps({"name": "c.obj", "role": role}).encode() + b"\n" + content)
+        Actions(session).handle(json.dumps({"name": "c.obj", "role": role}).encode() + b"\n" + content)
         assert getattr(begun[-1], role).name.startswith("c")
     assert begun[0].texture is not None
     assert begun[1].texture is None  # that of another source
@@ -174,22 +179,22 @@ def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, bo
 
 def test_the_form_has_every_option_that_the_page_shows() -> None:
     options = all_options()
-    shown = form(options)["form"]
-    lines = [*shown["first"], *(line for fold in shown["folds"] for line in fold["fields"])]
-    keys = [line["key"] for line in lines]
+    shown = form_fields(options)["form"]
+    rows = [*shown["first"], *(line for fold in shown["folds"] for line in fold["fields"])]
+    keys = [line["key"] for line in rows]
     assert len(keys) == len(set(keys))
-    wanted = {".".join(field.key) for fold in folds(options) for field in fold.fields}
+    wanted = {".".join(field.key) for fold in sections(options) for field in fold.fields}
     assert wanted <= set(keys)
-    assert not {".".join(key) for key in LEFT_OUT} & set(keys)
+    assert not {".".join(key) for key in OMITTED_OPTIONS} & set(keys)
     json.dumps(shown)
-    assert all(line["hint"] for line in lines)
+    assert all(line["hint"] for line in rows)
 
 
 def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> None:
     options = all_options()
     (tmp_path / "n.png").touch()
-    require = Workspace.of(tmp_path).require
-    assert finish_options(options, {}, require) == FinishOptions(given={("match", "vertices"): DEFAULT_VERTICES})
+    resolve = Workspace.of(tmp_path).resolve
+    assert read_form(options, {}, resolve) == FinishOptions(option_values={("match", "vertices"): DEFAULT_VERTICES})
     sent_values = {
         "texture": False,
         "maps": "roughness=r.png, n.png",
@@ -200,25 +205,25 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
         "match.k": "60",
         "match.trust_landmarks": True,
     }
-    asked = finish_options(options, sent_values, require)
+    asked = read_form(options, sent_values, resolve)
     assert asked.maps == (("roughness", Path("r.png")), ("", Path("n.png")))
-    assert asked.given[("transfer", "normal_map")] == tmp_path.resolve() / "n.png"
-    assert asked.given[("match", "vertices")] == 3000
-    assert asked.given[("transfer", "bake")] == ("normal",)
-    assert asked.given[("match", "trust_landmarks")] is True
-    level = finish_options(options, {"match.level": "2", "match.vertices": "3000"}, require)
-    assert ("match", "vertices") not in level.given
+    assert asked.option_values[("transfer", "normal_map")] == tmp_path.resolve() / "n.png"
+    assert asked.option_values[("match", "vertices")] == 3000
+    assert asked.option_values[("transfer", "bake")] == ("normal",)
+    assert asked.option_values[("match", "trust_landmarks")] is True
+    level = read_form(options, {"match.level": "2", "match.vertices": "3000"}, resolve)
+    assert ("match", "vertices") not in level.option_values
     with pytest.raises(Exception, match="Functions: expected a whole number or nothing, got 'many'"):
-        finish_options(options, {"match.k": "many"}, require)
+        read_form(options, {"match.k": "many"}, resolve)
 
 
 def test_the_target_with_its_baked_image_is_one_file(opened: Session, boxes: Path) -> None:
     import pygltflib
 
-    assert textured_name(opened.state) is None
+    assert textured_model_name(opened.state) is None
     state = replace(opened.state, outputs=(Output(boxes / "b.png", "texture"),))
-    assert textured_name(state) == "b.glb"
-    document = pygltflib.GLTF2.load_from_bytes(textured(state))
+    assert textured_model_name(state) == "b.glb"
+    document = pygltflib.GLTF2.load_from_bytes(textured_model(state))
     assert len(document.images) == len(document.materials) == len(document.meshes) == 1
     assert document.materials[0].pbrMetallicRoughness.baseColorTexture.index == 0
 
@@ -227,7 +232,7 @@ def test_a_studio_is_served_and_ends(boxes: Path) -> None:
     app = StudioApp(PageRequest(None, all_options(), (boxes,), port=0, open_browser=False))
     try:
         assert app.address.startswith("http://127.0.0.1:")
-        first, second = map(json.loads, app._hello())
+        first, second = map(json.loads, app._first_messages())
         assert {"fixed", "listing", "form"} <= set(first)
         assert second["status"]["text"].startswith("Open two models")
     finally:

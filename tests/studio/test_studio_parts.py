@@ -19,14 +19,20 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract, in_one_piece, join_meshes, list_parts, numbers_on_part
-from cagemap.studio.autosave import Owned, autosave_path, kept_parts, read_autosave, write_autosave
-from cagemap.studio.compute import Bench, Opening, OpenModels, perform
-from cagemap.studio.file_parts import take_part
-from cagemap.studio.finish import FinishOptions, commands
-from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, recovered_landmarks, save_landmarks
-from cagemap.studio.landmarks import Landmark, LandmarkList, keep_elsewhere, place
+from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave
+from cagemap.studio.compute import OpenModels, PairFiles, PreviewCache, run_task
+from cagemap.studio.file_parts import select_part
+from cagemap.studio.finish import FinishOptions, finish_commands
+from cagemap.studio.landmark_files import (
+    autosaved_landmarks,
+    load_landmarks,
+    save_landmarks,
+    to_file_numbers,
+    to_part_numbers,
+)
+from cagemap.studio.landmarks import Landmark, LandmarkList, add_place, keep_unused_landmarks
 from cagemap.studio.models import open_model
-from cagemap.studio.opening import chosen_files, default_files, result_of, with_parts
+from cagemap.studio.opening import command_line_files, default_files, result_folder, with_parts
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
@@ -58,47 +64,50 @@ def folder(tmp_path: Path) -> Path:
 
 
 def opened(folder: Path, *parts: str | None) -> Scene:
-    opening = Opening(folder / "a.obj", folder / "b.obj", None, 300, folder, parts=(parts[0], parts[-1]))
-    _, answer = perform(Bench(), OpenModels(opening), lambda _: None)
+    opening = PairFiles(folder / "a.obj", folder / "b.obj", None, 300, folder, parts=(parts[0], parts[-1]))
+    _, answer = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
     return answer.scene
 
 
 def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> None:
     model = open_model(folder / "a.obj", None, None, 300)
-    assert model.offer.opened == "object:body"
-    assert model.offer.titles == ("object:body", "object:eye", "object:hat")
-    assert not model.offer.whole
+    assert model.part_choices.opened == "object:body"
+    assert model.part_choices.titles == ("object:body", "object:eye", "object:hat")
+    assert not model.part_choices.whole
     assert model.control.n_faces == creature().n_faces
     eye = open_model(folder / "a.obj", None, None, 300, "eye")
-    assert (eye.offer.opened, eye.control.n_faces) == ("object:eye", 6)
+    assert (eye.part_choices.opened, eye.control.n_faces) == ("object:eye", 6)
     # Its numbers are those of the file.
-    np.testing.assert_allclose(eye.shape.file_mesh.positions[eye.shape.in_file(np.arange(8))], 0.1 * cube().positions)
-    assert eye.shape.from_file(np.array([7, 8])).tolist() == [7, -1]
+    np.testing.assert_allclose(
+        eye.shape.file_mesh.positions[eye.shape.to_file_vertices(np.arange(8))], 0.1 * cube().positions
+    )
+    assert eye.shape.to_control_vertices(np.array([7, 8])).tolist() == [7, -1]
     with pytest.raises(ParameterError, match="named 'nose'"):
         open_model(folder / "a.obj", None, None, 300, "nose")
 
 
 def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     model = open_model(folder / "a.obj", None, None, 300)
-    rest = model.look.rest
-    assert model.shape.leaves_any
+    rest = model.look.other_parts
+    assert rest is not None
+    assert model.shape.has_other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
     assert b'"rest"' in source_skin(model.shape, model.look)
     write_mesh(folder / "one.obj", creature())
     alone = open_model(folder / "one.obj", None, None, 300)
-    assert alone.look.rest is None
-    assert (alone.offer.titles, alone.offer.opened) == ((), None)
+    assert alone.look.other_parts is None
+    assert (alone.part_choices.titles, alone.part_choices.opened) == ((), None)
 
 
 def test_every_part_is_offered_once_and_the_whole_where_it_can_be_opened(folder: Path) -> None:
-    offer = open_model(folder / "a.obj", None, None, 300).offer
+    offer = open_model(folder / "a.obj", None, None, 300).part_choices
     assert len(set(offer.titles)) == len(offer.titles) == len(offer.faces)
     assert not offer.whole
     body = creature()
     front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
     write_mesh(folder / "halves.obj", replace(body, face_groups=front, group_names=("back", "front")))
-    offer = open_model(folder / "halves.obj", None, None, 300).offer
+    offer = open_model(folder / "halves.obj", None, None, 300).part_choices
     assert offer.whole
     assert {"group:back", "group:front"} & set(offer.titles)
 
@@ -130,16 +139,16 @@ def list_of(scene: Scene, *vertices: int) -> LandmarkList:
 def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Path) -> None:
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     eyes, body = opened(folder, "eye"), opened(folder, "body")
-    owned = Owned()
-    save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files, owned)
-    found, notes = load_landmarks(files.landmarks, None, body, files, owned)
+    tracker = FileTracker()
+    save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files, tracker)
+    found, notes = load_landmarks(files.landmarks, None, body, files, tracker)
     assert found.items == ()
     assert any("other parts" in note for note in notes)
-    both = replace(list_of(body, 10, 20), elsewhere=found.elsewhere)
-    save_landmarks(files.landmarks, both, body, files, owned)
+    both = replace(list_of(body, 10, 20), unused_landmarks=found.unused_landmarks)
+    save_landmarks(files.landmarks, both, body, files, tracker)
     written, _ = read_landmarks(files.landmarks, "a.obj", "b.obj")
     assert sorted(written.target.tolist()) == [2, 5, 18, 28]
-    assert [item.name for item in load_landmarks(files.landmarks, None, eyes, files, owned)[0].items] == [
+    assert [item.name for item in load_landmarks(files.landmarks, None, eyes, files, tracker)[0].items] == [
         "mark 2",
         "mark 5",
     ]
@@ -149,7 +158,7 @@ def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Pat
 def test_no_name_is_given_that_a_landmark_elsewhere_has(folder: Path) -> None:
     scene = opened(folder, "eye")
     others = Landmarks(("landmark 1",), np.array([20]), np.array([20]), "a.obj", "b.obj")
-    placed = place(LandmarkList(elsewhere=others), "target", vertex_place(scene.target, 0))
+    placed = add_place(LandmarkList(unused_landmarks=others), "target", vertex_place(scene.target, 0))
     assert placed.items[0].name == "landmark 1 (2)"
 
 
@@ -159,21 +168,21 @@ def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path)
     eyes, body = opened(folder, "eye"), opened(folder, "body")
     half = list_of(eyes, 3)
     half = replace(half, items=(*half.items, Landmark(9, "half", vertex_place(eyes.target, 1))))
-    write_autosave(kept, in_files(half, eyes), ("object:eye", "object:eye"))
-    assert kept_parts(kept) == ("object:eye", "object:eye")
-    assert recovered_landmarks(files, eyes, Owned())[0] == half
-    elsewhere, notes = recovered_landmarks(files, body, Owned())
+    write_autosave(kept, to_file_numbers(half, eyes), ("object:eye", "object:eye"))
+    assert read_autosave_parts(kept) == ("object:eye", "object:eye")
+    assert autosaved_landmarks(files, eyes, FileTracker())[0] == half
+    elsewhere, notes = autosaved_landmarks(files, body, FileTracker())
     assert elsewhere.items == ()
     assert any("half" in note for note in notes)
     # Kept on with what is done on the body, and there when the eye is opened again.
-    more = replace(list_of(body, 30), elsewhere=elsewhere.elsewhere)
-    write_autosave(kept, in_files(more, body), ("object:body", "object:body"))
-    again, _ = recovered_landmarks(files, eyes, Owned())
+    more = replace(list_of(body, 30), unused_landmarks=elsewhere.unused_landmarks)
+    write_autosave(kept, to_file_numbers(more, body), ("object:body", "object:body"))
+    again, _ = autosaved_landmarks(files, eyes, FileTracker())
     assert [(item.name, item.target.corners) for item in again.items] == [("mark 3", half.items[0].target.corners)]
     np.testing.assert_allclose(again.items[0].target.position, half.items[0].target.position, atol=1e-9)
-    assert [item.name for item in recovered_landmarks(files, body, Owned())[0].items] == ["mark 30"]
+    assert [item.name for item in autosaved_landmarks(files, body, FileTracker())[0].items] == ["mark 30"]
     kept.write_text("{")
-    assert kept_parts(kept) == (None, None)
+    assert read_autosave_parts(kept) == (None, None)
 
 
 @settings(max_examples=15, deadline=None)
@@ -186,11 +195,11 @@ def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], da
     other = scenes[data.draw(st.sampled_from(sorted(scenes)))]
     points = CagePoints.of_vertices(np.array(vertices, dtype=np.int64))
     given = Landmarks.of_points(tuple(map(str, vertices)), points, points, "a.obj", "b.obj")
-    kept = LandmarkList(elsewhere=given)
+    kept = LandmarkList(unused_landmarks=given)
     for here in (scene, other, scene):
-        found, _ = on_parts(kept, here)
-        kept = in_files(found, here)
-        left = () if kept.elsewhere is None else kept.elsewhere.names
+        found, _ = to_part_numbers(kept, here)
+        kept = to_file_numbers(found, here)
+        left = () if kept.unused_landmarks is None else kept.unused_landmarks.names
         assert sorted([item.name for item in found.items] + list(left)) == sorted(given.names)
     assert all(int(item.name) in item.target.corners for item in kept.items)
 
@@ -211,12 +220,12 @@ def hypothesis_scenes() -> dict[str, Scene]:
 
 
 def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Path) -> None:
-    files = chosen_files(folder / "a.obj", folder / "b.obj", None, None, None, parts=("eye", None))
+    files = command_line_files(folder / "a.obj", folder / "b.obj", None, None, None, parts=("eye", None))
     assert files is not None
-    request = commands(all_options(), files, FinishOptions(), landmarks=False)[0].request
+    request = finish_commands(all_options(), files, FinishOptions(), use_landmarks=False)[0].request
     assert (request.target_part, request.source_part) == ("eye", None)
     results = {
-        result_of(files, parts).name for parts in ((None, None), ("object:eye", None), ("object:hat", "group:x/y"))
+        result_folder(files, parts).name for parts in ((None, None), ("object:eye", None), ("object:hat", "group:x/y"))
     }
     assert results == {"b__a_RESULT", "b__a_eye_RESULT", "b_group_x_y__a_hat_RESULT"}
 
@@ -227,11 +236,13 @@ def test_no_two_parts_share_a_file(folder: Path) -> None:
     titles += ("object:" + "long" * 20 + "_L", "object:" + "long" * 20 + "_R")
     pairs = [(target, source) for target in titles for source in titles]
     for name in ("", "hero"):
-        asked = FinishOptions(name=name, wrap=True, map_form=".npy", given={("transfer", "material_colors"): True})
+        asked = FinishOptions(
+            name=name, wrap=True, map_form=".npy", option_values={("transfer", "material_colors"): True}
+        )
         written = [
             command.output
             for pair in pairs
-            for command in commands(all_options(), with_parts(files, pair), asked, landmarks=False)
+            for command in finish_commands(all_options(), with_parts(files, pair), asked, use_landmarks=False)
         ]
         assert len(set(written)) == len(written)
     # A RESULT that was named by a person keeps its name; the pair's own gets the parts' names.
@@ -253,12 +264,12 @@ def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
     session = idle_session(folder, monkeypatch)
     session.open(replace(files, parts=("object:eye", "object:eye")))
     session._scene = opened(folder, "eye")
-    session._edit(lambda present: place(present, "target", vertex_place(session._scene.target, 0)))
-    assert kept_parts(autosave_path(files.landmarks)) == ("object:eye", "object:eye")
+    session._edit(lambda present: add_place(present, "target", vertex_place(session._scene.target, 0)))
+    assert read_autosave_parts(autosave_path(files.landmarks)) == ("object:eye", "object:eye")
     session.choose_part("target", None)
-    assert session._preview.models.parts[0] is None
+    assert session._preview.pair_files.parts[0] is None
     session.open(files)  # not named, they are those of the autosave
-    assert session._preview.models.parts == ("object:eye", "object:eye")
+    assert session._preview.pair_files.parts == ("object:eye", "object:eye")
     session.close()
 
 
@@ -267,31 +278,31 @@ def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monke
     write_autosave(autosave_path(files.landmarks), LandmarkList(), ("object:nose", None))
     session = idle_session(folder, monkeypatch)
     session.open(files)
-    models = session._preview.models
+    models = session._preview.pair_files
     assert models.parts == ("object:nose", None)
     session._receive(OpenModels(models), Failure("ParameterError", "no nose"))
     assert "no nose" in session.state.messages[-1].text
-    assert session._preview.models.parts == (None, None)
-    again = session._preview.models
+    assert session._preview.pair_files.parts == (None, None)
+    again = session._preview.pair_files
     session._receive(OpenModels(again), Failure("ParameterError", "no file"))
-    assert session._preview.models is again
+    assert session._preview.pair_files is again
     session.close()
 
 
 def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
     scene = opened(folder, "body")
     away = Landmarks(("mark 10", "hat"), np.array([2, 5]), np.array([2, 5]), "a.obj", "b.obj")
-    before = LandmarkList(elsewhere=away)
-    loaded = keep_elsewhere(list_of(scene, 10), before)
-    assert loaded.elsewhere.names == ("mark 10 (2)", "hat")
-    np.testing.assert_array_equal(loaded.elsewhere.target, [2, 5])
+    before = LandmarkList(unused_landmarks=away)
+    loaded = keep_unused_landmarks(list_of(scene, 10), before)
+    assert loaded.unused_landmarks.names == ("mark 10 (2)", "hat")
+    np.testing.assert_array_equal(loaded.unused_landmarks.target, [2, 5])
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
-    save_landmarks(files.landmarks, loaded, scene, files, Owned())
+    save_landmarks(files.landmarks, loaded, scene, files, FileTracker())
     assert len(read_landmarks(files.landmarks, "a.obj", "b.obj")[0]) == 3
     # A file that has some there replaces them.
-    said = replace(list_of(scene, 10), elsewhere=away.without([0]))
-    assert keep_elsewhere(said, before).elsewhere.names == ("hat",)
-    assert keep_elsewhere(list_of(scene, 10), LandmarkList()).elsewhere is None
+    said = replace(list_of(scene, 10), unused_landmarks=away.without([0]))
+    assert keep_unused_landmarks(said, before).unused_landmarks.names == ("hat",)
+    assert keep_unused_landmarks(list_of(scene, 10), LandmarkList()).unused_landmarks is None
 
 
 def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> None:
@@ -299,7 +310,7 @@ def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> N
     lines = CageCurves.of_vertices((corners.tolist(),), (True,))
     away = replace(Landmarks.none(), curves=Curves(("rim",), lines, lines))
     kept = autosave_path(folder / "a.json")
-    write_autosave(kept, LandmarkList(elsewhere=away))
+    write_autosave(kept, LandmarkList(unused_landmarks=away))
     n = figure().n_vertices
     assert read_autosave(kept, (n, n)).curves.names == ("rim",)
 
@@ -308,7 +319,7 @@ def test_a_file_whose_one_part_is_all_of_it_can_be_shown(tmp_path: Path) -> None
     body = creature()
     front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
     mesh = replace(body, face_materials=front, material_names=("back", "front"), object_schemes=("catmull-clark",))
-    offer = take_part(mesh, None, plain=False).offer
+    offer = select_part(mesh, None, plain=False).part_choices
     assert offer.titles
     assert offer.whole if offer.opened is None else offer.opened in offer.titles
 
@@ -324,7 +335,8 @@ def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
     for word, opens in (("object:eye", "object:eye"), ("each", None)):
         parameters = {"target_part": word, "source_part": None}
         write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))
-        files = chosen_files(None, None, None, None, result)
+        files = command_line_files(None, None, None, None, result)
+        assert files is not None
         assert files.parts == (opens, None)
 
 
@@ -332,6 +344,7 @@ def dense(count: int) -> ControlMesh:
     mesh = triangulated(creature())
     while mesh.n_faces < count:
         fine = refine(mesh, 1).finest
+        assert fine.faces is not None
         mesh = ControlMesh.from_faces(fine.positions, fine.faces.tolist())
     return mesh
 
@@ -339,7 +352,7 @@ def dense(count: int) -> ControlMesh:
 def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cagemap.studio.models.DENSE", 1000)
+    monkeypatch.setattr("cagemap.studio.models.MIN_SCAN_FACES", 1000)
     mesh = dense(1000)
     write_mesh(tmp_path / "scan.obj", mesh)
     offered = open_model(tmp_path / "scan.obj", None, None, 300)
@@ -351,7 +364,7 @@ def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
     write_mesh(tmp_path / "torn.obj", ControlMesh.from_faces(mesh.positions, faces.tolist()))
     torn = open_model(tmp_path / "torn.obj", None, None, 300)
     assert (torn.dense, torn.scheme) == (False, "none")
-    assert "is no cage" in torn.notes[0]
+    assert "is no valid cage" in torn.notes[0]
     # A small mesh of triangles is a cage, and what is wrong with it is said.
     small = icosahedron()
     faces = np.concatenate([small.face_indices.reshape(-1, 3), [[*small.face_indices[:2], 9]]])

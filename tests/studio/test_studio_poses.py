@@ -14,7 +14,7 @@ from cagemap.character.values import skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.studio.compute import Bench, FindMap, Found, Opening, ShowPosed, perform
+from cagemap.studio.compute import FindMap, MapUpdate, PairFiles, PreviewCache, ShowPosed, run_task
 from cagemap.studio.landmarks import LandmarkList
 
 from example_character import bare_body, character, write_character
@@ -29,13 +29,13 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
     made = character(body)
     write_character(tmp_path / "C.glb", made)
     write_mesh(tmp_path / "B.glb", body)
-    opening = Opening(tmp_path / "B.glb", tmp_path / "C.glb", None, 300, tmp_path, parts=(None, "object:body"))
-    bench, found = perform(Bench(), FindMap(opening, LandmarkList()), lambda _: None)
-    assert isinstance(found, Found)
-    assert found.known.poses == tuple(f"nod, {time:.2g} s" for time in (0.25, 0.5, 0.75))
+    pair_files = PairFiles(tmp_path / "B.glb", tmp_path / "C.glb", None, 300, tmp_path, parts=(None, "object:body"))
+    cache, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    assert isinstance(found, MapUpdate)
+    assert found.map_state.poses == tuple(f"nod, {time:.2g} s" for time in (0.25, 0.5, 0.75))
 
     def drawn(pose: str) -> list[np.ndarray]:
-        _, skins = perform(bench, ShowPosed(opening, pose), lambda _: None)
+        _, skins = run_task(cache, ShowPosed(pair_files, pose), lambda _: None)
         assert isinstance(skins, tuple)
         return [attributes_of(skin, "model")["POSITION"] for skin in skins]
 
@@ -48,15 +48,15 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
     size = np.linalg.norm(np.ptp(wanted, axis=0)) / 2
     np.testing.assert_allclose(np.ptp(nodding[0], axis=0), np.ptp(wanted, axis=0) / size, atol=5e-3)
     with pytest.raises(ParameterError, match="Pose: expected a pose of the source"):
-        perform(bench, ShowPosed(opening, "wave, 1 s"), lambda _: None)
+        run_task(cache, ShowPosed(pair_files, "wave, 1 s"), lambda _: None)
     with pytest.raises(ParameterError, match="Pose: expected"):
-        perform(Bench(), ShowPosed(opening, "nod, 0.5 s"), lambda _: None)
+        run_task(PreviewCache(), ShowPosed(pair_files, "nod, 0.5 s"), lambda _: None)
 
 
 def test_other_files_have_no_poses(tmp_path: Path, body: ControlMesh) -> None:
     for name in ("B.obj", "S.obj"):
         write_mesh(tmp_path / name, body)
-    opening = Opening(tmp_path / "B.obj", tmp_path / "S.obj", None, 300, tmp_path)
-    _, found = perform(Bench(), FindMap(opening, LandmarkList()), lambda _: None)
-    assert isinstance(found, Found)
-    assert found.known.poses == ()
+    pair_files = PairFiles(tmp_path / "B.obj", tmp_path / "S.obj", None, 300, tmp_path)
+    _, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    assert isinstance(found, MapUpdate)
+    assert found.map_state.poses == ()

@@ -14,7 +14,7 @@ import websockets.exceptions
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from cagemap.studio.page.server import COOKIE, Server, admits
+from cagemap.studio.page.server import COOKIE_NAME, Server, is_admitted
 
 
 def request(path: str = "/", **headers: str) -> Request:
@@ -24,28 +24,28 @@ def request(path: str = "/", **headers: str) -> Request:
 
 
 def test_the_server_refuses_pages_of_other_sites() -> None:
-    assert admits(request(), None)
-    assert admits(request(Origin="http://127.0.0.1:8765"), None)
-    assert not admits(request(Origin="http://elsewhere.example"), None)
-    assert not admits(request(Origin="http://127.0.0.1:9999"), None)
+    assert is_admitted(request(), None)
+    assert is_admitted(request(Origin="http://127.0.0.1:8765"), None)
+    assert not is_admitted(request(Origin="http://elsewhere.example"), None)
+    assert not is_admitted(request(Origin="http://127.0.0.1:9999"), None)
     # A name of someone else's that resolves to this machine.
-    assert not admits(Request("/", Headers({"Host": "rebound.example:8765"})), None)
+    assert not is_admitted(Request("/", Headers({"Host": "rebound.example:8765"})), None)
     # An image in another site's page names no origin; a link there may lead here.
     for site in ("cross-site", "same-site"):
-        assert not admits(request("/files/all.zip", Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors"), None)
-        assert admits(request(Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate"), None)
-    assert admits(request(Sec_Fetch_Site="same-origin", Sec_Fetch_Mode="cors"), None)
+        assert not is_admitted(request("/files/all.zip", Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors"), None)
+        assert is_admitted(request(Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate"), None)
+    assert is_admitted(request(Sec_Fetch_Site="same-origin", Sec_Fetch_Mode="cors"), None)
     # The page's own web socket, whatever a browser takes ws:// beside http:// for.
     own = {"Origin": "http://127.0.0.1:8765", "Upgrade": "websocket", "Sec_Fetch_Mode": "websocket"}
-    assert admits(request("/socket", Sec_Fetch_Site="cross-site", **own), None)
+    assert is_admitted(request("/socket", Sec_Fetch_Site="cross-site", **own), None)
 
 
 def test_the_server_asks_for_the_token() -> None:
     token = "right"
-    assert admits(request("/?token=right"), token)
-    assert admits(request(Cookie=f"{COOKIE}=right"), token)
-    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE}=wrong")):
-        assert not admits(refused, token)
+    assert is_admitted(request("/?token=right"), token)
+    assert is_admitted(request(Cookie=f"{COOKIE_NAME}=right"), token)
+    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE_NAME}=wrong")):
+        assert not is_admitted(refused, token)
 
 
 def answer(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
@@ -56,10 +56,10 @@ def answer(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
 
 def server(host: str = "127.0.0.1", token: str | None = None, **asked: Any) -> Server:
     usual = {
-        "given_out": {}.get,
-        "drawn": {}.get,
-        "hello": lambda: ("hello",),
-        "heard": lambda said, reply: reply(said),
+        "download": {}.get,
+        "draw": {}.get,
+        "first_messages": lambda: ("hello",),
+        "on_message": lambda said, reply: reply(said),
     }
     return Server(host, 0, token, **(usual | asked))
 
@@ -82,7 +82,7 @@ def test_broken_requests_are_refused_without_a_traceback(caplog: pytest.LogCaptu
 
 def test_the_server_gives_out_only_what_is_offered() -> None:
     offered = {"cow.png": (b"png", "image/png"), "RESULT.html": (b"<b>", "text/html")}
-    served = server(given_out=offered.get, drawn={"source/skin/1": b"glb"}.get)
+    served = server(download=offered.get, draw={"source/skin/1": b"glb"}.get)
     try:
         got = answer(served.port, "/files/cow.png")
         assert (got.status, got.read()) == (200, b"png")
@@ -120,8 +120,8 @@ def test_web_sockets_of_other_machines_need_the_token() -> None:
 
     async def all_of_them() -> list[object]:
         served = await asyncio.to_thread(server, "0.0.0.0", "right")
-        address, cookie = f"ws://127.0.0.1:{served.port}/socket", {"Cookie": f"{COOKIE}=right"}
-        strangers = ({}, {"Cookie": f"{COOKIE}=wrong"}, cookie | {"Origin": "http://elsewhere.example"})
+        address, cookie = f"ws://127.0.0.1:{served.port}/socket", {"Cookie": f"{COOKIE_NAME}=right"}
+        strangers = ({}, {"Cookie": f"{COOKIE_NAME}=wrong"}, cookie | {"Origin": "http://elsewhere.example"})
         found = [await said_back(address, **headers) for headers in (cookie, *strangers)]
         found.append(await said_back(address.replace("socket", "other"), **cookie))
         await asyncio.to_thread(served.close)
@@ -135,7 +135,7 @@ def test_every_page_is_told_and_a_fault_ends_one_page_alone(caplog: pytest.LogCa
         raise ZeroDivisionError(said)
 
     async def all_of_them() -> None:
-        served = await asyncio.to_thread(server, heard=heard)
+        served = await asyncio.to_thread(server, on_message=heard)
         connect = websockets.asyncio.client.connect
         async with (
             connect(f"ws://127.0.0.1:{served.port}/socket") as one,
@@ -143,12 +143,12 @@ def test_every_page_is_told_and_a_fault_ends_one_page_alone(caplog: pytest.LogCa
         ):
             assert [await page.recv() for page in (one, other)] == ["hello"] * 2
             await asyncio.sleep(0.1)
-            served.tell("news")
+            served.send("news")
             assert [await page.recv() for page in (one, other)] == ["news"] * 2
             await one.send("bad")
             with pytest.raises(websockets.exceptions.ConnectionClosed):
                 await one.recv()
-            served.tell("more")
+            served.send("more")
             assert await other.recv() == "more"
         await asyncio.to_thread(served.close)
 

@@ -13,17 +13,18 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
+from cagemap.files.images.image import write_image
 from cagemap.files.result.manifest import note_transfer
-from cagemap.studio.compute import FindMap, Found, OpenModels, Task
+from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, Task
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
-from cagemap.studio.scene import carried
+from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session
-from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, MapState, RunningJob, Studio
-from cagemap.studio.worker import DROPPED, STOPPED, Failure
+from cagemap.studio.skins import PreviewMap
+from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, StudioState, View
+from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
 from studio_boxes import Idle, click, click_between, until
@@ -36,7 +37,7 @@ def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
     assert proposal.place.position[0] > 2  # on the other box
     click(opened, "source", 2)
     until(lambda: opened.state.map.revision >= 2, opened)
-    there = opened.state.history.present.complete[0].target
+    there = opened.state.history.present.complete_landmarks[0].target
     np.testing.assert_allclose(there.position, vertex_place(opened.scene.target, 2).position, atol=1e-6)
     assert set(opened.state.map.strain) == {"landmark 1"}
     opened.undo()
@@ -44,13 +45,13 @@ def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
     assert not opened.state.history.present.items
     opened.redo()
     opened.redo()
-    assert len(opened.state.history.present.complete) == 1
+    assert len(opened.state.history.present.complete_landmarks) == 1
 
 
 def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Session) -> None:
     before = opened.state
-    assert opened._preview.models is not None
-    others = replace(opened._preview.models, vertices=7)
+    assert opened._preview.pair_files is not None
+    others = replace(opened._preview.pair_files, vertices=7)
     opened._receive(OpenModels(others), Failure("FormatError", "of another pair"))
     assert opened.state == before
 
@@ -58,27 +59,31 @@ def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Sessi
 def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(opened: Session) -> None:
     """Another part, and back at once: the answer comes when its models count again."""
     before = opened.state
-    assert opened._preview.models is not None
-    opened._receive(OpenModels(opened._preview.models), Failure(DROPPED, "not wanted"))
+    assert opened._preview.pair_files is not None
+    opened._receive(OpenModels(opened._preview.pair_files), Failure(CANCELLED_KIND, "not wanted"))
     assert opened.state == before
 
 
 def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> None:
     scene = opened.scene
+    assert scene is not None
+    assert scene.preview_map is not None
     # About where half a turn about the vertical takes the box, which is slanted.
     places = scene.source.centre + (scene.target.positions - scene.target.centre) * [-1.0, 1.0, -1.0]
     triangle, weights, _ = closest_points(build_tree(scene.source.positions, scene.source.triangles), places)
-    answer = Found(Images(triangle, weights, scene.images.trust), (b"target", b"source"), opened.state.map)
-    opened._receive(FindMap(opened._preview.models, LandmarkList()), answer)
-    np.testing.assert_array_equal(opened.scene.source.turn, np.diag([-1.0, 1.0, -1.0]))
+    answer = MapUpdate(PreviewMap(triangle, weights, scene.preview_map.trust), (b"target", b"source"), opened.state.map)
+    opened._receive(FindMap(opened._preview.pair_files, LandmarkList()), answer)
+    np.testing.assert_array_equal(opened.scene.source.rotation, np.diag([-1.0, 1.0, -1.0]))
     assert opened.scene.skins == (b"target", b"source")
 
 
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     known, scene = opened.state.map, opened.scene
-    assert opened._preview.models is not None
-    task = FindMap(opened._preview.models, LandmarkList())
-    rough = Found(replace(scene.images, trust=np.ones(len(scene.images.trust))), (b"rough", None), MapState(rough=True))
+    assert opened._preview.pair_files is not None
+    task = FindMap(opened._preview.pair_files, LandmarkList())
+    rough = MapUpdate(
+        replace(scene.preview_map, trust=np.ones(len(scene.preview_map.trust))), (b"rough", None), MapState(rough=True)
+    )
     opened._receive(task, rough)
     assert opened.scene.skins[0] == b"rough"
     assert (opened.state.map.rough, opened.state.map.revision) == (True, known.revision)
@@ -86,16 +91,16 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     opened._cancelled = True
     opened._receive(task, replace(rough, skins=(b"late", None)))
     assert opened.scene.skins[0] == b"rough"
-    opened._receive(task, Failure(STOPPED, "killed"))
+    opened._receive(task, Failure(STOPPED_KIND, "killed"))
     assert "cancelled" in opened.state.messages[-1].text
-    opened._receive(task, Found(scene.images, scene.skins, known))
+    opened._receive(task, MapUpdate(scene.preview_map, scene.skins, known))
     assert (opened.state.map.rough, opened.state.map.revision) == (False, known.revision + 1)
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
     vertex = opened.state.map.suggestion
     opened.next_landmark()
-    waiting, proposal = opened.state.history.present.open, opened.state.proposal
+    waiting, proposal = opened.state.history.present.open_landmark, opened.state.proposal
     assert waiting.target == vertex_place(opened.scene.target, vertex)
     assert (proposal.number, proposal.side) == (waiting.number, "source")
     revision = opened.state.map.revision
@@ -105,17 +110,17 @@ def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
     opened.next_landmark()
     before = opened.state.proposal
     clicked = click_between(opened, "target")  # corrected: the end moves, and the proposal with it
-    np.testing.assert_allclose(opened.state.history.present.open.target.position, clicked, atol=0.01)
+    np.testing.assert_allclose(opened.state.history.present.open_landmark.target.position, clicked, atol=0.01)
     assert opened.state.proposal != before
 
 
 def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Session) -> None:
     revision = opened.state.map.revision
-    opened._preview.stop()  # as the system does where memory runs out
+    opened._preview.kill()  # as the system does where memory runs out
     click(opened, "target", 6)
     opened.accept()
     until(lambda: opened.state.map.revision > revision, opened)
-    assert opened.scene.images is not None
+    assert opened.scene.preview_map is not None
 
 
 def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
@@ -126,7 +131,7 @@ def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
 
     revision = opened.state.map.revision
     with monkeypatch.context() as patch:
-        patch.setattr("cagemap.studio.session.proposed", broken)
+        patch.setattr("cagemap.studio.session.propose_place", broken)
         click(opened, "target", 2)  # here, and where the answer of the computation is taken in
         opened.match_again()
         until(lambda: opened.state.preview_job is None, opened)
@@ -164,7 +169,7 @@ def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.Mo
             assert goes_on.wait(10)
             goes_on.clear()
 
-        def drop(self, task: Task) -> None:
+        def cancel(self, task: Task) -> None:
             dropped.append(task)
             goes_on.set()
 
@@ -190,16 +195,16 @@ def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.Mo
 
 
 def test_cancelling_ends_what_runs(opened: Session) -> None:
-    def cancel(state: Studio, _: object) -> None:
+    def cancel(state: StudioState, _: object) -> None:
         if state.preview_job is not None and state.preview_job.stage:
             opened.cancel()
 
-    images = opened.scene.images
-    opened._preview.stop()  # so that the next map starts with the files, in stages
+    images = opened.scene.preview_map
+    opened._preview.kill()  # so that the next map starts with the files, in stages
     opened.subscribe(cancel)
     opened.match_again()
     until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
-    assert opened.scene.images is images
+    assert opened.scene.preview_map is images
     opened._listeners.remove(cancel)
 
 
@@ -215,7 +220,7 @@ def test_without_an_image_colours_are_baked_or_the_wrap_made(opened: Session, mo
     monkeypatch.setattr(opened._runner, "start", lambda todo: begun.append([command.title for command in todo]))
     opened._change(files=replace(opened.state.files, texture=None))
     for colored, made in ((True, "material colours"), (False, "wrap")):
-        opened._scene = replace(opened.scene, colored=colored)
+        opened._scene = replace(opened.scene, has_colors=colored)
         opened.finish(FinishOptions(report=False))
         assert begun[-1] == ["match", made]
         assert "the source has no image" in opened.state.messages[-1].text
@@ -237,7 +242,7 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
         return any(text in message.text for message in opened.state.messages)
 
     before = files()
-    options = FinishOptions(report=False, given={("match", "vertices"): 300, ("transfer", "size"): 8})
+    options = FinishOptions(report=False, option_values={("match", "vertices"): 300, ("transfer", "size"): 8})
     opened.finish(options)
     until(at_work, opened)
     opened.finish(options)
@@ -248,36 +253,60 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     assert files() == before
     opened.finish(replace(options, texture=False))
     until(lambda: said("Bake: done"), opened)
-    assert [output.what for output in opened.state.outputs] == ["the map"]
+    assert [output.title for output in opened.state.outputs] == ["the map"]
     # The map is there: another bake of it does not compute it again, unless something has changed; that something was
     # made of it is noted beside it.
     note_transfer(opened.state.files.result, {"kind": "texture", "output": "a.png"})
     arrays = opened.state.files.result / "map.npz"
     written = arrays.stat().st_mtime_ns
     todo = opened.plan(replace(options, report=True))
-    left = [opened._last.left_of(todo, opened.state)]
+    left = [opened._last_map.remaining_commands(todo, opened.state)]
     assert left == [todo[1:]]
     opened._change(messages=())
     opened.finish(replace(options, texture=False))
     until(lambda: said("Bake: done"), opened)
-    assert [output.what for output in opened.state.outputs] == ["the map"]
+    assert [output.title for output in opened.state.outputs] == ["the map"]
     assert arrays.stat().st_mtime_ns == written
-    last = opened._last._made
-    other = opened.plan(options.giving({("match", "vertices"): 301}))
+    last = opened._last_map._written
+    other = opened.plan(options.with_values({("match", "vertices"): 301}))
     click(opened, "target", 0)
     opened.accept()
     moved, before_that = opened.state, replace(opened.state, history=opened.state.history.undo().undo())
-    assert opened._last.left_of(todo, before_that) == todo[1:]
+    assert opened._last_map.remaining_commands(todo, before_that) == todo[1:]
     for commands, state in ((other, before_that), (todo, moved)):
-        opened._last._made = last
-        assert opened._last.left_of(commands, state) == commands
+        opened._last_map._written = last
+        assert opened._last_map.remaining_commands(commands, state) == commands
     for changed in (opened.state.files.target, arrays):
-        opened._last._made, status = last, changed.stat()
+        opened._last_map._written, status = last, changed.stat()
         os.utime(changed, ns=(1, 1))
-        assert opened._last.left_of(todo, before_that) == todo
+        assert opened._last_map.remaining_commands(todo, before_that) == todo
         os.utime(changed, ns=(status.st_atime_ns, status.st_mtime_ns))
     for path in files() - before:
         path.unlink()
+
+
+def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted: list[None] = []
+    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: wanted.append(None))
+    before = opened.scene.skins
+    for view in (View(cages=True), View("colours"), View("checker", doubts=False), View()):
+        opened.show(view)
+    assert opened.scene.skins == before
+    assert not wanted
+
+
+def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Path) -> None:
+    write_image(boxes / "b.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    before = opened.scene.skins
+    opened._preview.kill()  # a killed computation reads the models again
+    baked(opened, boxes)
+    until(lambda: opened.scene.skins[0] != before[0], opened)
+    revision = opened.state.map.revision
+    click(opened, "target", 1)
+    opened.accept()
+    assert opened.state.view.mode == "texture"
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert b"baked" not in opened.scene.skins[0]
 
 
 def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) -> None:
@@ -287,17 +316,80 @@ def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) 
     opened.show(replace(opened.state.view, symmetric=True))
     click(opened, "target", 2)
     opened.accept()
-    placed, image = opened.state.history.present.complete
+    placed, image = opened.state.history.present.complete_landmarks
     assert opened.state.selected == placed.number
     assert {image.target.corners[k] for k in range(3)} == set(across[list(placed.target.corners)])
     opened.undo()
-    assert opened.state.history.present.complete == ()  # both in one step
+    assert opened.state.history.present.complete_landmarks == ()  # both in one step
     opened.redo()
     opened.remove(placed.number)
     click(opened, "target", 2)
     click(opened, "source", 2)
-    assert len(opened.state.history.present.complete) == 2  # the counterpart is there already
+    assert len(opened.state.history.present.complete_landmarks) == 2  # the counterpart is there already
     opened._scene = replace(opened.scene, mirrors=(None, None))
+
+
+def baked(session: Session, boxes: Path) -> Path:
+    """An image as a bake leaves it, on the model."""
+    image = boxes.resolve() / "b.png"
+    with session._lock:
+        session._change(outputs=(Output(image, "texture"),))
+        session._finish_inputs = session.state.map_inputs
+        session._on_end(Message("note", "Bake: done"))
+    assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
+    return image
+
+
+def test_a_bake_is_shown_though_its_map_cannot_be_compared(
+    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.studio.session.map_difference_notes", lambda *_: [][0])
+    baked(opened, boxes)
+    assert "error" in [message.kind for message in opened.state.messages[-3:]]
+
+
+def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, boxes: Path) -> None:
+    shown: list[View] = []
+    baked(opened, boxes)
+    click(opened, "target", 2)
+    assert opened.state.view.mode == "baked"  # half a landmark changes no map
+    opened.accept()
+    shown.append(opened.state.view)
+    baked(opened, boxes)
+    opened.match_again()
+    shown.append(opened.state.view)
+    baked(opened, boxes)
+    opened.undo()
+    shown.append(opened.state.view)
+    assert [view.mode for view in shown] == ["texture"] * 3
+    # Nor is one that ends after the landmarks have changed.
+    with opened._lock:
+        opened._finish_inputs = opened.state.map_inputs
+        opened.redo()
+        opened._on_end(Message("note", "Bake: done"))
+    assert opened.state.view.mode == "texture"
+    assert "before the last changes" in opened.state.messages[-1].text
+    # Nor on other models, nor while the next one is made of other options.
+    baked(opened, boxes)
+    opened.finish(FinishOptions(option_values={("match", "vertices"): 300}))
+    assert opened.state.view.mode == "texture"
+    opened.cancel()
+    until(lambda: opened.state.finish_job is None, opened)
+    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
+    baked(opened, boxes)
+    opened.open(opened.state.files)
+    assert opened.state.view.mode == "texture"
+    until(lambda: opened.state.map.revision >= 1, opened)
+
+
+def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path) -> None:
+    opened.change_view(mode="baked")
+    assert opened.state.view.mode == "texture"
+    assert "Press Bake" in opened.state.messages[-1].text
+    before, image = opened.state.view, baked(opened, boxes)
+    opened.show_baked_image(None)
+    opened.change_view(mode="baked", cages=True)
+    assert opened.state.view == replace(before, mode="baked", cages=True, baked=image)
 
 
 def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
@@ -323,8 +415,9 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
     point = scene.target.to_view(scene.target.positions[1])
     opened.probe("target", 3 * point, -point / np.linalg.norm(point))
     probe = opened.state.probe
+    assert probe is not None
     assert np.linalg.norm(np.array(probe.target) - scene.target.positions[1]) < 0.3
-    np.testing.assert_array_equal(probe.source, carried(scene, "target", np.array(probe.target)).position)
+    np.testing.assert_array_equal(probe.source, map_point(scene, "target", np.array(probe.target)).position)
     assert probe.source[0] > 2  # on the other box
     opened.probe("target", np.array([9.0, 9.0, 9.0]), np.array([1.0, 0.0, 0.0]))
     assert opened.state.probe is None

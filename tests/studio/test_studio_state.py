@@ -16,8 +16,8 @@ from cagemap.files.result.manifest import file_hash
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place
-from cagemap.studio.opening import chosen_files
-from cagemap.studio.state import MapState, Output, Studio, View, baked_view, with_message
+from cagemap.studio.opening import command_line_files
+from cagemap.studio.state import MapState, Output, StudioState, View, add_message, baked_view
 from cagemap.studio.workspace import Workspace
 
 from example_result import identity_result
@@ -28,14 +28,14 @@ def place(x: float) -> Place:
 
 
 def pair(landmarks: LandmarkList, x: float) -> LandmarkList:
-    return edit.place(edit.place(landmarks, "target", place(x)), "source", place(-x))
+    return edit.add_place(edit.add_place(landmarks, "target", place(x)), "source", place(-x))
 
 
 def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
     names = ("a.png", "tiles.1001.png", "tiles.1012.png", "wrapped.png", "RESULT", "a_unwrapped.obj")
     outputs = tuple(Output(Path(name), "wrap" if name == "wrapped.png" else "texture") for name in names)
-    state = Studio(outputs=outputs)
-    assert state.images == (Path("a.png"), Path("tiles.<UDIM>.png"))
+    state = StudioState(outputs=outputs)
+    assert state.baked_images == (Path("a.png"), Path("tiles.<UDIM>.png"))
     shown = baked_view(state, Path("a.png"))
     assert (shown.mode, shown.baked, shown.layout) == ("baked", Path("a.png"), Path("a_unwrapped.obj"))
     assert baked_view(replace(state, view=shown), None) == View()
@@ -44,14 +44,16 @@ def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
 def test_two_clicks_make_a_landmark_and_a_third_begins_the_next() -> None:
     one = pair(LandmarkList(), 1.0)
     assert [(item.number, item.target, item.source) for item in one.items] == [(1, place(1.0), place(-1.0))]
-    two = edit.place(one, "source", place(5.0))
-    assert (two.open.number, two.open.source, two.open.target) == (2, place(5.0), None)
+    two = edit.add_place(one, "source", place(5.0))
+    assert two.open_landmark is not None
+    assert (two.open_landmark.number, two.open_landmark.source, two.open_landmark.target) == (2, place(5.0), None)
 
 
 def test_a_second_click_on_the_same_model_corrects_the_first() -> None:
-    landmarks = edit.place(edit.place(LandmarkList(), "target", place(1.0)), "target", place(2.0))
+    landmarks = edit.add_place(edit.add_place(LandmarkList(), "target", place(1.0)), "target", place(2.0))
     assert len(landmarks) == 1
-    assert landmarks.open.target == place(2.0)
+    assert landmarks.open_landmark is not None
+    assert landmarks.open_landmark.target == place(2.0)
 
 
 def test_numbers_stay_when_others_go() -> None:
@@ -72,8 +74,8 @@ def test_names_stay_unique() -> None:
     ("name", "across"),
     [("ear_tip_L", "ear_tip_R"), ("ear.R", "ear.L"), ("left_hand", "right_hand"), ("hip", "hip_mirrored")],
 )
-def test_a_mirrored_name_is_the_other_sides(name: str, across: str) -> None:
-    assert edit.mirrored_name(name) == across
+def test_a_mirror_name_is_the_other_sides(name: str, across: str) -> None:
+    assert edit.mirror_name(name) == across
 
 
 def test_mirror_adds_the_counterpart_or_nothing() -> None:
@@ -94,11 +96,11 @@ def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None
         x += 1.0
         present = history.present
         if step == "place":
-            history = history.then(edit.place(present, "target" if len(present) % 2 else "source", place(x)))
+            history = history.advance(edit.add_place(present, "target" if len(present) % 2 else "source", place(x)))
         elif step == "remove" and len(present):
-            history = history.then(edit.remove(present, present.items[0].number))
+            history = history.advance(edit.remove(present, present.items[0].number))
         elif step == "rename" and len(present):
-            history = history.renamed(present.items[-1].number, f"name {x}")
+            history = history.rename_landmark(present.items[-1].number, f"name {x}")
         elif step == "undo":
             history = history.undo()
         elif step == "redo":
@@ -114,14 +116,14 @@ def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None
 
 
 def test_a_name_typed_letter_by_letter_is_one_step() -> None:
-    history = History().then(pair(pair(LandmarkList(), 1.0), 2.0))
+    history = History().advance(pair(pair(LandmarkList(), 1.0), 2.0))
     before = history
     for typed in ("e", "ey", "eye"):
-        history = history.renamed(1, typed)
+        history = history.rename_landmark(1, typed)
     assert history.undo().present == before.present
-    other = history.renamed(2, "nose")
+    other = history.rename_landmark(2, "nose")
     assert other.undo().present == history.present
-    assert other.renamed(1, "ear").undo().present == other.present
+    assert other.rename_landmark(1, "ear").undo().present == other.present
 
 
 def test_what_is_known_of_a_landmark_goes_with_its_name() -> None:
@@ -129,16 +131,18 @@ def test_what_is_known_of_a_landmark_goes_with_its_name() -> None:
     first, second = (item.name for item in before.items)
     known = MapState(strain={first: 0.1, second: 0.2}, contradictions={second: "far"})
     named = edit.rename(edit.rename(before, 1, "nose"), 2, first)
-    assert named.goes_by == before.goes_by
-    assert known.under_names(before, named) == MapState(strain={"nose": 0.1, first: 0.2}, contradictions={first: "far"})
+    assert named.constraints == before.constraints
+    assert known.rename_landmarks(before, named) == MapState(
+        strain={"nose": 0.1, first: 0.2}, contradictions={first: "far"}
+    )
     other = edit.rename(edit.move(before, 1, "target", place(3.0)), 1, "nose")
-    assert known.under_names(before, other) == known  # another place, of which nothing is known
+    assert known.rename_landmarks(before, other) == known  # another place, of which nothing is known
 
 
 def test_a_new_step_forgets_what_was_undone() -> None:
-    history = History().then(pair(LandmarkList(), 1.0)).undo().then(pair(LandmarkList(), 2.0))
+    history = History().advance(pair(LandmarkList(), 1.0)).undo().advance(pair(LandmarkList(), 2.0))
     assert not history.future
-    assert history.then(history.present) is history
+    assert history.advance(history.present) is history
 
 
 def test_the_page_reaches_nothing_outside_its_folders(tmp_path: Path) -> None:
@@ -148,15 +152,15 @@ def test_the_page_reaches_nothing_outside_its_folders(tmp_path: Path) -> None:
     (inside / "link.obj").symlink_to(outside / "secret.obj")
     (inside / "cow.obj").write_text("v 0 0 0\n")
     workspace = Workspace.of(inside)
-    assert workspace.require("cow.obj") == (inside / "cow.obj").resolve()
-    assert workspace.listing((".obj",))[0] == "cow.obj"
+    assert workspace.resolve("cow.obj") == (inside / "cow.obj").resolve()
+    assert workspace.list_files((".obj",))[0] == "cow.obj"
     for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj", "/etc/passwd"):
         with pytest.raises(ParameterError, match="outside"):
-            workspace.require(path)
+            workspace.resolve(path)
 
 
 def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
-    landmarks = edit.place(pair(LandmarkList(), 1.0), "target", Place((0.1, 0.2, 0.3), (7, 7, 7), (1.0, 0.0, 0.0)))
+    landmarks = edit.add_place(pair(LandmarkList(), 1.0), "target", Place((0.1, 0.2, 0.3), (7, 7, 7), (1.0, 0.0, 0.0)))
     file = autosave_path(tmp_path / "a.json")
     write_autosave(file, landmarks)
     assert read_autosave(file, (9, 9)) == landmarks
@@ -184,36 +188,38 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
         for side, name in (("target", "cow.obj"), ("source", "spot.obj"), ("landmarks", "l.json"))
     }
     with pytest.raises(FormatError, match="result folder"):
-        chosen_files(None, None, None, None, result)
+        command_line_files(None, None, None, None, result)
     write_result(result, replace(identity_result(1), provenance={"inputs": inputs}))
-    files = chosen_files(None, None, None, None, result)
+    files = command_line_files(None, None, None, None, result)
+    assert files is not None
     names = (files.target, files.source, files.landmarks, files.result)
     assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))
     assert files.schemes == ("catmull-clark", "catmull-clark")
-    asked = chosen_files(None, None, None, None, result, (None, "none"))
+    asked = command_line_files(None, None, None, None, result, (None, "none"))
+    assert asked is not None
     assert asked.schemes == ("catmull-clark", "none")
     manifest = json.loads((result / "manifest.json").read_text())
     for entry, words in (({"inputs": [1]}, "inputs"), ({"format_version": 99}, "format version 99")):
         (result / "manifest.json").write_text(json.dumps(manifest | entry))
         with pytest.raises(FormatError, match=words):
-            chosen_files(None, None, None, None, result)
+            command_line_files(None, None, None, None, result)
     (result / "manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "cow.obj").write_text("edited")
     with pytest.raises(ParameterError, match="unchanged"):
-        chosen_files(None, None, None, None, result)
+        command_line_files(None, None, None, None, result)
 
 
 def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:
-    assert chosen_files(None, None, None, None, None) is None
+    assert command_line_files(None, None, None, None, None) is None
     with pytest.raises(ParameterError, match="one of them"):
-        chosen_files(tmp_path / "a.obj", None, None, None, None)
+        command_line_files(tmp_path / "a.obj", None, None, None, None)
     with pytest.raises(ParameterError, match="beside"):
-        chosen_files(None, None, tmp_path / "a.json", None, None)
+        command_line_files(None, None, tmp_path / "a.json", None, None)
 
 
 def test_messages_do_not_pile_up() -> None:
-    messages = with_message((), "note", "again")
+    messages = add_message((), "note", "again")
     for number in range(20):
-        messages = with_message(with_message(messages, "note", f"{number}"), "note", "again")
+        messages = add_message(add_message(messages, "note", f"{number}"), "note", "again")
     assert len(messages) == 5
     assert sum(message.text == "again" for message in messages) == 1

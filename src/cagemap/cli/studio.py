@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cagemap.errors import ParameterError
-from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, chosen_files
+from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, command_line_files
 from cagemap.tasks.requests.catalogue import all_options
 from cagemap.tasks.requests.match import StudioRequest
 
@@ -31,7 +31,7 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
             raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
     schemes = request.target_scheme or request.scheme, request.source_scheme or request.scheme
     parts = request.target_part or request.part, request.source_part or request.part
-    files = chosen_files(*paths, request.result, schemes, parts)
+    files = command_line_files(*paths, request.result, schemes, parts)
     if files is None:
         folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:

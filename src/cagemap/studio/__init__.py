@@ -1,5 +1,5 @@
-"""The studio: two models side by side in the browser, landmarks by click, the map live, the bake at the end.
+"""The studio: a page to set landmarks on two models, see their map and bake.
 
-`state` and `landmarks` are pure values with pure transitions; `compute` computes, in a process of its own behind
-`worker`; `session` holds the one state that all pages show; `page` is the page itself and what serves it.
+`state` and `landmarks` are frozen values with pure functions. `compute` runs in the process of a `worker`. `session`
+holds the state that all pages show and their actions. `page` is the page with its messages and server.
 """

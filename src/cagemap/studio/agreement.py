@@ -1,4 +1,4 @@
-"""Whether a finish has found the map that the page shows: a match from the start may find another one."""
+"""Compares the map of a finish with the map on the page, which may differ."""
 
 from __future__ import annotations
 
@@ -7,40 +7,37 @@ import numpy as np
 from cagemap.deform.config import SearchConfig
 from cagemap.errors import CagemapError
 from cagemap.files.result.folder import read_result
-from cagemap.studio.finish import MAP
+from cagemap.studio.finish import MAP_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output
 
 
-def led_elsewhere(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
-    """What to say where the map of a finish is another answer than the one that is shown; nothing where it is not.
-
-    Two answers of a search differ by as much on average (`SearchConfig.different`).
+def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
+    """Warn if a finish has another map than the page.
 
     Parameters
     ----------
     scene : Scene or None
-        With the map that is shown.
+        With the map on the page.
     outputs : tuple of Output
         Of the finish.
     """
-    result = next((output.path for output in outputs if output.what == MAP), None)
-    if scene is None or scene.images is None or result is None:
+    result = next((output.path for output in outputs if output.title == MAP_TITLE), None)
+    if scene is None or scene.preview_map is None or result is None:
         return ()
     try:
         match = read_result(result)
-    except CagemapError:  # said by whoever uses it
+    except CagemapError:  # reported where the result is used
         return ()
     n = scene.target.n_control
-    shown = scene.images.on(scene.source.triangles, scene.source.positions)[:n]
-    found = match.point_map.images.positions  # at unit area
-    if len(found) < n:
+    preview_images = scene.preview_map.pull_back(scene.source.triangles, scene.source.positions)[:n]
+    images = match.point_map.images.positions  # at unit area
+    if len(images) < n:
         return ()
-    apart = np.linalg.norm(found[:n] - match.source.scale * shown, axis=1).mean()
-    if apart < SearchConfig.different:
+    difference = np.linalg.norm(images[:n] - match.source.scale * preview_images, axis=1).mean()
+    if difference < SearchConfig.different:  # as for two answers of one search
         return ()
     return (
-        f"the full map is another one than the map that is shown: it leads {100 * apart:.0f} % of the source's size "
-        "elsewhere, on average. Match again shows what a match from the start finds; a landmark where they differ "
-        "decides, then Bake again",
+        f"the baked map differs from the map on the page by {100 * difference:.0f} % of the source's size on average. "
+        "Match again shows what a match from the start finds; or set a landmark where they differ, then Bake again",
     )

@@ -1,4 +1,4 @@
-"""What the studio computes: models, maps and their skins. Runs in the worker's process; every task gives a value."""
+"""Tasks of the preview, run in the worker's process: open, map, show a baked image."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from cagemap.files.gltf.material_images import extract_texture
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
-from cagemap.studio.landmark_files import landmarks_of
-from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.landmark_files import to_landmarks
+from cagemap.studio.landmarks import LandmarkList, SideNames
 from cagemap.studio.models import OpenedModel, open_model, with_texture
-from cagemap.studio.poses import NO_CHARACTER, animated_character, pose_shapes, poses_of
+from cagemap.studio.poses import NO_CHARACTER, animated_character, animation_poses, pose_shapes
 from cagemap.studio.scene import Scene
-from cagemap.studio.skins import Images, faced, source_skin, target_skin
+from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Opening:
-    """Which models a task is about; a bench that has others, or was killed, opens them first.
+class PairFiles:
+    """Files of the open pair, and how the preview opens them.
 
     Attributes
     ----------
     target, source : Path
     texture : Path or None
     vertices : int
-        Of each previewed surface, about.
+        Approximate number of vertices of each previewed surface.
     folder : Path
-        Where an image inside the source's file is put.
+        Receives an image that is inside the source's file.
     schemes, ups, parts : (str or None, str or None)
         See `cagemap.studio.state.Files`.
     """
@@ -49,26 +49,26 @@ class Opening:
     texture: Path | None
     vertices: int
     folder: Path
-    schemes: tuple[str | None, str | None] = (None, None)
-    ups: tuple[str | None, str | None] = (None, None)
-    parts: tuple[str | None, str | None] = (None, None)
+    schemes: SideNames = (None, None)
+    ups: SideNames = (None, None)
+    parts: SideNames = (None, None)
 
 
 @dataclass(frozen=True)
 class OpenModels:
-    """Read both models and show them."""
+    """Open both models."""
 
-    opening: Opening
+    pair_files: PairFiles
 
 
 @dataclass(frozen=True)
 class FindMap:
-    """Map target to source; from the map before where there is one and ``fresh`` is not asked for.
+    """Compute the map; updates the last one, if any, unless ``fresh`` is set.
 
-    With ``answer``, go on from that one of the landmark-free answers.
+    With ``answer``, start from that one of the alignments found without landmarks.
     """
 
-    opening: Opening
+    pair_files: PairFiles
     landmarks: LandmarkList
     fresh: bool = False
     answer: int | None = None
@@ -76,19 +76,19 @@ class FindMap:
 
 @dataclass(frozen=True)
 class ShowBaked:
-    """Show an image that was baked, in the target's layout or that of another file, beside a map."""
+    """Draw a baked image on the target, in its own UV layout or a file's."""
 
-    opening: Opening
+    pair_files: PairFiles
     image: Path
     layout: Path | None
-    images: Images | None
+    preview_map: PreviewMap | None
 
 
 @dataclass(frozen=True)
 class ShowPosed:
-    """Show both models in a pose of the source's animations; '': as their files have them."""
+    """Draw both models in a pose of the source's animations; '': unposed."""
 
-    opening: Opening
+    pair_files: PairFiles
     pose: str
 
 
@@ -96,8 +96,8 @@ Task = OpenModels | FindMap | ShowBaked | ShowPosed
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
-    """Answer to `OpenModels`: the models, without a map."""
+class OpenedPair:
+    """Result of `OpenModels`."""
 
     target: OpenedModel
     source: OpenedModel
@@ -105,112 +105,115 @@ class Opened:
 
     @property
     def scene(self) -> Scene:
-        """The models to show, to click and to place landmarks on."""
+        """A scene without a map."""
         target, source = self.target, self.source
         return Scene(
             target.shape,
             source.shape,
             (target.mirror, source.mirror),
             self.skins,
-            offers=(target.offer, source.offer),
+            part_choices=(target.part_choices, source.part_choices),
             dense=(target.dense, source.dense),
-            colored=source.look.colors is not None,
+            has_colors=source.look.colors is not None,
         )
 
 
 @dataclass(frozen=True)
-class Found:
-    """Answer to `FindMap`.
+class MapUpdate:
+    """Result of `FindMap`.
 
     Attributes
     ----------
-    images : Images
-        The map.
+    preview_map : PreviewMap
     skins : (bytes, bytes or None)
-        Target and source under it; None where the source is drawn as before.
-    known : MapState
-        What is known of the map but how many there were before.
+        Target and source as drawn with the map; None: the source as before.
+    map_state : MapState
+        Without the revision.
     """
 
-    images: Images
+    preview_map: PreviewMap
     skins: tuple[bytes, bytes | None]
-    known: MapState
+    map_state: MapState
 
 
-Answer = Opened | Found | bytes | tuple[bytes, bytes]
+TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
-    """What is open and prepared; each task gives the next one.
+class PreviewCache:
+    """What the preview process keeps between tasks.
 
     Attributes
     ----------
-    opening : Opening or None
+    pair_files : PairFiles or None
     target, source : OpenedModel or None
-    prepared : PreparedPair or None
-        All that no landmark changes.
-    free : MatchResult or None
-        The match without landmarks, with all its answers.
-    chosen : int
-        The answer that maps go on from.
+    prepared_pair : PreparedPair or None
+        Everything that does not depend on landmarks.
+    free_match : MatchResult or None
+        Match without landmarks, with all its answers.
+    chosen_answer : int
+        Answer that maps start from.
     result : MatchResult or None
-        The map that is shown.
+        The current map.
     character : Character or None
-        Of the source's file; None as long as there was no map.
+        Of the source's file; None before the first map.
     """
 
-    opening: Opening | None = None
+    pair_files: PairFiles | None = None
     target: OpenedModel | None = None
     source: OpenedModel | None = None
-    prepared: PreparedPair | None = None
-    free: MatchResult | None = None
-    chosen: int = 0
+    prepared_pair: PreparedPair | None = None
+    free_match: MatchResult | None = None
+    chosen_answer: int = 0
     result: MatchResult | None = None
     character: Character | None = None
 
 
-def perform(
-    bench: Bench, task: Task, progress: Progress, show: Callable[[Found], None] = lambda _: None
-) -> tuple[Bench, Answer]:
-    """Do one task; `ShowBaked` gives the target's skin, `ShowPosed` both. Rough maps are shown before the first one.
+def run_task(
+    cache: PreviewCache, task: Task, progress: Progress, show: Callable[[MapUpdate], None] = lambda _: None
+) -> tuple[PreviewCache, TaskResult]:
+    """Run a task; return the new cache and the result.
+
+    `ShowBaked` gives the target's glTF, `ShowPosed` that of both. Before the first map, ``show`` receives rough ones.
 
     Raises
     ------
     CagemapError
-        Whatever is wrong with files or landmarks.
+        If files or landmarks are wrong.
     """
-    if isinstance(task, OpenModels) or bench.opening != task.opening:
-        bench = Bench(task.opening, *open_models(task.opening, progress))
-    target, source = _models(bench)
+    if isinstance(task, OpenModels) or cache.pair_files != task.pair_files:
+        cache = PreviewCache(task.pair_files, *open_models(task.pair_files, progress))
+    target, source = _opened_models(cache)
     match task:
         case OpenModels():
             skins = (
                 target_skin(target.shape, target.look, source.shape, source.look, None),
                 source_skin(source.shape, source.look),
             )
-            return bench, Opened(target, source, skins)
+            return cache, OpenedPair(target, source, skins)
         case FindMap():
-            return find_map(bench, task, progress, show)
+            return find_map(cache, task, progress, show)
         case ShowBaked():
-            return bench, _baked_skin(target, source, task)
+            return cache, _baked_skin(target, source, task)
         case ShowPosed():
-            return bench, _posed_skins(bench, task.pose)
+            return cache, _posed_skins(cache, task.pose)
 
 
-def open_models(opening: Opening, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
+def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
     """Read, check and refine both models."""
     progress("reading the models")
-    sides = zip((opening.target, opening.source), opening.schemes, opening.ups, opening.parts, strict=True)
-    target, source = (open_model(path, scheme, up, opening.vertices, part) for path, scheme, up, part in sides)
-    image = opening.texture or extract_texture(opening.source, source.control, opening.folder)
+    sides = zip((files.target, files.source), files.schemes, files.ups, files.parts, strict=True)
+    target, source = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
+    image = files.texture or extract_texture(files.source, source.control, files.folder)
     if image is not None:
         progress("reading the texture")
         source = replace(source, look=with_texture(source.look, image), texture=image)
     return target, source
 
 
-def find_map(bench: Bench, task: FindMap, progress: Progress, show: Callable[[Found], None]) -> tuple[Bench, Found]:
+def find_map(
+    cache: PreviewCache, task: FindMap, progress: Progress, show: Callable[[MapUpdate], None]
+) -> tuple[PreviewCache, MapUpdate]:
     """Match the models with the current landmarks.
 
     Raises
@@ -218,141 +221,142 @@ def find_map(bench: Bench, task: FindMap, progress: Progress, show: Callable[[Fo
     ParameterError
         If there is no such answer.
     """
-    started = time.perf_counter()
-    bench, prepared = _prepared(bench, progress)
-    target, source = _models(bench)
-    landmarks = landmarks_of(task.landmarks, target.control, source.control)
-    guided = bool(len(landmarks) + len(landmarks.curves))
-    if task.answer is not None or not guided:
-        first = None if bench.result is not None else lambda rough: show(_rough(bench, rough))
-        free = bench.free or match_pair(prepared, progress=progress, preview=first)
-        chosen = bench.chosen if task.answer is None else task.answer
-        result = other_answer(free, chosen, progress=progress) if chosen or task.answer is not None else free
-        bench = replace(bench, free=free, chosen=chosen, result=result)
-        if guided:
-            bench = replace(bench, result=update_match(result, landmarks, progress=progress))
-    elif bench.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
-        bench = replace(bench, result=match_pair(prepared, landmarks, progress=progress))
+    start_time = time.perf_counter()
+    cache, prepared_pair = _prepare(cache, progress)
+    target, source = _opened_models(cache)
+    landmarks = to_landmarks(task.landmarks, target.control, source.control)
+    has_constraints = bool(len(landmarks) + len(landmarks.curves))
+    if task.answer is not None or not has_constraints:
+        preview = None if cache.result is not None else lambda rough: show(_rough_update(cache, rough))
+        free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=preview)
+        answer = cache.chosen_answer if task.answer is None else task.answer
+        needs_answer = answer or task.answer is not None
+        result = other_answer(free_match, answer, progress=progress) if needs_answer else free_match
+        cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result)
+        if has_constraints:
+            cache = replace(cache, result=update_match(result, landmarks, progress=progress))
+    elif cache.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
+        cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress))
     else:
-        bench = replace(bench, result=update_match(bench.result, landmarks, progress=progress))
-    return _found(bench, started)
+        cache = replace(cache, result=update_match(cache.result, landmarks, progress=progress))
+    return _map_update(cache, start_time)
 
 
-def _rough(bench: Bench, point_map: PointMap) -> Found:
-    """A rough map to look at while the search goes on; the source stays turned as it is."""
-    target, source = _models(bench)
-    images = Images(point_map.triangle, point_map.barycentric, np.ones(point_map.target.n))
-    skin = target_skin(target.shape, target.look, source.shape, source.look, images)
-    return Found(images, (skin, None), MapState(rough=True))
+def _rough_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
+    """A rough map, to be shown during the search."""
+    target, source = _opened_models(cache)
+    preview_map = PreviewMap(point_map.triangle, point_map.barycentric, np.ones(point_map.target.n))
+    skin = target_skin(target.shape, target.look, source.shape, source.look, preview_map)
+    return MapUpdate(preview_map, (skin, None), MapState(rough=True))
 
 
-def _prepared(bench: Bench, progress: Progress) -> tuple[Bench, PreparedPair]:
-    """The bench with its pair prepared, and the pair."""
-    if bench.prepared is not None:
-        return bench, bench.prepared
-    target, source = _models(bench)
+def _prepare(cache: PreviewCache, progress: Progress) -> tuple[PreviewCache, PreparedPair]:
+    """Prepare the pair, if that is not done."""
+    if cache.prepared_pair is not None:
+        return cache, cache.prepared_pair
+    target, source = _opened_models(cache)
     surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
-    prepared = prepare_pair(*surfaces)
-    return replace(bench, prepared=prepared), prepared
+    prepared_pair = prepare_pair(*surfaces)
+    return replace(cache, prepared_pair=prepared_pair), prepared_pair
 
 
-def _models(bench: Bench) -> tuple[OpenedModel, OpenedModel]:
-    assert bench.target is not None
-    assert bench.source is not None
-    return bench.target, bench.source
+def _opened_models(cache: PreviewCache) -> tuple[OpenedModel, OpenedModel]:
+    assert cache.target is not None
+    assert cache.source is not None
+    return cache.target, cache.source
 
 
-def told_apart(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of answers with a number after those that were there before: several may end from one kind of start."""
+def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of answers, with a number after each repetition."""
     counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
     return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
 
 
-def _found(bench: Bench, started: float) -> tuple[Bench, Found]:
-    """What the page is told about the map there is now; the source is turned to face as the target does."""
-    result = bench.result
+def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, MapUpdate]:
+    """The current map for the page, with the source rotated to face like the target."""
+    result = cache.result
     assert result is not None
-    images = Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    target, source = _models(bench)
-    shape = faced(source.shape, target.shape, images)
-    turned = None if shape is source.shape else source_skin(shape, source.look)
-    bench = replace(bench, source=replace(source, shape=shape))
-    skin = target_skin(target.shape, target.look, shape, source.look, images)
-    free = None if bench.free is None else bench.free.confidence
-    if bench.character is None:
-        assert bench.opening is not None
-        bench = replace(bench, character=animated_character(bench.opening.source))
-    known = MapState(
-        answers=() if free is None else told_apart([reading.name for reading in free.readings]),
-        chosen=bench.chosen,
-        confidence="" if result.confidence is None or bench.chosen else result.confidence.message,
-        strain=_strain(result),
+    preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
+    target, source = _opened_models(cache)
+    shape = align_facing(source.shape, target.shape, preview_map)
+    rotated_skin = None if shape is source.shape else source_skin(shape, source.look)
+    cache = replace(cache, source=replace(source, shape=shape))
+    skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
+    free = None if cache.free_match is None else cache.free_match.confidence
+    if cache.character is None:
+        assert cache.pair_files is not None
+        cache = replace(cache, character=animated_character(cache.pair_files.source))
+    map_state = MapState(
+        answers=() if free is None else number_duplicates([reading.name for reading in free.readings]),
+        chosen_answer=cache.chosen_answer,
+        confidence="" if result.confidence is None or cache.chosen_answer else result.confidence.message,
+        strain=_landmark_strain(result),
         contradictions={suspect.name: str(suspect) for suspect in result.suspects},
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
-        seconds=time.perf_counter() - started,
-        suggestion=_suggestion(bench, result),
-        poses=tuple(poses_of(bench.character or NO_CHARACTER)),
+        seconds=time.perf_counter() - start_time,
+        suggestion=_suggested_vertex(cache, result),
+        poses=tuple(animation_poses(cache.character or NO_CHARACTER)),
     )
-    return bench, Found(images, (skin, turned), known)
+    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state)
 
 
-def _suggestion(bench: Bench, result: MatchResult) -> int | None:
-    """Where `cagemap suggest` would ask for the next landmark; None if every control vertex is one."""
+def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:
+    """Control vertex where `cagemap suggest` asks for a landmark; None if all have one."""
     finest = result.point_map.target
     count = result.target.control.n_vertices
-    known = np.unique(result.landmarks.target_points.nearest_vertices)
-    if len(known) == count:
+    landmark_vertices = np.unique(result.landmarks.target_points.nearest_vertices)
+    if len(landmark_vertices) == count:
         return None
-    known_answers = None if bench.free is None else bench.free.confidence
-    readings = () if known_answers is None else known_answers.readings
-    others = [reading.positions[:count] for k, reading in enumerate(readings) if k != bench.chosen]
+    confidence = None if cache.free_match is None else cache.free_match.confidence
+    readings = () if confidence is None else confidence.readings
+    others = [reading.positions[:count] for k, reading in enumerate(readings) if k != cache.chosen_answer]
     images = result.point_map.images.positions[:count]
     runners_up = np.array(others).reshape(len(others), count, 3)
     trust = result.quality.trust[:count]
-    return int(suggested_vertices(finest.positions[:count], images, runners_up, trust, known, 1)[0])
+    return int(suggested_vertices(finest.positions[:count], images, runners_up, trust, landmark_vertices, 1)[0])
 
 
-def _strain(result: MatchResult) -> dict[str, float]:
-    """Per landmark, of the model's size: how far it would move if let go, where a match says so, or is missed."""
-    missed = dict(zip(result.trusted.names, map(float, result.quality.landmark_errors), strict=True))
-    known = result.landmark_check.strains
-    if len(known) == len(result.landmarks):
-        missed |= dict(zip(result.landmarks.names, known.tolist(), strict=True))
-    return missed | {suspect.name: suspect.distance for suspect in result.suspects}
+def _landmark_strain(result: MatchResult) -> dict[str, float]:
+    """For each landmark name, its strain, distance from the others' map or error; see `MapState.strain`."""
+    strain = dict(zip(result.trusted.names, map(float, result.quality.landmark_errors), strict=True))
+    checked = result.landmark_check.strains
+    if len(checked) == len(result.landmarks):
+        strain |= dict(zip(result.landmarks.names, checked.tolist(), strict=True))
+    return strain | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
-def _posed_skins(bench: Bench, pose: str) -> tuple[bytes, bytes]:
-    """Target and source in a pose of the source's animations, with what the map gives.
+def _posed_skins(cache: PreviewCache, name: str) -> tuple[bytes, bytes]:
+    """Target and source in a pose of the source's animations.
 
     Raises
     ------
     ParameterError
         If there is no such pose.
     """
-    target, source = _models(bench)
-    shapes, images, result = (target.shape, source.shape), None, bench.result
+    target, source = _opened_models(cache)
+    shapes, preview_map, result = (target.shape, source.shape), None, cache.result
     if result is not None:
-        images = Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    if pose:
-        character = bench.character or NO_CHARACTER
-        found = poses_of(character).get(pose)
-        if found is None or result is None or images is None:
-            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {pose!r}. Choose another.")
-        shapes = pose_shapes(character, found, *shapes, images, result.point_map)
-    skin = target_skin(shapes[0], target.look, shapes[1], source.look, images)
+        preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
+    if name:
+        character = cache.character or NO_CHARACTER
+        pose = animation_poses(character).get(name)
+        if pose is None or result is None or preview_map is None:
+            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {name!r}. Choose another.")
+        shapes = pose_shapes(character, pose, *shapes, preview_map, result.point_map)
+    skin = target_skin(shapes[0], target.look, shapes[1], source.look, preview_map)
     return skin, source_skin(shapes[1], source.look)
 
 
 def _baked_skin(target: OpenedModel, source: OpenedModel, task: ShowBaked) -> bytes:
-    """The target with an image that was baked, in its own layout or the one that was made for it."""
-    shape, images = target.shape, task.images
+    """The target with a baked image, in its own UV layout or the task's."""
+    shape, preview_map = target.shape, task.preview_map
     if shape.uvs is None and task.layout is not None:
-        laid_out = open_model(task.layout, target.scheme, None, len(shape.positions)).shape
-        if np.array_equal(laid_out.triangles, shape.triangles):
-            shape = replace(shape, uvs=laid_out.uvs, uv_triangles=laid_out.uv_triangles)
+        unwrapped = open_model(task.layout, target.scheme, None, len(shape.positions)).shape
+        if np.array_equal(unwrapped.triangles, shape.triangles):
+            shape = replace(shape, uvs=unwrapped.uvs, uv_triangles=unwrapped.uv_triangles)
         else:
-            shape, images = replace(laid_out, turn=shape.turn), None
+            shape, preview_map = replace(unwrapped, rotation=shape.rotation), None
     baked = with_texture(target.look, task.image)
     if shape.uvs is not None:
-        shape = replace(shape, uvs=baked.on_image(shape.uvs))
-    return target_skin(shape, target.look, source.shape, source.look, images, baked.encoded)
+        shape = replace(shape, uvs=baked.to_image_uvs(shape.uvs))
+    return target_skin(shape, target.look, source.shape, source.look, preview_map, baked.jpeg)

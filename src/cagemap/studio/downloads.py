@@ -1,4 +1,4 @@
-"""What the page gives out: the files that a finish wrote, by name, and all of them together."""
+"""Downloads: outputs of a finish, one by one or all in a zip."""
 
 from __future__ import annotations
 
@@ -18,43 +18,44 @@ from cagemap.files.gltf.textures import with_images
 from cagemap.files.gltf.write import write_glb
 from cagemap.files.images.image import UDIM_MARK, read_image
 from cagemap.files.meshes.formats import read_whole
-from cagemap.studio.state import Output, Studio, layout_of
+from cagemap.studio.state import Output, StudioState, layout_mesh
 
-ALL = "all.zip"
-# Formats that are packed already.
-_PACKED = (".png", ".jpg", ".jpeg", ".exr", ".npz", ".usdz", ".zip")
+ARCHIVE_NAME = "all.zip"
+# Not compressed again.
+_COMPRESSED_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".npz", ".usdz", ".zip")
 
 
-def content(outputs: Iterable[Output], name: str) -> tuple[bytes, str] | None:
-    """Content and media type of an output of that very name; folders, and all together, are zips; None for other names.
+def output_content(outputs: Iterable[Output], name: str) -> tuple[bytes, str] | None:
+    """Content and media type of an output by its name, or None; folders are zips.
 
-    The name is compared, never joined to a folder.
+    The name is only compared, never used as a path.
     """
     listed = tuple(outputs)
-    if name == ALL and listed:
-        return zipped(listed), "application/zip"
-    folder = next((one for one in listed if one.path.is_dir() and archive_name(one.path) == name), None)
+    if name == ARCHIVE_NAME and listed:
+        return zip_outputs(listed), "application/zip"
+    folder = next((output for output in listed if output.path.is_dir() and archive_name(output.path) == name), None)
     if folder is not None:
-        return zipped((folder,)), "application/zip"
-    found = next((output.path for output in listed if output.path.name == name and output.path.is_file()), None)
-    if found is None:
+        return zip_outputs((folder,)), "application/zip"
+    file = next((output.path for output in listed if output.path.name == name and output.path.is_file()), None)
+    if file is None:
         return None
-    return found.read_bytes(), mimetypes.guess_type(found.name)[0] or "application/octet-stream"
+    return file.read_bytes(), mimetypes.guess_type(file.name)[0] or "application/octet-stream"
 
 
-def textured_name(state: Studio) -> str | None:
-    """What the target with the last bake's first image is called as one file; None without such an image."""
-    image = next((one for one in state.images if UDIM_MARK not in one.name), None)
+def textured_model_name(state: StudioState) -> str | None:
+    """File name of the target with the first baked image; None without an image."""
+    image = _first_image(state)
     return None if image is None or state.files is None else f"{image.stem}.glb"
 
 
-def textured(state: Studio) -> bytes:
-    """The target with the last bake's first image, as binary glTF."""
+def textured_model(state: StudioState) -> bytes:
+    """The target with the first baked image, as binary glTF."""
+    image = _first_image(state)
+    assert image is not None
     assert state.files is not None
-    image = next(one for one in state.images if UDIM_MARK not in one.name)
-    mesh = read_whole(layout_of(state, image) or state.files.target)
-    whole = np.zeros(mesh.n_faces, dtype=np.int64)
-    mesh = replace(mesh, face_materials=whole, material_names=(image.stem,), material_colors=np.ones((1, 3)))
+    mesh = read_whole(layout_mesh(state, image) or state.files.target)
+    materials = np.zeros(mesh.n_faces, dtype=np.int64)
+    mesh = replace(mesh, face_materials=materials, material_names=(image.stem,), material_colors=np.ones((1, 3)))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "mesh.glb"
         write_glb(file, mesh)
@@ -62,23 +63,29 @@ def textured(state: Studio) -> bytes:
         return glb_bytes(with_images(read_document(file), slots))
 
 
+def _first_image(state: StudioState) -> Path | None:
+    """The first baked image that is not tiled."""
+    return next((image for image in state.baked_images if UDIM_MARK not in image.name), None)
+
+
 def archive_name(folder: Path) -> str:
-    """What a folder is called as one file."""
+    """Name of a folder's zip."""
     return f"{folder.name}.zip"
 
 
-def zipped(outputs: Iterable[Output]) -> bytes:
-    """All outputs in one archive, folders with what is in them."""
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as archive:
+def zip_outputs(outputs: Iterable[Output]) -> bytes:
+    """Outputs and the files in their folders as a zip."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
         for output in outputs:
-            for file in sorted(_files(output.path)):
-                kind = zipfile.ZIP_STORED if file.suffix.lower() in _PACKED else zipfile.ZIP_DEFLATED
-                archive.write(file, file.relative_to(output.path.parent), kind)
-    return packed.getvalue()
+            for file in sorted(_regular_files(output.path)):
+                is_compressed = file.suffix.lower() in _COMPRESSED_SUFFIXES
+                compression = zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED
+                archive.write(file, file.relative_to(output.path.parent), compression)
+    return buffer.getvalue()
 
 
-def _files(path: Path) -> list[Path]:
+def _regular_files(path: Path) -> list[Path]:
     """The file, or the regular files of a folder."""
     if not path.is_dir():
         return [path] if path.is_file() else []

@@ -1,4 +1,4 @@
-"""Parts of a file: those that can be opened, the opened one, and the rest."""
+"""Parts of a file: those that can be opened, the open one, and the others."""
 
 from __future__ import annotations
 
@@ -24,27 +24,26 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import default_scheme, level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Parts that are offered; a file of more has its largest ones on the page, and all of them on the command line.
-MOST_OFFERED = 60
-# Connected pieces of a scan are specks rather than parts from this many on.
-_SPECKS = 200
-# Vertices that are drawn of what is left alone.
-_MOST_DRAWN = 40_000
+# Largest parts that the page lists; the command line lists all.
+MAX_PART_CHOICES = 60
+# A file of so many connected pieces is a scan, whose pieces are not listed.
+_MIN_SCAN_PIECES = 200
+# Of parts that are not open, drawn in grey.
+_MAX_GREY_VERTICES = 40_000
 
 
 @dataclass(frozen=True)
-class Offer:
+class PartChoices:
     """Parts of a file that can be opened.
 
     Attributes
     ----------
     titles : tuple of str
-        As `cagemap match --part` takes them and `cagemap check` lists them, the largest first; empty where there is
-        nothing to choose from.
+        As `cagemap match --part` takes them, the largest first; empty for a file of one part.
     faces : tuple of int
-        How many each has.
+        Number of faces of each.
     opened : str or None
-        The one that is open; None: the whole file.
+        The open part; None: the whole file.
     whole : bool
         Whether the whole file can be opened too.
     """
@@ -55,12 +54,12 @@ class Offer:
     whole: bool = True
 
 
-NOTHING = Offer()
+NO_PARTS = PartChoices()
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
-    """What of a file is left alone: triangles, in its units."""
+class OtherParts:
+    """Triangles of a file's parts that are not open, in its units."""
 
     positions: FloatArray
     normals: FloatArray
@@ -68,103 +67,96 @@ class Rest:
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
-    """A part of a file, ready to be opened.
+class SelectedPart:
+    """The part of a file that is opened.
 
     Attributes
     ----------
     mesh : ControlMesh
     vertex_of : (n,) int64
-        Its vertex for each of the file's, -1 where the part has it not.
-    left : (k,) int64
-        Faces of the file that are not of the part.
-    offer : Offer
+        Its vertex for each of the file's vertices, -1 for those of other parts.
+    other_faces : (k,) int64
+        Faces of the file that are not in the part.
+    part_choices : PartChoices
     """
 
     mesh: ControlMesh
     vertex_of: IndexArray
-    left: IndexArray
-    offer: Offer
+    other_faces: IndexArray
+    part_choices: PartChoices
 
 
-def take_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Taken:
-    """The part of that name; without one the whole file or, where it has several pieces, its largest.
+def select_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> SelectedPart:
+    """Select a part; by default the whole file or the largest of several pieces.
 
     Parameters
     ----------
     mesh : ControlMesh
-        As in its file.
+        The mesh of the file.
     name : str or None
         See `cagemap.mesh.parts.find_part`.
     plain : bool
-        The mesh is taken as it is, so that its smaller pieces may be set aside.
+        The mesh is not subdivided; small pieces may then be left out.
 
     Raises
     ------
     ParameterError
-        If there is no such part, or it is to be subdivided in several ways.
+        If there is no such part, or it has several subdivision schemes.
     """
-    count = 1 + int(face_components(mesh).max(initial=0))
-    whole = (count == 1 and not mesh.object_schemes) or plain
-    offered = _offered(mesh, count)
+    n_pieces = 1 + int(face_components(mesh).max(initial=0))
+    whole = (n_pieces == 1 and not mesh.object_schemes) or plain
+    listed = _listed_parts(mesh, n_pieces)
     if name is None and not whole:
         name = max(connected_parts(mesh), key=lambda part: len(part.faces)).title
     part = None if name is None else find_part(mesh, name)
-    if part is not None:  # as it is offered, where it is so under another name
-        part = next((one for one in offered if np.array_equal(one.faces, part.faces)), part)
-    titles, sizes = tuple(one.title for one in offered), tuple(len(one.faces) for one in offered)
+    if part is not None:  # the listed part of the same faces may have another name
+        part = next((other for other in listed if np.array_equal(other.faces, part.faces)), part)
+    titles, sizes = tuple(other.title for other in listed), tuple(len(other.faces) for other in listed)
     if part is not None and len(part.faces) == mesh.n_faces:
         part = None
     if part is not None and part.title not in titles:
         titles, sizes = (part.title, *titles), (len(part.faces), *sizes)
-    offer = Offer(titles, sizes, None if part is None else part.title, whole or part is None)
+    choices = PartChoices(titles, sizes, None if part is None else part.title, whole or part is None)
     if part is None:
-        return Taken(mesh, np.arange(mesh.n_vertices), np.zeros(0, dtype=np.int64), offer)
-    # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
-    taken = extract(replace(mesh, scheme=default_scheme(mesh)), part.faces)
-    if taken.object_schemes:
+        return SelectedPart(mesh, np.arange(mesh.n_vertices), np.zeros(0, dtype=np.int64), choices)
+    # With the scheme of the whole file, even if all faces of the part are triangles.
+    part_mesh = extract(replace(mesh, scheme=default_scheme(mesh)), part.faces)
+    if part_mesh.object_schemes:
         raise ParameterError(
             f"{mesh.name}, {part.title}: expected a part that is subdivided in one way, got several. Choose one of its "
             "objects."
         )
-    left = np.setdiff1d(np.arange(mesh.n_faces), part.faces)
-    return Taken(taken, numbers_on_part(taken, mesh), left, offer)
+    other_faces = np.setdiff1d(np.arange(mesh.n_faces), part.faces)
+    return SelectedPart(part_mesh, numbers_on_part(part_mesh, mesh), other_faces, choices)
 
 
-def rest_of(mesh: ControlMesh, faces: IndexArray, level: int) -> Rest | None:
-    """What is left alone of a file, subdivided as the part beside it where it can be."""
+def other_parts_surface(mesh: ControlMesh, faces: IndexArray, level: int) -> OtherParts | None:
+    """Surface of faces that are not open, subdivided if possible; None without faces."""
     if not len(faces):
         return None
-    left = extract(replace(mesh, object_schemes=()), faces)
-    while level > 0 and left.n_vertices * 4**level > _MOST_DRAWN:
+    others = extract(replace(mesh, object_schemes=()), faces)
+    while level > 0 and others.n_vertices * 4**level > _MAX_GREY_VERTICES:
         level -= 1
-    positions, triangles = left.positions, cage_triangles(left)[0]
+    positions, triangles = others.positions, cage_triangles(others)[0]
     if level > 0:
         try:
-            refined = refine(left, level)
+            refined = refine(others, level)
             positions, triangles = refined.finest.positions, level_triangles(refined, level)
-        except CagemapError:  # nobody asked for it to be a good mesh
+        except CagemapError:  # these parts need not be valid meshes
             pass
-    return Rest(positions, TriangleSurface(positions, triangles, 1.0).vertex_normals, triangles)
+    return OtherParts(positions, TriangleSurface(positions, triangles, 1.0).vertex_normals, triangles)
 
 
-def _offered(mesh: ControlMesh, count: int) -> tuple[Part, ...]:
-    """Parts in one piece that are not all of it, the largest first; of those with the same faces the first one.
-
-    Parameters
-    ----------
-    mesh : ControlMesh
-    count : int
-        Of its connected pieces.
-    """
-    named = list_parts(mesh, pieces=1 < count < _SPECKS)
+def _listed_parts(mesh: ControlMesh, n_pieces: int) -> tuple[Part, ...]:
+    """Connected parts of a mesh, the largest first, without the whole mesh and repetitions."""
+    all_parts = list_parts(mesh, pieces=1 < n_pieces < _MIN_SCAN_PIECES)
     parts: list[Part] = []
     for kind in KINDS:
-        found = [part for part in named if part.kind == kind]
-        parts += in_one_piece(mesh, found) if found and kind != "component" else found
-    different: dict[bytes, Part] = {}
+        of_kind = [part for part in all_parts if part.kind == kind]
+        parts += in_one_piece(mesh, of_kind) if of_kind and kind != "component" else of_kind
+    distinct: dict[bytes, Part] = {}
     for part in parts:
         if len(part.faces) < mesh.n_faces:
-            different.setdefault(part.faces.tobytes(), part)
-    largest = sorted(different.values(), key=lambda part: (-len(part.faces), KINDS.index(part.kind)))
-    return tuple(largest[:MOST_OFFERED])
+            distinct.setdefault(part.faces.tobytes(), part)
+    largest = sorted(distinct.values(), key=lambda part: (-len(part.faces), KINDS.index(part.kind)))
+    return tuple(largest[:MAX_PART_CHOICES])

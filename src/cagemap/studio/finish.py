@@ -1,4 +1,4 @@
-"""The finish: what to make of a pair, and the requests of the package's own tasks that make it at full resolution."""
+"""The finish: the commands that compute the map, bake and report at full resolution."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.usd.read import USD_SUFFIXES
-from cagemap.studio.opening import word_of
+from cagemap.studio.opening import part_slug
 from cagemap.studio.state import Files
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import (
@@ -26,50 +26,52 @@ from cagemap.tasks.requests.catalogue import (
 )
 
 DEFAULT_VERTICES = 200_000
-# Said once on the page and meant by several commands: field of a command, and the one that it is asked by.
-SHARED: dict[Key, Key] = {
+# Options of several commands that the page shows once: (command, field), and the one that is shown.
+SHARED_OPTIONS: dict[Key, Key] = {
     **{("wrap", name): ("transfer", name) for name in ("space", "green", "rays", "size", "detail", "detail_texture")},
     **{(command, "force"): ("match", "force") for command in ("transfer", "wrap", "report")},
 }
-# What the first command makes.
-MAP = "the map"
-# The open texture among other maps of its material.
-COLOR = "color"
-_IMAGE = ("size", "bits", "filter", "unwrap", "bases", "force")
+# Title of the first command's output.
+MAP_TITLE = "the map"
+# Name of the open texture among other images of its material.
+COLOR_MAP = "color"
+_IMAGE_FIELDS = ("size", "bits", "filter", "unwrap", "bases", "force")
 
 
 @dataclass(frozen=True)
-class Carry:
-    """One run of `cagemap transfer`: the field that says what is carried, and those that belong to it."""
+class Transfer:
+    """A kind of `cagemap transfer`: the option of its data, and its other options."""
 
     title: str
-    wants: str
-    takes: tuple[str, ...]
+    data_field: str
+    option_fields: tuple[str, ...]
 
 
-CARRIES = (
-    Carry("texture", "texture", ("as_color", "usd", *_IMAGE)),
-    Carry("normal map", "normal_map", ("space", "green", *_IMAGE)),
-    Carry("displacement", "displacement", ("scale", "midlevel", *_IMAGE)),
-    Carry("vector displacement", "vector_displacement", ("space", "scale", "midlevel", *_IMAGE)),
-    Carry("material colours", "material_colors", ("size", "bits", "unwrap", "bases", "force")),
-    Carry("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE)),
-    Carry("attribute", "attribute", ("usd", "bases", "force")),
-    Carry("UVs of the source", "source_uvs", ("force",)),
-    Carry("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
-    Carry("joints", "joints", ("force",)),
-    Carry("blend shapes", "blend_shapes", ("usd", "force")),
-    Carry("map for other programs", "write_map", ("force",)),
+TRANSFERS = (
+    Transfer("texture", "texture", ("as_color", "usd", *_IMAGE_FIELDS)),
+    Transfer("normal map", "normal_map", ("space", "green", *_IMAGE_FIELDS)),
+    Transfer("displacement", "displacement", ("scale", "midlevel", *_IMAGE_FIELDS)),
+    Transfer("vector displacement", "vector_displacement", ("space", "scale", "midlevel", *_IMAGE_FIELDS)),
+    Transfer("material colours", "material_colors", ("size", "bits", "unwrap", "bases", "force")),
+    Transfer("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE_FIELDS)),
+    Transfer("attribute", "attribute", ("usd", "bases", "force")),
+    Transfer("UVs of the source", "source_uvs", ("force",)),
+    Transfer("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
+    Transfer("joints", "joints", ("force",)),
+    Transfer("blend shapes", "blend_shapes", ("usd", "force")),
+    Transfer("map for other programs", "write_map", ("force",)),
 )
-# Options of `cagemap transfer` that belong to some of what is carried; any other belongs to all of it.
-_KNOWN = {"output"} | {name for carry in CARRIES for name in (carry.wants, *carry.takes)}
-# Options of `cagemap wrap` that belong to its images.
-_WRAPPED = ("size", "space", "green", "rays", "detail", "detail_texture", "texture", "force")
+# Options that only some transfers take; all others go to each.
+_TRANSFER_FIELDS = {"output"} | {
+    name for transfer in TRANSFERS for name in (transfer.data_field, *transfer.option_fields)
+}
+# Options of `cagemap wrap` for its images.
+_WRAP_IMAGE_FIELDS = ("size", "space", "green", "rays", "detail", "detail_texture", "texture", "force")
 
 
 @dataclass(frozen=True)
 class FinishOptions:
-    """What to make, in the words of the command line.
+    """What a finish makes.
 
     Attributes
     ----------
@@ -78,14 +80,14 @@ class FinishOptions:
     maps : tuple of (str, Path)
         Further images over the source's UVs, by name.
     map_form : str
-        Ending of the file for the map itself; '' for none.
+        Suffix of the file for the map itself; '' for none.
     image_form : str
-        Ending of all images; '': as the source's image.
+        Suffix of all images; '': that of the source's image.
     wrap, report : bool
     name : str
-        What files are called by, and the RESULT folder; '': the target, and the open pair's RESULT.
-    given : mapping of (command, field) to value
-        Options that are not as usual.
+        Stem of files and of the RESULT folder; '': the target's, and the open pair's RESULT.
+    option_values : mapping of (command, field) to value
+        Options with other values than the default.
     """
 
     texture: bool = True
@@ -95,129 +97,130 @@ class FinishOptions:
     wrap: bool = False
     report: bool = True
     name: str = ""
-    given: Mapping[Key, Value] = field(default_factory=lambda: MappingProxyType({}))
+    option_values: Mapping[Key, Value] = field(default_factory=lambda: MappingProxyType({}))
 
-    def giving(self, values: Mapping[Key, Value]) -> FinishOptions:
-        """The same with other values of some options."""
-        return replace(self, given={**self.given, **values})
+    def with_values(self, values: Mapping[Key, Value]) -> FinishOptions:
+        """Set options of commands."""
+        return replace(self, option_values={**self.option_values, **values})
 
-    def placed(self, options: Options, require: Callable[[Path], Path]) -> FinishOptions:
-        """The same with every path as ``require`` gives it.
+    def resolve_paths(self, options: Options, resolve: Callable[[Path], Path]) -> FinishOptions:
+        """Apply ``resolve`` to every path.
 
         Raises
         ------
         ParameterError
-            If one lies outside the chosen folders, or the name is none of a file.
+            If a path lies outside the chosen folders, or the name is no file name.
         """
         if self.name and (Path(self.name).name != self.name or self.name.startswith(".")):
             raise ParameterError(f"Name: expected what files begin with, without a folder, got {self.name!r}.")
-        images = CommandOption("transfer", "maps", "--texture", "", "named files")
-        given = {key: options[key].placed(value, require) for key, value in self.given.items()}
-        maps: NamedFiles = images.placed(self.maps, require)  # type: ignore[assignment]
-        return replace(self, maps=maps, given=given)
+        maps_option = CommandOption("transfer", "maps", "--texture", "", "named files")
+        values = {key: options[key].placed(value, resolve) for key, value in self.option_values.items()}
+        maps: NamedFiles = maps_option.placed(self.maps, resolve)  # type: ignore[assignment]
+        return replace(self, maps=maps, option_values=values)
 
 
 @dataclass(frozen=True)
 class Command:
-    """One task of a finish.
+    """One command of a finish.
 
     Attributes
     ----------
     title : str
     request : request
-        Beside its output other files may be written.
-    makes : str
-        What its output is; '' for the title.
+        May write further files next to its output.
+    output_title : str
+        '' for the title.
     """
 
     title: str
     request: Request
-    makes: str = ""
+    output_title: str = ""
 
     @property
     def output(self) -> Path:
-        """What it writes."""
+        """The main file or folder that it writes."""
         return self.request.output
 
 
-def planned(
-    options: Options, workspace: Workspace, files: Files, asked: FinishOptions, *, landmarks: bool
+def plan_commands(
+    options: Options, workspace: Workspace, files: Files, finish_options: FinishOptions, *, use_landmarks: bool
 ) -> tuple[Command, ...]:
-    """The commands that finish what is open, all that they read and write inside the chosen folders.
+    """Commands of a finish that read and write inside the chosen folders only.
 
     Raises
     ------
     ParameterError
-        If a file lies outside them, or a link leads there; if a number is outside its range.
+        If a file or link leads outside them, or a number is outside its range.
     """
-    todo = commands(options, files, asked.placed(options, workspace.require), landmarks=landmarks)
-    for command in todo:
+    finish_options = finish_options.resolve_paths(options, workspace.resolve)
+    commands = finish_commands(options, files, finish_options, use_landmarks=use_landmarks)
+    for command in commands:
         workspace.require_outputs(command.output)
-    return todo
+    return commands
 
 
-def commands(options: Options, files: Files, asked: FinishOptions, *, landmarks: bool) -> tuple[Command, ...]:
-    """The commands that finish what is open.
+def finish_commands(
+    options: Options, files: Files, finish_options: FinishOptions, *, use_landmarks: bool
+) -> tuple[Command, ...]:
+    """Commands of a finish, in their order.
 
     Parameters
     ----------
     options : mapping
-        Of the command line.
+        All options of the commands.
     files : Files
-    asked : FinishOptions
-    landmarks : bool
-        Whether the landmark file holds any.
+    finish_options : FinishOptions
+    use_landmarks : bool
+        Match with the landmark file.
     """
-    writer = _Writer(options, files, asked)
-    if asked.name:
-        words = f"{writer.stem}_from{writer.giver}" if writer.giver else writer.stem
-        writer = replace(writer, files=replace(files, result=files.result.with_name(f"{words}_RESULT")))
-    made = [writer.match(landmarks=landmarks)]
-    for carry in CARRIES:
-        command = writer.transfer(carry, [other.output for other in made])
-        made += [] if command is None else [command]
-    made += [writer.wrap()] if asked.wrap else []
-    made += [writer.report()] if asked.report else []
-    return tuple(made)
+    builder = _CommandBuilder(options, files, finish_options)
+    if finish_options.name:
+        stem = f"{builder.stem}_from{builder.source_suffix}" if builder.source_suffix else builder.stem
+        builder = replace(builder, files=replace(files, result=files.result.with_name(f"{stem}_RESULT")))
+    commands = [builder.match(use_landmarks=use_landmarks)]
+    for transfer in TRANSFERS:
+        command = builder.transfer(transfer, [other.output for other in commands])
+        commands += [] if command is None else [command]
+    commands += [builder.wrap()] if finish_options.wrap else []
+    commands += [builder.report()] if finish_options.report else []
+    return tuple(commands)
 
 
 @dataclass(frozen=True)
-class _Writer:
-    """Makes requests of what is asked."""
-
+class _CommandBuilder:
     options: Options
     files: Files
-    asked: FinishOptions
+    finish_options: FinishOptions
 
     @property
     def stem(self) -> str:
-        """What files begin with: what is asked for or the target, and its part."""
+        """Beginning of all file names: the given name or the target's, and its part."""
         part = self.files.parts[0]
-        own = self.asked.name or self.files.target.stem
-        return own if part is None else f"{own}_{word_of(part)}"
+        name = self.finish_options.name or self.files.target.stem
+        return name if part is None else f"{name}_{part_slug(part)}"
 
     @property
-    def giver(self) -> str:
-        """The source's part, behind what says where something comes from."""
+    def source_suffix(self) -> str:
+        """The source's part, for file names."""
         part = self.files.parts[1]
-        return "" if part is None else f"_{word_of(part)}"
+        return "" if part is None else f"_{part_slug(part)}"
 
     def value(self, command: str, name: str) -> Value:
-        """What is asked for an option."""
-        key = SHARED.get((command, name), (command, name))
-        return self.asked.given.get(key, self.options[key].default)
+        """The value of an option."""
+        key = SHARED_OPTIONS.get((command, name), (command, name))
+        return self.finish_options.option_values.get(key, self.options[key].default)
 
     def values(self, command: str, names: Iterable[str]) -> dict[str, Value]:
-        """What is asked for some options."""
+        """The values of options."""
         return {name: self.value(command, name) for name in names}
 
-    def match(self, *, landmarks: bool) -> Command:
-        """The map at full resolution."""
+    def match(self, *, use_landmarks: bool) -> Command:
+        """The match at full resolution."""
         files = self.files
         values = self.values("match", (name for command, name in self.options if command == "match")) | {
             "target": files.target,
             "source": files.source,
-            "landmarks": files.landmarks if landmarks else None,
+            "landmarks": files.landmarks if use_landmarks else None,
             "output": files.result,
             "target_scheme": files.schemes[0],
             "source_scheme": files.schemes[1],
@@ -228,133 +231,136 @@ class _Writer:
         }
         if values["level"] is None and values["vertices"] is None:
             values["vertices"] = DEFAULT_VERTICES
-        return Command("match", request_of(self.options, "match", values), MAP)
+        return Command("match", request_of(self.options, "match", values), MAP_TITLE)
 
-    def transfer(self, carry: Carry, taken: list[Path]) -> Command | None:
-        """One thing carried, unless it is not asked for; into a file of its own."""
-        carried = self._texture() if carry.wants == "texture" else self.values("transfer", [carry.wants])
-        if carry.wants == "write_map":
-            carried = {"write_map": bool(self.asked.map_form)}
-        if not any(carried.values()):
+    def transfer(self, transfer: Transfer, used_outputs: list[Path]) -> Command | None:
+        """A transfer, or None if it is not requested."""
+        data = (
+            self._texture_values()
+            if transfer.data_field == "texture"
+            else self.values("transfer", [transfer.data_field])
+        )
+        if transfer.data_field == "write_map":
+            data = {"write_map": bool(self.finish_options.map_form)}
+        if not any(data.values()):
             return None
-        says, ending = self._named(carry)
-        output = self.files.result.parent / f"{self.stem}{says}{self.giver}{ending}"
-        if output in taken:
-            output = output.with_name(f"{output.stem}_{carry.wants}{output.suffix}")
-        others = (name for command, name in self.options if command == "transfer" and name not in _KNOWN)
-        values = {name: self._belonging(carry, name, output) for name in (*carry.takes, *others)}
-        values |= {**carried, "result": self.files.result, "output": output}
-        return Command(carry.title, request_of(self.options, "transfer", values))
+        name, ending = self._name_parts(transfer)
+        output = self.files.result.parent / f"{self.stem}{name}{self.source_suffix}{ending}"
+        if output in used_outputs:
+            output = output.with_name(f"{output.stem}_{transfer.data_field}{output.suffix}")
+        common = (name for command, name in self.options if command == "transfer" and name not in _TRANSFER_FIELDS)
+        values = {name: self._option_value(transfer, name, output) for name in (*transfer.option_fields, *common)}
+        values |= {**data, "result": self.files.result, "output": output}
+        return Command(transfer.title, request_of(self.options, "transfer", values))
 
-    def _texture(self) -> dict[str, Value]:
-        """The open texture, alone or as one of the maps of its material."""
-        own = self.files.texture if self.asked.texture else None
-        if not self.asked.maps:
-            return {"texture": own}
-        return {"maps": (*(() if own is None else ((COLOR, own),)), *self.asked.maps)}
+    def _texture_values(self) -> dict[str, Value]:
+        """The open texture, alone or among the maps of its material."""
+        texture = self.files.texture if self.finish_options.texture else None
+        if not self.finish_options.maps:
+            return {"texture": texture}
+        return {"maps": (*(() if texture is None else ((COLOR_MAP, texture),)), *self.finish_options.maps)}
 
-    def _belonging(self, carry: Carry, name: str, output: Path) -> Value:
-        """What is asked for an option that belongs to something carried."""
+    def _option_value(self, transfer: Transfer, name: str, output: Path) -> Value:
+        """The value of a transfer's option."""
         value = self.value("transfer", name)
         if name == "usd":
             return output.with_suffix(".usda") if value else None
         if name == "bases":
-            return self._bases(carry)
-        if name == "detail_texture" and "texture" not in _parts(self.value("transfer", "bake")):
-            return None  # said for the wrapped cage alone
+            return self._base_files(transfer)
+        if name == "detail_texture" and "texture" not in _as_names(self.value("transfer", "bake")):
+            return None  # it is meant for the wrapped cage
         return value
 
-    def _bases(self, carry: Carry) -> NamedFiles:
-        """The target's own images or values under what is carried: each has the name of that, or of none."""
-        given: NamedFiles = self.value("transfer", "bases")  # type: ignore[assignment]
-        if carry.wants == "bake":
-            kinds = _parts(self.value("transfer", "bake"))
-            return tuple((kind, path) for kind in kinds for name, path in given if _plain(name) == _plain(kind))
-        if carry.wants != "texture":
-            return tuple(("", path) for name, path in given if _plain(name) == _plain(carry.wants))
-        if not self.asked.maps:
-            return tuple(("", path) for name, path in given if name in ("", "texture", COLOR))
-        names = {_plain(name): name for name, _ in self.asked.maps} | {"": COLOR, "texture": COLOR, COLOR: COLOR}
-        return tuple((names[_plain(name)], path) for name, path in given if _plain(name) in names)
+    def _base_files(self, transfer: Transfer) -> NamedFiles:
+        """The target's own files under the transferred data, selected by name."""
+        bases: NamedFiles = self.value("transfer", "bases")  # type: ignore[assignment]
+        if transfer.data_field == "bake":
+            kinds = _as_names(self.value("transfer", "bake"))
+            return tuple((kind, path) for kind in kinds for name, path in bases if _normalize(name) == _normalize(kind))
+        if transfer.data_field != "texture":
+            return tuple(("", path) for name, path in bases if _normalize(name) == _normalize(transfer.data_field))
+        if not self.finish_options.maps:
+            return tuple(("", path) for name, path in bases if name in ("", "texture", COLOR_MAP))
+        names = {_normalize(name): name for name, _ in self.finish_options.maps}
+        names |= {"": COLOR_MAP, "texture": COLOR_MAP, COLOR_MAP: COLOR_MAP}
+        return tuple((names[_normalize(name)], path) for name, path in bases if _normalize(name) in names)
 
-    def _named(self, carry: Carry) -> tuple[str, str]:
-        """What the name of an output says of it, before and after the source's part."""
-        source, value = self.files.source, self.value("transfer", carry.wants)
-        match carry.wants:
+    def _name_parts(self, transfer: Transfer) -> tuple[str, str]:
+        """Parts of an output's name after the stem: before and after the source's part."""
+        source, value = self.files.source, self.value("transfer", transfer.data_field)
+        match transfer.data_field:
             case "texture":
-                first = (self.files.texture if self.asked.texture else None) or self.asked.maps[0][1]
-                return self._image(first)
+                texture = self.files.texture if self.finish_options.texture else None
+                return self._image_name(texture or self.finish_options.maps[0][1])
             case "normal_map" | "displacement" | "vector_displacement" if isinstance(value, Path):
-                return self._image(value)
+                return self._image_name(value)
             case "material_colors":
-                return "_material_colors", self.asked.image_form or ".png"
+                return "_material_colors", self.finish_options.image_form or ".png"
             case "bake":
-                kinds = _parts(value)
-                only = f"_{kinds[0]}" if len(kinds) == 1 else ""
+                kinds = _as_names(value)
+                kind = f"_{kinds[0]}" if len(kinds) == 1 else ""
                 detail = self.value("transfer", "detail")
-                lies = detail.stem if isinstance(detail, Path) else source.stem
-                return f"_from_{lies}", f"{only}{self.asked.image_form or '.png'}"
+                origin = detail.stem if isinstance(detail, Path) else source.stem
+                return f"_from_{origin}", f"{kind}{self.finish_options.image_form or '.png'}"
             case "source_uvs":
-                return f"_with_uvs_of_{source.stem}", _mesh_form(self.files.target)
+                return f"_with_uvs_of_{source.stem}", _mesh_suffix(self.files.target)
             case "blend_shapes":
-                meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in map(Path, _parts(value)))
-                return "_blend_shapes", "" if meshes else ".npz"
+                are_meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in map(Path, _as_names(value)))
+                return "_blend_shapes", "" if are_meshes else ".npz"
             case "write_map":
-                return f"_on_{source.stem}", self.asked.map_form
+                return f"_on_{source.stem}", self.finish_options.map_form
             case _:
                 assert isinstance(value, Path)
-                usual = ".json" if carry.wants == "joints" else ".npz"
-                return f"_from_{value.stem}", usual if value.suffix.lower() in (
-                    *USD_SUFFIXES,
-                    *SCENE_SUFFIXES,
-                ) else value.suffix
+                scene_form = ".json" if transfer.data_field == "joints" else ".npz"
+                is_scene = value.suffix.lower() in (*USD_SUFFIXES, *SCENE_SUFFIXES)
+                return f"_from_{value.stem}", scene_form if is_scene else value.suffix
 
-    def _image(self, image: Path) -> tuple[str, str]:
-        """Where an image of the source is baked to; every tile of the target's layout gets its number."""
+    def _image_name(self, image: Path) -> tuple[str, str]:
+        """Parts of a baked image's name; the transfer adds tile numbers."""
         stem = image.stem.replace(UDIM_MARK, "").rstrip("._-")
-        return f"_from_{stem}", self.asked.image_form or image.suffix
+        return f"_from_{stem}", self.finish_options.image_form or image.suffix
 
     def wrap(self) -> Command:
-        """The target's cage in the source's shape."""
+        """The wrap of the target's cage onto the source."""
         files, written = self.files, WRITTEN["wrap"]
-        folder, name = files.result.parent, f"{self.stem}_as_{files.source.stem}{self.giver}"
-        own = [name for command, name in self.options if command == "wrap"]
-        values = self.values("wrap", [one for one in own if one not in (*written, *_WRAPPED)])
-        for one in written:
-            if self.value("wrap", one):
-                usual = ".exr" if "displacement" in one else ".png"  # offsets are floats
-                image = f"{name}_{one}{self.asked.image_form or usual}"
-                values[one] = folder / (f"{name}.mhclo" if one == "mhclo" else image)
-        images = [one for one in written if one != "mhclo" and one in values]
+        folder, stem = files.result.parent, f"{self.stem}_as_{files.source.stem}{self.source_suffix}"
+        names = [name for command, name in self.options if command == "wrap"]
+        values = self.values("wrap", [name for name in names if name not in (*written, *_WRAP_IMAGE_FIELDS)])
+        for name in written:
+            if self.value("wrap", name):
+                default_form = ".exr" if "displacement" in name else ".png"  # offsets are floats
+                image = f"{stem}_{name}{self.finish_options.image_form or default_form}"
+                values[name] = folder / (f"{stem}.mhclo" if name == "mhclo" else image)
+        images = [name for name in written if name != "mhclo" and name in values]
         if images:
             values |= self.values("wrap", ("size", "space", "green", "rays"))
         if "baked" in values:
             values["detail_texture"] = self.value("wrap", "detail_texture")
             values["texture"] = files.texture if values["detail_texture"] is None else None
-        if [one for one in images if one != "baked"] or values.get("detail_texture") is not None:
+        if [name for name in images if name != "baked"] or values.get("detail_texture") is not None:
             values |= self.values("wrap", ("detail",))
-        mesh = folder / f"{name}{_mesh_form(files.target)}"
+        mesh = folder / f"{stem}{_mesh_suffix(files.target)}"
         values |= {"results": (files.result,), "output": mesh, "force": self.value("wrap", "force")}
         return Command("wrap", request_of(self.options, "wrap", values))
 
     def report(self) -> Command:
-        """The page about the map."""
+        """The report about the map."""
         result = self.files.result
         values = {"up": self.files.ups[0], "force": self.value("report", "force")}
         values |= {"result": result, "output": result.with_name(f"{result.name}.html")}
         return Command("report", request_of(self.options, "report", values))
 
 
-def _parts(value: Value) -> tuple[str, ...]:
+def _as_names(value: Value) -> tuple[str, ...]:
     return tuple(map(str, value)) if isinstance(value, tuple) else ()
 
 
-def _plain(name: str) -> str:
-    """A name as one may say it: normal map, Normal-Map, normal_map."""
+def _normalize(name: str) -> str:
+    """Spell a name uniformly: normal map, Normal-Map, normal_map."""
     return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
-def _mesh_form(target: Path) -> str:
-    """The target's own format, where meshes are written in it."""
+def _mesh_suffix(target: Path) -> str:
+    """The target's own suffix, if meshes are written in that format."""
     suffix = target.suffix.lower()
     return ".usda" if suffix == ".usdz" else suffix if suffix in (".obj", ".ply", *USD_SUFFIXES) else ".obj"

@@ -1,4 +1,4 @@
-"""The process that does the requests of a finish: it ends with the studio, and leaves nothing half written."""
+"""The process of a finish; ends with the studio and removes unfinished files."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from types import FrameType
 from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
-from cagemap.studio.worker import PATIENCE, Done, Stage
+from cagemap.studio.worker import END_TIMEOUT, FinalResult, StageReply
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import Request
 
 
 @dataclass(frozen=True)
-class Made:
-    """What a request made.
+class RequestResult:
+    """Result of a request.
 
     Attributes
     ----------
     summary : str
     warnings : tuple of str
     files : tuple of Path
-        All that it wrote, also before it failed.
+        Written files, also those of a failed request.
     failure : str
-        Why it failed; '' if it did not.
+        Error message; '' if it succeeded.
     """
 
     summary: str = ""
@@ -43,8 +43,8 @@ class Made:
     failure: str = ""
 
 
-class _Warnings(logging.Handler):
-    """Collects what tasks log as warnings."""
+class _WarningCollector(logging.Handler):
+    """Collects logged warnings."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -54,8 +54,8 @@ class _Warnings(logging.Handler):
         self.texts.append(record.getMessage())
 
 
-class _SentStages(Stages):
-    """Stages that are told over a pipe."""
+class _StageSender(Stages):
+    """Sends the stages through a pipe."""
 
     def __init__(self, connection: Connection) -> None:
         super().__init__()
@@ -64,11 +64,11 @@ class _SentStages(Stages):
     def __call__(self, stage: str) -> None:
         """End the running stage, begin the next."""
         super().__call__(stage)
-        self._connection.send(Stage(stage))
+        self._connection.send(StageReply(stage))
 
 
 def serve(connection: Connection) -> None:
-    """Do requests, one after the other, until the pipe closes or says stop: then the running one ends as by Ctrl-C."""
+    """Run requests until the pipe closes or sends None, which interrupts the running one."""
     set_up_process()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -76,52 +76,52 @@ def serve(connection: Connection) -> None:
     threading.Thread(target=_listen, args=(connection, requests), daemon=True).start()
     try:
         while True:
-            connection.send(Done(perform(requests.get(), _SentStages(connection))))
+            connection.send(FinalResult(run_finish_request(requests.get(), _StageSender(connection))))
             gc.collect()  # the next one needs the memory
     except (KeyboardInterrupt, BrokenPipeError):
         return
 
 
-def perform(request: Request, stages: Stages) -> Made:
-    """Do a request; an error is part of what it made."""
-    summary, failure, logged = "", "", _Warnings()
+def run_finish_request(request: Request, stages: Stages) -> RequestResult:
+    """Run a request; return also its warnings and error."""
+    summary, failure, collector = "", "", _WarningCollector()
     log = logging.getLogger("cagemap")
-    log.addHandler(logged)
+    log.addHandler(collector)
     try:
         with files_written() as files:
             try:
                 from cagemap.tasks.requests.catalogue import (
-                    run_request,  # so that a stop is heard while libraries are loaded
+                    run_request,  # here, so that loading libraries can be interrupted
                 )
 
                 summary, warnings = run_request(request, stages)
-                logged.texts += warnings
+                collector.texts += warnings
             except Exception as error:
                 failure = explain_error(error)
     finally:
-        log.removeHandler(logged)
-    said = tuple(dict.fromkeys(map(use_option_names, logged.texts)))  # some files are read several times
-    return Made(summary, said, tuple(file.resolve() for file in files), failure)
+        log.removeHandler(collector)
+    texts = tuple(dict.fromkeys(map(use_option_names, collector.texts)))  # some files are read several times
+    return RequestResult(summary, texts, tuple(file.resolve() for file in files), failure)
 
 
 def _listen(connection: Connection, requests: queue.SimpleQueue[Request]) -> None:
-    """Take requests; where there are no more, stop the one that runs, by force if it does not end by itself."""
+    """Receive requests; at the end interrupt the running one, and end the process after `END_TIMEOUT`."""
     try:
         while (request := connection.recv()) is not None:
             requests.put(request)
-    except (EOFError, OSError):  # whoever runs this process has gone
+    except (EOFError, OSError):  # the studio's process has ended
         pass
     main_thread = threading.main_thread().ident
     if hasattr(signal, "pthread_kill") and main_thread is not None:
-        signal.pthread_kill(main_thread, signal.SIGTERM)  # unlike an interrupt, also ends waiting for other threads
+        signal.pthread_kill(main_thread, signal.SIGTERM)  # unlike an interrupt, this also ends waiting for threads
     else:
         _thread.interrupt_main(signal.SIGTERM)
-    time.sleep(PATIENCE)
+    time.sleep(END_TIMEOUT)
     os._exit(1)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Interrupt the main thread, once: what it then removes must not be interrupted."""
-    for one in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(one, signal.SIG_IGN)
+    """Interrupt the main thread once; further signals must not interrupt the removal of files."""
+    for ignored in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ignored, signal.SIG_IGN)
     raise KeyboardInterrupt

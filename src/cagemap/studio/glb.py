@@ -1,4 +1,4 @@
-"""Binary glTF that the page draws: named meshes whose attributes its shaders read, and named images."""
+"""Binary glTF files for the page: named meshes with shader attributes, and named images."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.entries import image_suffix
 from cagemap.numerics.arrays import IndexArray
 
-# Modes of glTF, by corners.
-_LINES, _TRIANGLES = 1, 4
+# Drawing modes of glTF.
+_LINE_MODE, _TRIANGLE_MODE = 1, 4
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """Triangles or lines of one kind.
+class MeshPart:
+    """A mesh of triangles or lines.
 
     Attributes
     ----------
     name : str
     attributes : mapping of str to (n, q) array
-        By glTF's names; own ones begin with ``_``. POSITION is in the view's coordinates. Texture coordinates: v up.
+        By glTF's names; the page's own begin with ``_``. POSITION: in view coordinates. TEXCOORD: v up.
     corners : (t, 3) or (s, 2) int64
     """
 
@@ -35,20 +35,20 @@ class Drawn:
     corners: IndexArray
 
 
-def glb(parts: Sequence[Drawn], images: Mapping[str, bytes] = MappingProxyType({})) -> bytes:
-    """Pack parts and images (PNG or JPEG) into one binary glTF file; parts without corners are left out."""
+def pack_glb(parts: Sequence[MeshPart], images: Mapping[str, bytes] = MappingProxyType({})) -> bytes:
+    """Pack nonempty meshes and PNG or JPEG images into one binary glTF file."""
     binary, meshes = Binary(), []
     for part in parts:
         if not len(part.corners):
             continue
         attributes = {
-            name: binary.places(values) if name == "POSITION" else binary.accessor(_stored(name, values), VERTICES)
+            name: binary.places(values) if name == "POSITION" else binary.accessor(_to_gltf(name, values), VERTICES)
             for name, values in part.attributes.items()
         }
-        mode = _LINES if part.corners.shape[1] == 2 else _TRIANGLES
+        mode = _LINE_MODE if part.corners.shape[1] == 2 else _TRIANGLE_MODE
         indices = binary.indices(part.corners.ravel())
         meshes.append({"name": part.name, "primitives": [{"attributes": attributes, "indices": indices, "mode": mode}]})
-    pictures = [
+    image_entries = [
         {"name": name, "bufferView": binary.view(data), "mimeType": f"image/{(image_suffix(data) or '.png')[1:]}"}
         for name, data in images.items()
     ]
@@ -59,11 +59,11 @@ def glb(parts: Sequence[Drawn], images: Mapping[str, bytes] = MappingProxyType({
         "nodes": [{"mesh": number, "name": mesh["name"]} for number, mesh in enumerate(meshes)],
         "meshes": meshes,
     }
-    return glb_bytes(binary.document(document | ({"images": pictures} if pictures else {})))
+    return glb_bytes(binary.document(document | ({"images": image_entries} if image_entries else {})))
 
 
-def _stored(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Single precision; of texture coordinates, v points down in glTF."""
+def _to_gltf(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Values in single precision, with the v of texture coordinates pointing down."""
     table = values.astype("<f4")
     if name.startswith("TEXCOORD"):
         table[:, 1] = 1.0 - table[:, 1]

@@ -1,4 +1,4 @@
-"""The map of the last finish: the next one need not compute it again where nothing that decides it has changed."""
+"""Decides whether the RESULT of the last finish can be used again."""
 
 from __future__ import annotations
 
@@ -8,59 +8,59 @@ from pathlib import Path
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import MANIFEST
 from cagemap.files.usd.read import USD_SUFFIXES
-from cagemap.studio.finish import MAP, Command
-from cagemap.studio.state import Output, Studio
+from cagemap.studio.finish import MAP_TITLE, Command
+from cagemap.studio.state import Output, StudioState
 
-# Fields that name files which are not followed; nor are layers that a USD file names.
-_MASKS = ("target_mask", "source_mask")
-Stamp = tuple[int, int] | None
+# Options that name files whose changes are not tracked.
+_MASK_FIELDS = ("target_mask", "source_mask")
+# Time of change in nanoseconds and size; None for a missing file.
+FileStamp = tuple[int, int] | None
 
 
 class LastMap:
-    """Remembers what decided the RESULT that a finish wrote, and what its files were then."""
+    """Remembers the inputs and files of the last finish's map."""
 
     def __init__(self) -> None:
-        self._begun: object = None
-        self._made: object = None
+        self._inputs: object = None
+        self._written: object = None
 
-    def left_of(self, todo: tuple[Command, ...], state: Studio) -> tuple[Command, ...]:
-        """What is left to do of a finish, whose first command is the match."""
-        match = todo[0]
-        self._begun = _decided_by(match, state)
-        if self._begun is not None and self._made == (self._begun, _stamps_of(match.output)):
-            return todo[1:]
-        self._made = None  # about to be replaced
-        return todo
+    def remaining_commands(self, commands: tuple[Command, ...], state: StudioState) -> tuple[Command, ...]:
+        """The commands without the first one, the match, if its RESULT is up to date."""
+        match = commands[0]
+        self._inputs = _match_inputs(match, state)
+        if self._inputs is not None and self._written == (self._inputs, _result_stamps(match.output)):
+            return commands[1:]
+        self._written = None
+        return commands
 
-    def written(self, output: Output) -> None:
-        """Take note of an output."""
-        if output.what == MAP:
-            self._made = self._begun, _stamps_of(output.path)
+    def record(self, output: Output) -> None:
+        """Remember a written map; other outputs are ignored."""
+        if output.title == MAP_TITLE:
+            self._written = self._inputs, _result_stamps(output.path)
 
 
-def _decided_by(match: Command, state: Studio) -> object:
-    """Command, landmarks and both models' files as they are; None where that is not all."""
+def _match_inputs(match: Command, state: StudioState) -> object:
+    """Everything that the map depends on; None if not all of it is tracked."""
     files = state.files
-    if files is None or any(getattr(match.request, name, None) for name in _MASKS):
+    if files is None or any(getattr(match.request, name, None) for name in _MASK_FIELDS):
         return None
     models = files.target, files.source
-    if any(model.suffix.lower() in (*USD_SUFFIXES, ".gltf") for model in models):
+    if any(model.suffix.lower() in (*USD_SUFFIXES, ".gltf") for model in models):  # may refer to further files
         return None
-    return match, state.wish, _stamps(models)
+    return match, state.map_inputs, _file_stamps(models)
 
 
-def _stamps_of(result: Path) -> object:
-    """Of the map itself: what is made of it is noted in the manifest beside it, which has to be there."""
-    return _stamps((result / ARRAYS,)), (result / MANIFEST).is_file()
+def _result_stamps(result: Path) -> object:
+    """Stamp of the map, and whether a manifest exists; later commands change the manifest itself."""
+    return _file_stamps((result / ARRAYS,)), (result / MANIFEST).is_file()
 
 
-def _stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
-    """When files were written, and how long they are; None for one that is not there."""
-    found: list[Stamp] = []
+def _file_stamps(files: Iterable[Path]) -> tuple[FileStamp, ...]:
+    stamps: list[FileStamp] = []
     for file in files:
         try:
             status = file.stat()
-            found.append((status.st_mtime_ns, status.st_size))
+            stamps.append((status.st_mtime_ns, status.st_size))
         except OSError:
-            found.append(None)
-    return tuple(found)
+            stamps.append(None)
+    return tuple(stamps)

@@ -1,4 +1,4 @@
-"""Models as the studio opens them: read, checked, refined, upright, with what they look like."""
+"""Opening a model: read, weld, select a part, check, refine, and load its materials."""
 
 from __future__ import annotations
 
@@ -25,44 +25,42 @@ from cagemap.mesh.weld import Welded, unwelded, weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures import UP_AXES, Y_UP
 from cagemap.pipeline import choose_level
-from cagemap.studio.file_parts import NOTHING, Offer, Taken, rest_of, take_part
-from cagemap.studio.shape import Original, Shape, shape_of
+from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
+from cagemap.studio.shape import OriginalMesh, Shape, refined_shape
 from cagemap.studio.skins import Look
 from cagemap.subdivision import refine, with_options
 from cagemap.transfer import face_colors
 
 # Largest side of the texture in the page; the bake uses the whole image.
 TEXTURE_SIZE = 1024
-# A triangle mesh of so many faces is rather a scan than a cage.
-DENSE = 20_000
+# Triangle meshes of at least so many faces may be scans.
+MIN_SCAN_FACES = 20_000
 NO_SCHEME = "none"
 
 
 @dataclass(frozen=True, eq=False)
 class OpenedModel:
-    """One control mesh, opened.
+    """A model as the studio has opened it.
 
     Attributes
     ----------
     level : int
-        Of the preview.
+        Subdivision level of the preview.
     shape : Shape
     look : Look
-        The source's includes the texture.
     mirror : (n_control,) int64 or None
-        The control vertex across the mirror plane.
+        Mirror image of each control vertex.
     notes : tuple of str
-        What was done to a mesh to take it as it is.
-    offer : Offer
-        Parts of its file.
+        What was changed in the mesh.
+    part_choices : PartChoices
     scheme : str or None
-        How it is subdivided, as asked for or, where it is no cage, as it is.
+        Subdivision scheme: the requested one, or "none" for a mesh that cannot be subdivided.
     dense : bool
         Whether it is subdivided although it looks like a scan.
     weld : str or None
-        Tolerance that it was welded with, as `cagemap match --weld` takes it.
+        Welding tolerance, as `cagemap match --weld` takes it.
     texture : Path or None
-        Image of the look.
+        File of the look's texture.
     """
 
     level: int
@@ -70,7 +68,7 @@ class OpenedModel:
     look: Look
     mirror: IndexArray | None
     notes: tuple[str, ...] = ()
-    offer: Offer = NOTHING
+    part_choices: PartChoices = NO_PARTS
     scheme: str | None = None
     dense: bool = False
     weld: str | None = None
@@ -83,35 +81,35 @@ class OpenedModel:
 
 
 def with_texture(look: Look, path: Path) -> Look:
-    """A look with an image in 8 bits, no larger than the page needs; tiles lie beside each other in one."""
+    """A look with an image in 8 bits, reduced, with tiles joined."""
     files = tile_files(path)
-    places = {number: [int(cell) for cell in udim_origin(number)] for number in files}  # column, row from below
-    columns, rows = (1 + max(place[k] for place in places.values()) for k in range(2))
-    # One after the other: many large ones would not fit into memory together.
-    shown = {number: _shrunk(read_image(file).pixels, rows, columns) for number, file in files.items()}
-    height, width = (max(tile.shape[k] for tile in shown.values()) for k in range(2))
+    cells = {number: [int(cell) for cell in udim_origin(number)] for number in files}  # column, row from below
+    columns, rows = (1 + max(cell[k] for cell in cells.values()) for k in range(2))
+    # One after the other: together, many large tiles would not fit into memory.
+    tiles = {number: _shrink_tile(read_image(file).pixels, rows, columns) for number, file in files.items()}
+    height, width = (max(tile.shape[k] for tile in tiles.values()) for k in range(2))
     pixels = np.zeros((rows * height, columns * width, 3), dtype=np.uint8)
-    for number, (column, row) in places.items():
+    for number, (column, row) in cells.items():
         top, left = (rows - 1 - row) * height, column * width
-        pixels[top : top + height, left : left + width] = _nearest(shown[number], height, width)
+        pixels[top : top + height, left : left + width] = _resample(tiles[number], height, width)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "texture.jpg"
         write_image(file, pixels)
-        return replace(look, texture=pixels, encoded=file.read_bytes(), tiles=(columns, rows))
+        return replace(look, texture=pixels, jpeg=file.read_bytes(), tiles=(columns, rows))
 
 
-def _shrunk(pixels: Pixels, rows: int, columns: int) -> Pixels:
-    """(h, w, 3) in 8 bits: as large as an image may be of which rows x columns make one for the page."""
+def _shrink_tile(pixels: Pixels, rows: int, columns: int) -> Pixels:
+    """(h, w, 3) in 8 bits: one of rows x columns tiles, reduced to `TEXTURE_SIZE`."""
     height, width = pixels.shape[:2]
     step = max(1, -(-max(rows * height, columns * width) // TEXTURE_SIZE))
-    small = _nearest(pixels, -(-height // step), -(-width // step))
+    small = _resample(pixels, -(-height // step), -(-width // step))
     if small.dtype != np.uint8:
-        top = np.iinfo(small.dtype).max if small.dtype.kind == "u" else 1.0
-        small = np.rint(255 * np.clip(small.astype(np.float64) / top, 0, 1)).astype(np.uint8)
+        white = np.iinfo(small.dtype).max if small.dtype.kind == "u" else 1.0
+        small = np.rint(255 * np.clip(small.astype(np.float64) / white, 0, 1)).astype(np.uint8)
     return np.repeat(small[..., :1], 3, axis=2) if small.shape[2] < 3 else small[..., :3]
 
 
-def _nearest(pixels: Pixels, height: int, width: int) -> Pixels:
+def _resample(pixels: Pixels, height: int, width: int) -> Pixels:
     """(height, width, c) nearest texels."""
     rows, columns = (
         np.arange(count) * side // count for count, side in zip((height, width), pixels.shape[:2], strict=True)
@@ -120,7 +118,7 @@ def _nearest(pixels: Pixels, height: int, width: int) -> Pixels:
 
 
 def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> OpenedModel:
-    """Read, weld where its file is split at seams, check and refine one model.
+    """Read, weld, check and refine one model.
 
     Parameters
     ----------
@@ -128,71 +126,76 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     scheme, up, part : str or None
         See `cagemap.studio.state.Files`.
     vertices : int
-        Of the surface, about.
+        Approximate number of vertices of the refined surface.
 
     Raises
     ------
     ParameterError
         If there is no such part, or it has several connected pieces.
     InvalidMeshError, FormatError
-        If it cannot be taken or read.
+        If the mesh is invalid, or its file cannot be read.
     """
-    filed = replace(read_whole(path), name=path.name)
-    if structure_problems(filed):
-        require_valid(filed)
-    turn = upright(path, up)
+    file_mesh = replace(read_whole(path), name=path.name)
+    if structure_problems(file_mesh):
+        require_valid(file_mesh)
+    rotation = view_rotation(path, up)
     if scheme is not None:
-        filed = replace(with_options(filed, scheme), object_schemes=())
-    tolerance = weld_tolerance(filed)
-    welded = unwelded(filed) if tolerance is None else weld_mesh(filed, tolerance)
-    model = _open_welded(welded, filed, scheme, part, vertices, turn)
+        file_mesh = replace(with_options(file_mesh, scheme), object_schemes=())
+    tolerance = weld_tolerance(file_mesh)
+    welded = unwelded(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
+    model = _open_welded(welded, file_mesh, scheme, part, vertices, rotation)
     return replace(model, notes=(*welded.notes, *model.notes), weld=None if tolerance is None else f"{tolerance:g}")
 
 
 def _open_welded(
-    welded: Welded, filed: ControlMesh, scheme: str | None, part: str | None, vertices: int, turn: FloatArray
+    welded: Welded, file_mesh: ControlMesh, scheme: str | None, part: str | None, vertices: int, rotation: FloatArray
 ) -> OpenedModel:
-    """Take a part of a mesh, or all of it, check and refine it."""
+    """Select a part, check and refine it; invalid scans are not refined."""
     whole = welded.mesh
-    taken = _of_file(take_part(whole, part, plain=isinstance(whole.scheme, Plain)), welded)
-    if isinstance(taken.mesh.scheme, Plain):
-        return _as_it_is(taken, whole, filed, turn)
-    _require_one_piece(taken.mesh)
-    dense = scheme is None and is_dense(taken.mesh)
+    selected = _with_file_vertices(select_part(whole, part, plain=isinstance(whole.scheme, Plain)), welded)
+    mesh = selected.mesh
+    if isinstance(mesh.scheme, Plain):
+        return _open_plain(selected, whole, file_mesh, rotation)
+    _require_one_piece(mesh)
+    dense = scheme is None and is_dense(mesh)
     try:
-        require_valid(taken.mesh)
+        require_valid(mesh)
     except InvalidMeshError as error:
         if not dense:
             raise
-        again = _of_file(take_part(with_options(whole, NO_SCHEME), part, plain=True), welded)
-        model = _as_it_is(again, whole, filed, turn)
-        return replace(model, notes=(f"{filed.name} is no cage and is taken as it is: {error}", *model.notes))
-    level = choose_level(taken.mesh, vertices)
-    original = Original(filed, taken.vertex_of) if taken.mesh.file_vertices is not None else None
-    shape = shape_of(refine(taken.mesh, level), original, turn)
-    mirror = next((plane.image for plane in mirror_symmetries(taken.mesh)), None)
-    look = replace(_own_look(taken.mesh), rest=rest_of(whole, taken.left, level))
-    return OpenedModel(level, shape, look, mirror, offer=taken.offer, scheme=scheme, dense=dense)
+        plain = _with_file_vertices(select_part(with_options(whole, NO_SCHEME), part, plain=True), welded)
+        model = _open_plain(plain, whole, file_mesh, rotation)
+        return replace(
+            model, notes=(f"{file_mesh.name} is no valid cage, so it is not subdivided: {error}", *model.notes)
+        )
+    level = choose_level(mesh, vertices)
+    original = OriginalMesh(file_mesh, selected.vertex_of) if mesh.file_vertices is not None else None
+    shape = refined_shape(refine(mesh, level), original, rotation)
+    mirror = next((plane.image for plane in mirror_symmetries(mesh)), None)
+    look = replace(_material_look(mesh), other_parts=other_parts_surface(whole, selected.other_faces, level))
+    return OpenedModel(level, shape, look, mirror, part_choices=selected.part_choices, scheme=scheme, dense=dense)
 
 
-def _of_file(taken: Taken, welded: Welded) -> Taken:
-    """A part of a welded mesh, with its vertex for each of the file's."""
-    return replace(taken, vertex_of=np.where(welded.vertex_of < 0, -1, taken.vertex_of[welded.vertex_of]))
+def _with_file_vertices(selected: SelectedPart, welded: Welded) -> SelectedPart:
+    """A part of a welded mesh, with its vertices for those of the file."""
+    return replace(selected, vertex_of=np.where(welded.vertex_of < 0, -1, selected.vertex_of[welded.vertex_of]))
 
 
 def is_dense(mesh: ControlMesh) -> bool:
-    """Whether a mesh looks like a scan rather than a cage: many triangles, and nothing said about subdivision."""
+    """Whether a mesh looks like a scan: many triangles, no scheme and no creases."""
     stated = mesh.scheme is not None or mesh.crease_edges is not None
-    return mesh.is_triangle_mesh and not stated and mesh.n_faces >= DENSE
+    return mesh.is_triangle_mesh and not stated and mesh.n_faces >= MIN_SCAN_FACES
 
 
-def _as_it_is(taken: Taken, whole: ControlMesh, filed: ControlMesh, turn: FloatArray) -> OpenedModel:
-    """A part, or a whole file, that is not subdivided."""
-    ready = plain_mesh(taken.mesh)
-    vertex_of = np.where(taken.vertex_of < 0, -1, ready.vertex_of[taken.vertex_of])
-    shape = shape_of(refine(ready.mesh, 0), Original(filed, vertex_of), turn)
-    look = replace(_own_look(ready.mesh), rest=rest_of(whole, taken.left, 0))
-    return OpenedModel(0, shape, look, None, ready.notes, taken.offer, NO_SCHEME)
+def _open_plain(
+    selected: SelectedPart, whole: ControlMesh, file_mesh: ControlMesh, rotation: FloatArray
+) -> OpenedModel:
+    """Open a part without subdividing it."""
+    plain = plain_mesh(selected.mesh)
+    vertex_of = np.where(selected.vertex_of < 0, -1, plain.vertex_of[selected.vertex_of])
+    shape = refined_shape(refine(plain.mesh, 0), OriginalMesh(file_mesh, vertex_of), rotation)
+    look = replace(_material_look(plain.mesh), other_parts=other_parts_surface(whole, selected.other_faces, 0))
+    return OpenedModel(0, shape, look, None, plain.notes, selected.part_choices, NO_SCHEME)
 
 
 def _require_one_piece(control: ControlMesh) -> None:
@@ -205,16 +208,16 @@ def _require_one_piece(control: ControlMesh) -> None:
         )
 
 
-def upright(path: Path, up: str | None) -> FloatArray:
-    """(3, 3) rotation from a file's space to the view, for rows: as asked, else as a USD file says, else y is up."""
+def view_rotation(path: Path, up: str | None) -> FloatArray:
+    """(3, 3) rotation of rows to the view, by the given or a USD file's axis."""
     if up is not None:
         return UP_AXES[up]
-    said = upright_turn(path)
-    return Y_UP if said is None else said
+    stated = upright_turn(path)
+    return Y_UP if stated is None else stated
 
 
-def _own_look(control: ControlMesh) -> Look:
+def _material_look(control: ControlMesh) -> Look:
     try:
         return Look(colors=face_colors(control))
-    except CagemapError:  # a mesh without materials is clay
+    except CagemapError:  # a mesh without materials is drawn as clay
         return Look()

@@ -1,4 +1,4 @@
-"""Poses of the source's animations, on it and on the target as `cagemap rig` would rig that."""
+"""Poses of the source's animations, on both models; the target is rigged as by `cagemap rig`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.shape import Shape
-from cagemap.studio.skins import Images
+from cagemap.studio.skins import PreviewMap
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import fan_triangles, vertex_normals
 
 NO_CHARACTER = Character(())
-# Of an animation: moments that are offered.
-_SHARES = (0.25, 0.5, 0.75)
+# Times of an animation's poses, relative to its end.
+_POSE_TIMES = (0.25, 0.5, 0.75)
 
 
 def animated_character(path: Path) -> Character:
@@ -32,28 +32,34 @@ def animated_character(path: Path) -> Character:
     return read_character(path) if path.suffix.lower() in SCENE_SUFFIXES else NO_CHARACTER
 
 
-def poses_of(character: Character) -> dict[str, tuple[int, float]]:
-    """Number of the animation and seconds of every pose, by what the page calls it."""
-    found = dict[str, tuple[int, float]]()
+def animation_poses(character: Character) -> dict[str, tuple[int, float]]:
+    """Number of the animation and time in seconds of each pose, by its name on the page."""
+    poses = dict[str, tuple[int, float]]()
     if character.rig is not None and any(part.weights is not None for part in character.parts):
         for number, animation in enumerate(character.animations):
             end = max((float(track.times[-1]) for track in animation.tracks), default=0.0)
-            found |= {f"{animation.name}, {share * end:.2g} s": (number, share * end) for share in _SHARES}
-    return found
+            poses |= {f"{animation.name}, {time * end:.2g} s": (number, time * end) for time in _POSE_TIMES}
+    return poses
 
 
 def pose_shapes(
-    character: Character, pose: tuple[int, float], target: Shape, source: Shape, images: Images, point_map: PointMap
+    character: Character,
+    pose: tuple[int, float],
+    target: Shape,
+    source: Shape,
+    preview_map: PreviewMap,
+    point_map: PointMap,
 ) -> tuple[Shape, Shape]:
-    """Both models in a pose of an animation; the target's joints and weights are carried along the map."""
+    """Target and source in a pose; joints and weights of the target come from the map."""
     (number, time), rig = pose, character.rig
     assert rig is not None
     animation = character.animations[number]
-    weights = _weights_at(character, source.positions)
-    carried = carry_rig(point_map, rig)
-    (adapted,), _ = retarget_all([animation], rig, carried)
-    followed = images.on(source.triangles, weights)
-    return _posed(target, followed, carried, adapted, time), _posed(source, weights, rig, animation, time)
+    source_weights = _weights_at(character, source.positions)
+    target_rig = carry_rig(point_map, rig)
+    (target_animation,), _ = retarget_all([animation], rig, target_rig)
+    target_weights = preview_map.pull_back(source.triangles, source_weights)
+    posed_target = _pose_shape(target, target_weights, target_rig, target_animation, time)
+    return posed_target, _pose_shape(source, source_weights, rig, animation, time)
 
 
 def _weights_at(character: Character, points: FloatArray) -> FloatArray:
@@ -66,6 +72,6 @@ def _weights_at(character: Character, points: FloatArray) -> FloatArray:
     return np.einsum("nc,ncj->nj", barycentric, rows[triangles[triangle]])
 
 
-def _posed(shape: Shape, weights: FloatArray, rig: Rig, animation: Animation, time: float) -> Shape:
+def _pose_shape(shape: Shape, weights: FloatArray, rig: Rig, animation: Animation, time: float) -> Shape:
     positions = skin_positions(shape.positions, weights, rig, pose_at(rig, animation, time))
     return replace(shape, positions=positions, normals=vertex_normals(positions, shape.triangles))

@@ -1,4 +1,4 @@
-"""The preview's thread: hands the newest wish of each kind to the worker, and its answers back."""
+"""The preview's thread: gives the latest requests to the worker and returns the results."""
 
 from __future__ import annotations
 
@@ -6,163 +6,168 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from cagemap.studio.compute import FindMap, Opening, OpenModels, ShowBaked, ShowPosed, Task
+from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.skins import Images
+from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker
 
-# What a computation is called on the page.
-OPENING, MATCHING, DRAWING, POSING = "Opening the models", "Matching", "Showing the baked image", "Showing a pose"
-_TITLES = {OpenModels: OPENING, FindMap: MATCHING, ShowBaked: DRAWING, ShowPosed: POSING}
-# What may last when a version of cagemap runs for the first time; said until it was done once.
-_COMPILES = " (some seconds longer on the first run after installing)"
+# Titles of computations on the page.
+OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
+POSE_TITLE = "Showing a pose"
+_TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
+# Appended to the first title of a kind: the first run compiles.
+_COMPILE_NOTE = " (some seconds longer on the first run after installing)"
 
 
 class Preview:
-    """Computes what is shown; wishes that a newer one replaces are never computed.
+    """Computes what the page shows; a newer request replaces one that waits.
 
     Parameters
     ----------
     vertices : int
-        Of each previewed surface, about.
+        Approximate number of vertices of each previewed surface.
     folder : Path
-        Where an image inside the source's file is put.
-    wanted : callable
-        The landmarks and the map that is shown, as they are when a task begins.
+        Receives an image that is inside the source's file.
+    current_inputs : callable
+        Gives the current landmarks and map when a task starts.
     on_job : callable
-        Told of every task and its stages, and None when there is none.
-    on_answer : callable
-        Told of a task and its answer.
+        Called at every task and stage, and with None after a task.
+    on_result : callable
+        Called with a task and its result.
     """
 
     def __init__(
         self,
         vertices: int,
         folder: Path,
-        wanted: Callable[[], tuple[LandmarkList, Images | None]],
+        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None]],
         on_job: Callable[[RunningJob | None], None],
-        on_answer: Callable[[Task, object], None],
+        on_result: Callable[[Task, object], None],
     ) -> None:
         self._vertices, self._folder = vertices, folder
-        self._wanted, self._on_job, self._on_answer = wanted, on_job, on_answer
-        self._wake = threading.Condition()
-        self._models: Opening | None = None
-        self._opening = False
-        self._finding: bool | None = None  # None: nothing to find; True: from the start
-        self._choosing: int | None = None
-        self._showing: tuple[Path, Path | None] | None = None
-        self._posing: str | None = None
+        self._current_inputs, self._on_job, self._on_result = current_inputs, on_job, on_result
+        self._condition = threading.Condition()
+        self._pair_files: PairFiles | None = None
+        # Requests that wait.
+        self._open_request = False
+        self._map_request: bool | None = None  # True: a match from the start
+        self._answer_request: int | None = None
+        self._baked_request: tuple[Path, Path | None] | None = None
+        self._pose_request: str | None = None
         self._closed = False
         self._title = ""
         self._task: Task | None = None
-        self._worker = Worker(lambda stage: on_job(RunningJob(self._title, stage)), on_shown=self._shown)
+        self._worker = Worker(
+            lambda stage: on_job(RunningJob(self._title, stage)), on_early_result=self._on_early_result
+        )
         self._worker.start()
-        threading.Thread(target=self._work, name="studio preview", daemon=True).start()
+        threading.Thread(target=self._run_tasks, name="studio preview", daemon=True).start()
 
     def open(self, files: Files) -> None:
-        """Open two models; what was wished of others is forgotten, and their map is not found to its end."""
-        with self._wake:
-            asked = files.schemes, files.ups, files.parts
-            self._models = Opening(files.target, files.source, files.texture, self._vertices, self._folder, *asked)
+        """Open two models; requests and a running map of other models are dropped."""
+        with self._condition:
+            sides = files.schemes, files.ups, files.parts
+            self._pair_files = PairFiles(
+                files.target, files.source, files.texture, self._vertices, self._folder, *sides
+            )
             task = self._task
-            if task is not None and not isinstance(task, OpenModels) and task.opening != self._models:
-                self._worker.drop(task)
-            self._opening = True
-            self._finding = self._choosing = self._showing = self._posing = None
-            self._wake.notify()
+            if task is not None and not isinstance(task, OpenModels) and task.pair_files != self._pair_files:
+                self._worker.cancel(task)
+            self._open_request = True
+            self._map_request = self._answer_request = self._baked_request = self._pose_request = None
+            self._condition.notify()
 
     @property
-    def models(self) -> Opening | None:
-        """What is open, or is to be."""
-        return self._models
+    def pair_files(self) -> PairFiles | None:
+        """The pair that is open or about to be."""
+        return self._pair_files
 
     def find(self, *, fresh: bool) -> None:
-        """Find the map; an update is enough where there is one, unless ``fresh``."""
-        with self._wake:
-            self._finding = fresh or bool(self._finding)
-            self._wake.notify()
+        """Compute the map, by an update if there is one and ``fresh`` is not set."""
+        with self._condition:
+            self._map_request = fresh or bool(self._map_request)
+            self._condition.notify()
 
-    def choose(self, index: int) -> None:
-        """Go on from another landmark-free answer."""
-        with self._wake:
-            self._choosing = index
-            self._wake.notify()
+    def choose(self, answer: int) -> None:
+        """Compute the map from another alignment found without landmarks."""
+        with self._condition:
+            self._answer_request = answer
+            self._condition.notify()
 
     def show_baked(self, image: Path, layout: Path | None) -> None:
-        """Show a baked image, in the target's layout or that of another file."""
-        with self._wake:
-            self._showing = image, layout
-            self._wake.notify()
+        """Show a baked image, in the target's UV layout or that of a mesh file."""
+        with self._condition:
+            self._baked_request = image, layout
+            self._condition.notify()
 
     def show_posed(self, pose: str) -> None:
-        """Show both models in a pose; '': as their files have them."""
-        with self._wake:
-            self._posing = pose
-            self._wake.notify()
+        """Show both models in a pose; '': unposed."""
+        with self._condition:
+            self._pose_request = pose
+            self._condition.notify()
 
-    def stop(self) -> None:
-        """Stop what is being computed; its answer is a failure."""
-        self._worker.stop()
+    def kill(self) -> None:
+        """Kill the running task; its result is a failure."""
+        self._worker.kill()
 
     def close(self) -> None:
-        """End."""
-        with self._wake:
+        """End the thread and the process."""
+        with self._condition:
             self._closed = True
-            self._wake.notify()
-        self._worker.stop()
+            self._condition.notify()
+        self._worker.kill()
 
-    def _shown(self, early: object) -> None:
-        """Hand on what the task that runs shows before it is done."""
+    def _on_early_result(self, result: object) -> None:
         if self._task is not None and not self._closed:
-            self._on_answer(self._task, early)
+            self._on_result(self._task, result)
 
-    def _work(self) -> None:
-        first = {OpenModels, FindMap}
-        while (task := self._next()) is not None:
-            self._title = _TITLES[type(task)] + (_COMPILES if type(task) in first else "")
+    def _run_tasks(self) -> None:
+        not_run = {OpenModels, FindMap}
+        while (task := self._next_task()) is not None:
+            self._title = _TITLES[type(task)] + (_COMPILE_NOTE if type(task) in not_run else "")
             self._on_job(RunningJob(self._title))
             self._task = task
-            answer = self._worker.run(task)
+            result = self._worker.run(task)
             self._task = None
-            first.discard(type(task))
+            not_run.discard(type(task))
             if self._closed:
                 return
             self._on_job(None)
-            self._on_answer(task, answer)
+            self._on_result(task, result)
 
-    def _next(self) -> Task | None:
-        """Wait for a wish; opening comes first, images last."""
-        with self._wake:
-            while not self._anything_wanted():
-                self._wake.wait()
+    def _next_task(self) -> Task | None:
+        """Wait for a request: models first, images last."""
+        with self._condition:
+            while not self._has_request():
+                self._condition.wait()
             if self._closed:
                 return None
-            models, opening = self._models, self._opening
-            finding, choosing, showing, posing = self._finding, self._choosing, self._showing, self._posing
-            if opening:
-                self._opening = False
-            elif finding is not None:
-                self._finding = None
-            elif choosing is not None:
-                self._choosing = None
-            elif posing is not None:
-                self._posing = None
+            pair_files, is_open_request = self._pair_files, self._open_request
+            fresh, answer, baked = self._map_request, self._answer_request, self._baked_request
+            pose = self._pose_request
+            if is_open_request:
+                self._open_request = False
+            elif fresh is not None:
+                self._map_request = None
+            elif answer is not None:
+                self._answer_request = None
+            elif pose is not None:
+                self._pose_request = None
             else:
-                self._showing = None
-        # Outside the lock: whoever answers has one of its own, and may be about to wish something.
-        landmarks, images = self._wanted()
-        assert models is not None  # every other wish comes after the first `open`
-        if opening:
-            return OpenModels(models)
-        if finding is not None or choosing is not None:
-            return FindMap(models, landmarks, bool(finding), choosing if finding is None else None)
-        if posing is not None:
-            return ShowPosed(models, posing)
-        assert showing is not None
-        return ShowBaked(models, *showing, images)
+                self._baked_request = None
+        # Outside the lock: the callee has its own lock, and may be waiting for this one.
+        landmarks, preview_map = self._current_inputs()
+        assert pair_files is not None  # the first request is to open
+        if is_open_request:
+            return OpenModels(pair_files)
+        if fresh is not None or answer is not None:
+            return FindMap(pair_files, landmarks, bool(fresh), answer if fresh is None else None)
+        if pose is not None:
+            return ShowPosed(pair_files, pose)
+        assert baked is not None
+        return ShowBaked(pair_files, *baked, preview_map)
 
-    def _anything_wanted(self) -> bool:
-        wished = self._opening or self._finding is not None or self._choosing is not None
-        wished = wished or self._showing is not None or self._posing is not None
-        return self._closed or wished
+    def _has_request(self) -> bool:
+        requests = self._map_request, self._answer_request, self._baked_request, self._pose_request
+        return self._closed or self._open_request or any(request is not None for request in requests)

@@ -1,4 +1,4 @@
-"""Runs the commands of a finish one after the other, in a process of their own."""
+"""Runs the commands of a finish one after the other, in their own process."""
 
 from __future__ import annotations
 
@@ -6,29 +6,28 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from cagemap.studio.finish import MAP, Command
-from cagemap.studio.finish_process import Made, serve
+from cagemap.studio.finish import MAP_TITLE, Command
+from cagemap.studio.finish_process import RequestResult, serve
 from cagemap.studio.state import Message, Output, RunningJob
 from cagemap.studio.worker import Failure, Worker
 
-CANCELLED = "cancelled"
-# Share of what is left of a command that each of its stages is taken for: how many there are is not known.
-_STAGE = 0.15
+# Share of a command's remaining progress that each stage counts for; the number of stages is unknown.
+_STAGE_SHARE = 0.15
 
 
 class Runner:
-    """Runs commands in a thread; one run at a time.
+    """Runs the commands of one finish at a time in a thread.
 
     Parameters
     ----------
     on_job : callable
-        Told of every command and stage, and None at the end.
+        Called at every command and stage, and with None at the end.
     on_output : callable
-        Told of everything that was written.
+        Called with every written file.
     on_message : callable
-        Told of warnings, and of what went wrong with a command, in its own words.
+        Called with warnings and errors of commands.
     on_end : callable
-        Told what there is to say of the whole.
+        Called with a summary.
     """
 
     def __init__(
@@ -39,69 +38,69 @@ class Runner:
         on_end: Callable[[Message], None],
     ) -> None:
         self._on_job, self._on_output, self._on_message, self._on_end = on_job, on_output, on_message, on_end
-        self._worker = Worker(self._stage, serve)
-        self._running = ("", 0, 1)  # title, number and count of commands
-        self._left = 1.0
+        self._worker = Worker(self._on_stage, serve)
+        self._title, self._number, self._count = "", 0, 1  # of the running command
+        self._remaining = 1.0
         self._cancelled = False
 
-    def start(self, todo: tuple[Command, ...]) -> None:
-        """Begin; returns at once. Where the map cannot be made, there is nothing to do for the others."""
+    def start(self, commands: tuple[Command, ...]) -> None:
+        """Start the commands and return; if the map fails, the others are not run."""
         self._cancelled = False
         self._on_job(RunningJob("finish", "starting", 0.0))
-        threading.Thread(target=self._work, args=(todo,), name="studio finish", daemon=True).start()
+        threading.Thread(target=self._run_commands, args=(commands,), name="studio finish", daemon=True).start()
 
     def cancel(self) -> None:
-        """End the running command; what it has not finished writing leaves no trace."""
+        """End the running command; unfinished files are removed."""
         self._cancelled = True
         self._worker.end()
 
-    def _work(self, todo: tuple[Command, ...]) -> None:
-        failed: list[str] = []
+    def _run_commands(self, commands: tuple[Command, ...]) -> None:
+        failures: list[str] = []
         try:
-            for number, command in enumerate(todo):
-                self._running, self._left = (command.title, number, len(todo)), 1.0
-                done = self._run(command)
-                failed += [] if done else [command.title]
-                if self._cancelled or (not done and command.makes == MAP):
+            self._count = len(commands)
+            for number, command in enumerate(commands):
+                self._title, self._number, self._remaining = command.title, number, 1.0
+                succeeded = self._run_command(command)
+                failures += [] if succeeded else [command.title]
+                if self._cancelled or (not succeeded and command.output_title == MAP_TITLE):
                     break
-        except Exception as error:  # whatever happens, the finish has an end
-            failed.append(f"{type(error).__name__}: {error}")
+        except Exception as error:  # also after a bug, the page must show an end
+            failures.append(f"{type(error).__name__}: {error}")
         self._worker.end()
         if self._cancelled:
-            end = Message("note", f"Bake: {CANCELLED}")
-        elif failed:
-            end = Message("error", f"Bake: not everything could be made: {', '.join(failed)}")
+            summary = Message("note", "Bake: cancelled")
+        elif failures:
+            summary = Message("error", f"Bake: not everything could be made: {', '.join(failures)}")
         else:
-            end = Message("note", "Bake: done")
-        self._on_job(None)  # from here on another run may begin
-        self._on_end(end)
+            summary = Message("note", "Bake: done")
+        self._on_job(None)  # from here on another run can start
+        self._on_end(summary)
 
-    def _run(self, command: Command) -> bool:
-        """Run one command to its end; whether it did what it should."""
-        self._tell(command.title)
-        made = self._worker.run(command.request, unless=lambda: self._cancelled)
-        if isinstance(made, Failure):  # its process has ended
-            made = Made(failure=made.message)
-        for output in outputs_of(command, made.files):
+    def _run_command(self, command: Command) -> bool:
+        """Run a command; return whether it succeeded."""
+        self._report_stage(command.title)
+        result = self._worker.run(command.request, is_cancelled=lambda: self._cancelled)
+        if isinstance(result, Failure):
+            result = RequestResult(failure=result.message)
+        for output in command_outputs(command, result.files):
             self._on_output(output)
-        for warning in made.warnings:
+        for warning in result.warnings:
             self._on_message(Message("note", f"{command.title}: {warning}"))
-        if made.failure and not self._cancelled:
-            self._on_message(Message("error", f"{command.title}: {made.failure}"))
-        return not made.failure
+        if result.failure and not self._cancelled:
+            self._on_message(Message("error", f"{command.title}: {result.failure}"))
+        return not result.failure
 
-    def _stage(self, stage: str) -> None:
-        self._left *= 1 - _STAGE
-        self._tell(f"{self._running[0]}: {stage}")
+    def _on_stage(self, stage: str) -> None:
+        self._remaining *= 1 - _STAGE_SHARE
+        self._report_stage(f"{self._title}: {stage}")
 
-    def _tell(self, stage: str) -> None:
-        _, number, count = self._running
-        done = (number + 1 - self._left) / count
-        self._on_job(RunningJob(f"finish {number + 1}/{count}", stage, done))
+    def _report_stage(self, stage: str) -> None:
+        fraction = (self._number + 1 - self._remaining) / self._count
+        self._on_job(RunningJob(f"finish {self._number + 1}/{self._count}", stage, fraction))
 
 
-def outputs_of(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:
-    """Files that a command wrote, and folders in place of what is in them."""
+def command_outputs(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:
+    """Files that a command wrote; a folder stands for the files in it."""
     folder = command.output.parent.resolve()
-    found = (file.relative_to(folder).parts[0] for file in files if file.is_relative_to(folder))
-    return tuple(Output(folder / name, command.makes or command.title) for name in dict.fromkeys(found))
+    names = (file.relative_to(folder).parts[0] for file in files if file.is_relative_to(folder))
+    return tuple(Output(folder / name, command.output_title or command.title) for name in dict.fromkeys(names))

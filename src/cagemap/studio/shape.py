@@ -1,4 +1,4 @@
-"""A model as the page shows it: the smooth surface of one level, scaled to the view, and clicks on it."""
+"""A model in the view: its smooth surface, and points under the mouse."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cagemap.surface.triangles import triangle_areas
 
 
 @dataclass(frozen=True, eq=False)
-class Original:
-    """A mesh as its file has it, where it was made ready to be taken as it is.
+class OriginalMesh:
+    """The file's mesh, if the control mesh is welded, cleaned or a part of it.
 
     Attributes
     ----------
     mesh : ControlMesh
     vertex_of : (n,) int64
-        Vertex of the mesh made ready that each of the file's became, -1 where it was set aside.
+        Control vertex of each of the file's vertices, -1 for those left out.
     """
 
     mesh: ControlMesh
@@ -33,7 +33,7 @@ class Original:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """The triangles of one level, at their limit positions.
+    """Triangles of one subdivision level, at their limit positions.
 
     Attributes
     ----------
@@ -41,15 +41,15 @@ class Shape:
     positions, normals : (n, 3) float64
         Limit positions in file units, unit normals; the first rows are the control vertices' points.
     triangles : (t, 3) int64
-        In the numbering that point maps use.
+        Numbered as in point maps.
     uvs : (p, 2) float64 or None
     uv_triangles : (t, 3) int64 or None
     faces : (t,) int64
         Control face of every triangle.
-    original : Original or None
-        None where the control mesh is the file's.
-    turn : (3, 3) float64
-        Rotation from the file's space to the view, where y is up, for rows.
+    original : OriginalMesh or None
+        None if the control mesh is the file's mesh.
+    rotation : (3, 3) float64
+        From file coordinates to the view, where y is up; multiplies rows from the right.
     """
 
     control: ControlMesh
@@ -59,20 +59,20 @@ class Shape:
     uvs: FloatArray | None
     uv_triangles: IndexArray | None
     faces: IndexArray
-    original: Original | None = None
-    turn: FloatArray = field(default_factory=lambda: np.eye(3))
+    original: OriginalMesh | None = None
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
 
     @property
     def file_mesh(self) -> ControlMesh:
-        """The mesh as its file has it."""
+        """The mesh of the file."""
         return self.control if self.original is None else self.original.mesh
 
-    def from_file(self, vertices: IndexArray) -> IndexArray:
-        """Control vertices that the file's became, -1 for those set aside."""
+    def to_control_vertices(self, vertices: IndexArray) -> IndexArray:
+        """Control vertices of vertices of the file, -1 for those left out."""
         return vertices if self.original is None else self.original.vertex_of[vertices]
 
-    def in_file(self, vertices: IndexArray) -> IndexArray:
-        """Vertices of the file that control vertices are."""
+    def to_file_vertices(self, vertices: IndexArray) -> IndexArray:
+        """Vertices of the file of control vertices."""
         numbers = None if self.original is None else self.control.file_vertices
         return vertices if numbers is None else numbers[vertices]
 
@@ -82,8 +82,8 @@ class Shape:
         return self.control.name
 
     @property
-    def leaves_any(self) -> bool:
-        """Whether its file has parts that are not this one."""
+    def has_other_parts(self) -> bool:
+        """Whether the file has further parts."""
         return self.original is not None and self.original.mesh.n_faces > self.control.n_faces
 
     @property
@@ -104,7 +104,7 @@ class Shape:
 
     @kept
     def cage(self) -> TriangleSurface:
-        """Triangles of the control mesh between its vertices' points of the smooth surface, in the surface's unit."""
+        """Control mesh with its vertices on the smooth surface, in the units of `surface`."""
         return TriangleSurface(
             self.surface.positions[: self.n_control], cage_triangles(self.control)[0], self.surface.scale
         )
@@ -120,39 +120,41 @@ class Shape:
         return float(0.5 * np.linalg.norm(np.ptp(self.positions, axis=0)))
 
     def to_view(self, points: FloatArray) -> FloatArray:
-        """Take points from file units to the view, where every model has its centre at 0 and radius 1."""
-        return self.turned((points - self.centre) / self.radius)
+        """Transform points from file units to the view (centre 0, radius 1)."""
+        return self.directions_to_view((points - self.centre) / self.radius)
 
-    def turned(self, directions: FloatArray) -> FloatArray:
-        """Take directions from the file's space to the view."""
-        return np.asarray(directions @ self.turn)
+    def directions_to_view(self, directions: FloatArray) -> FloatArray:
+        """Rotate directions from file coordinates to the view."""
+        return np.asarray(directions @ self.rotation)
 
     def to_file(self, points: FloatArray) -> FloatArray:
-        """Take points from the view to file units."""
-        return np.asarray(points @ self.turn.T * self.radius + self.centre)
+        """Transform points from the view to file units."""
+        return np.asarray(points @ self.rotation.T * self.radius + self.centre)
 
 
-def shape_of(refinement: Refinement, original: Original | None = None, turn: FloatArray | None = None) -> Shape:
-    """Shape of a refinement's finest level; without a turn the file's y is up."""
+def refined_shape(
+    refinement: Refinement, original: OriginalMesh | None = None, rotation: FloatArray | None = None
+) -> Shape:
+    """Shape of a refinement's finest level; without a rotation the file's y axis is up."""
     level, finest = refinement.n_levels, refinement.finest
-    split = level_triangles(refinement, level)
-    per_face = len(split) // len(finest.face_parents)
+    finest_triangles = level_triangles(refinement, level)
+    per_face = len(finest_triangles) // len(finest.face_parents)
     return Shape(
         control=refinement.control,
         positions=limit_positions(refinement, level),
         normals=limit_normals(refinement, level),
-        triangles=split,
+        triangles=finest_triangles,
         uvs=finest.uvs,
         uv_triangles=None if finest.uv_indices is None else triangles(finest.uv_indices),
         faces=np.repeat(finest.face_parents, per_face),
         original=original,
-        turn=np.eye(3) if turn is None else turn,
+        rotation=np.eye(3) if rotation is None else rotation,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Hit:
-    """Where a ray meets a shape.
+    """Intersection of a ray and a shape.
 
     Attributes
     ----------
@@ -168,7 +170,7 @@ class Hit:
 
 
 def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
-    """First point of a shape on a ray.
+    """First intersection of a ray with a shape.
 
     Parameters
     ----------
@@ -176,13 +178,13 @@ def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
         In the view's coordinates.
     """
     start = shape.to_file(np.asarray(origin, dtype=np.float64))
-    triangles, weights, along = line_hits(
-        shape.positions, shape.triangles, start, np.asarray(direction, dtype=np.float64) @ shape.turn.T
+    triangles, weights, distances = line_hits(
+        shape.positions, shape.triangles, start, np.asarray(direction, dtype=np.float64) @ shape.rotation.T
     )
-    ahead = np.flatnonzero(along > 0)
-    if not len(ahead):
+    in_front = np.flatnonzero(distances > 0)
+    if not len(in_front):
         return None
-    first = ahead[np.argmin(along[ahead])]
+    first = in_front[np.argmin(distances[in_front])]
     triangle = int(triangles[first])
     return Hit(triangle, weights[first], weights[first] @ shape.positions[shape.triangles[triangle]])
 
@@ -190,40 +192,39 @@ def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
 def line_hits(
     positions: FloatArray, triangles: IndexArray, start: FloatArray, line: FloatArray
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """Where a line meets triangles (Moeller and Trumbore 1997, all triangles around the line at once).
+    """Intersections of a line with triangles (Moeller and Trumbore 1997, vectorised).
 
     Returns
     -------
     triangle : (h,) int64
     barycentric : (h, 3) float64
-    along : (h,) float64
-        From the start, in lengths of ``line``.
+    distance : (h,) float64
+        Signed, from the start, in lengths of ``line``.
     """
-    near = _around(positions, triangles, start, line)
-    a, b, c = (positions[triangles[near, k]] for k in range(3))
+    candidates = _triangles_near_line(positions, triangles, start, line)
+    a, b, c = (positions[triangles[candidates, k]] for k in range(3))
     ab, ac = b - a, c - a
-    across = np.cross(line, ac)
-    determinant = np.einsum("td,td->t", ab, across)
+    line_cross_ac = np.cross(line, ac)
+    determinant = np.einsum("td,td->t", ab, line_cross_ac)
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = start - a
-        u = np.einsum("td,td->t", offset, across) / determinant
-        turned = np.cross(offset, ab)
-        v = turned @ line / determinant
-        along = np.einsum("td,td->t", ac, turned) / determinant
-        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & np.isfinite(along)
+        u = np.einsum("td,td->t", offset, line_cross_ac) / determinant
+        offset_cross_ab = np.cross(offset, ab)
+        v = offset_cross_ab @ line / determinant
+        distance = np.einsum("td,td->t", ac, offset_cross_ab) / determinant
+        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & np.isfinite(distance)
     weights = np.column_stack([1 - u - v, u, v])
-    return near[inside], weights[inside], along[inside]
+    return candidates[inside], weights[inside], distance[inside]
 
 
-def _around(positions: FloatArray, triangles: IndexArray, start: FloatArray, line: FloatArray) -> IndexArray:
-    """Triangles that a line may meet: seen along it, corners lie on both sides of it, right and left, up and down.
-
-    Leaves a few of a million triangles for the exact test.
-    """
-    one = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
-    plane = np.column_stack([one, np.cross(line, one)])
-    seen = (positions - start) @ plane
-    slack = 1e-9 * np.abs(seen).max(axis=0, initial=0.0)
-    sides = ((seen >= -slack) @ np.array([1, 2]) + (seen <= slack) @ np.array([4, 8])).astype(np.uint8)
+def _triangles_near_line(
+    positions: FloatArray, triangles: IndexArray, start: FloatArray, line: FloatArray
+) -> IndexArray:
+    """Triangles whose bounding rectangle, seen along a line, contains the line."""
+    across = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
+    plane = np.column_stack([across, np.cross(line, across)])
+    projected = (positions - start) @ plane
+    slack = 1e-9 * np.abs(projected).max(axis=0, initial=0.0)
+    sides = ((projected >= -slack) @ np.array([1, 2]) + (projected <= slack) @ np.array([4, 8])).astype(np.uint8)
     a, b, c = (sides[triangles[:, k]] for k in range(3))
     return np.flatnonzero((a | b | c) == 15)

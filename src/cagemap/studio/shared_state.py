@@ -1,4 +1,4 @@
-"""A state that all pages show: held under a lock, told to listeners after every change, errors in it as messages."""
+"""State shared by all pages, behind a lock, with listeners and messages."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from dataclasses import replace
 
 from cagemap.errors import CagemapError, use_option_names
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import Studio, with_message
+from cagemap.studio.state import MessageKind, StudioState, add_message
 
 log = logging.getLogger(__name__)
 
-Listener = Callable[[Studio, Scene | None], None]
+Listener = Callable[[StudioState, Scene | None], None]
 
 
-class Held:
-    """The state and the scene; what may be done to them is `cagemap.studio.session.Session`."""
+class SharedState:
+    """The state and the scene of a `cagemap.studio.session.Session`."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._state = Studio()
+        self._state = StudioState()
         self._scene: Scene | None = None
         self._listeners: list[Listener] = []
 
     @property
-    def state(self) -> Studio:
-        """The state now."""
+    def state(self) -> StudioState:
+        """The current state."""
         return self._state
 
     @property
     def scene(self) -> Scene | None:
-        """Models and map now."""
+        """The current models and map."""
         return self._scene
 
     def subscribe(self, listener: Listener) -> None:
-        """Have a function told of every change, after it."""
+        """Call a function now and after every change."""
         with self._lock:
             self._listeners.append(listener)
             listener(self._state, self._scene)
@@ -46,13 +46,13 @@ class Held:
         """Show an error."""
         self._say("error", f"{type(error).__name__}: {error}")
 
-    def _say(self, kind: str, text: str) -> None:
+    def _say(self, kind: MessageKind, text: str) -> None:
         with self._lock:
-            self._change(messages=with_message(self._state.messages, "error" if kind == "error" else "note", text))
+            self._change(messages=add_message(self._state.messages, kind, text))
 
-    def _notes(self, notes: Iterable[str], kind: str = "note") -> None:
-        for note in notes:
-            self._say(kind, use_option_names(note))
+    def _say_all(self, texts: Iterable[str], kind: MessageKind = "note") -> None:
+        for text in texts:
+            self._say(kind, use_option_names(text))
 
     def _change(self, **fields: object) -> None:
         with self._lock:
@@ -61,14 +61,14 @@ class Held:
                 listener(self._state, self._scene)
 
     @contextlib.contextmanager
-    def guarded(self) -> Iterator[None]:
-        """Turn errors into messages of the page."""
+    def report_errors(self) -> Iterator[None]:
+        """Show errors as messages of the page."""
         try:
             yield
         except CagemapError as error:
             self.report(error)
         except OSError as error:
             self._say("error", f"{error.filename or 'file'}: {error.strerror or error}")
-        except Exception as error:  # a fault of ours must not end the studio
+        except Exception as error:  # a bug must not end the studio
             log.exception("internal error")
             self._say("error", f"internal error, {type(error).__name__}: {error}")

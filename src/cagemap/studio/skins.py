@@ -1,4 +1,4 @@
-"""What covers a model in the view: its own look, and on the target the source's look through the map."""
+"""Drawings of the models with their own materials, and the source's on the target."""
 
 from __future__ import annotations
 
@@ -12,55 +12,53 @@ from numpy.typing import NDArray
 from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import turn_angle
-from cagemap.studio.file_parts import Rest
-from cagemap.studio.glb import Drawn, glb
+from cagemap.studio.file_parts import OtherParts
+from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.shape import Shape
 from cagemap.transfer.attributes import encode_srgb as to_display
 from cagemap.transfer.locate import triangle_frames, walk_from
 
-# Of a model without materials, as displayed.
-CLAY = np.array([0.69, 0.68, 0.67])
-# Trust below which a place is marked.
-DOUBTFUL = 0.5
-# Largest difference between a corner's texture coordinates and those predicted from the next one, relative to the
-# predicted step: beyond it a seam lies between.
-_SEAM = 0.6
-# Samples along a side of a triangle that a seam or a border of materials crosses, and of all these triangles together.
-_FEWEST, _MOST, _SAMPLES = 3, 8, 200_000
+# Displayed colour of a model without materials.
+CLAY_COLOR = np.array([0.69, 0.68, 0.67])
+# Places with less trust are marked.
+DOUBTFUL_TRUST = 0.5
+# A seam lies between corners whose texture coordinates differ from the predicted step by more than this share of it.
+_SEAM_TOLERANCE = 0.6
+# Samples along a side of a triangle at a seam or material border, and of all these triangles together.
+_MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE, _MAX_SAMPLES = 3, 8, 200_000
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Materials of the source.
+    """Texture and colours of a model.
 
     Attributes
     ----------
     texture : (h, w, c) array or None
-        As displayed, 8 bits.
-    encoded : bytes or None
-        The same as a JPEG file.
+        As displayed, 8 bits; tiles side by side.
+    jpeg : bytes or None
+        The texture as a JPEG file.
     tiles : (int, int)
-        How many lie beside and above each other in it.
+        Columns and rows of tiles in the texture.
     colors : (faces, 3) float64 or None
         Linear material colours of the control faces.
-    rest : Rest or None
-        Parts of the file that are left alone.
+    other_parts : OtherParts or None
     """
 
     texture: Pixels | None = None
-    encoded: bytes | None = None
+    jpeg: bytes | None = None
     tiles: tuple[int, int] = (1, 1)
     colors: FloatArray | None = None
-    rest: Rest | None = None
+    other_parts: OtherParts | None = None
 
-    def on_image(self, uvs: FloatArray) -> FloatArray:
-        """Texture coordinates, whose tiles are of size 1, in the one image."""
+    def to_image_uvs(self, uvs: FloatArray) -> FloatArray:
+        """Texture coordinates in the image of all tiles."""
         return uvs / self.tiles
 
 
 @dataclass(frozen=True, eq=False)
-class Images:
-    """Where a map takes the vertices of a target shape on the source shape.
+class PreviewMap:
+    """Images of a target shape's vertices on the source shape.
 
     Attributes
     ----------
@@ -73,80 +71,82 @@ class Images:
     barycentric: FloatArray
     trust: FloatArray
 
-    def on(self, triangles: IndexArray, values: FloatArray) -> FloatArray:
-        """Evaluate values at the corners of source triangles where the map takes every vertex."""
+    def pull_back(self, triangles: IndexArray, values: FloatArray) -> FloatArray:
+        """Interpolate values at corners of source triangles at the image of each target vertex."""
         return np.asarray(np.einsum("nc,ncd->nd", self.barycentric, values[triangles[self.triangle]]))
 
 
-def faced(source: Shape, target: Shape, images: Images | None) -> Shape:
-    """The source, turned about the vertical by the quarter turns after which it faces as the target does under a map.
-
-    A turn of both models' cameras then shows the same side of both; the shape itself where it faces so already.
-    """
-    if images is None:
+def align_facing(source: Shape, target: Shape, preview_map: PreviewMap | None) -> Shape:
+    """Rotate the source by quarter turns to face like the target under a map."""
+    if preview_map is None:
         return source
-    places = images.on(source.triangles, source.turned(source.positions))
-    quarters = round(turn_angle(places, target.turned(target.positions)) / 90) % 4
+    images = preview_map.pull_back(source.triangles, source.directions_to_view(source.positions))
+    quarters = round(turn_angle(images, target.directions_to_view(target.positions)) / 90) % 4
     if not quarters:
         return source
     cos, sin = ((0, 1), (-1, 0), (0, -1))[quarters - 1]
-    return replace(source, turn=source.turn @ [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
+    return replace(source, rotation=source.rotation @ [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
 
 
 def source_skin(shape: Shape, look: Look) -> bytes:
-    """The source in its own look; a binary glTF file in view coordinates.
+    """The source with its own materials, as binary glTF in view coordinates.
 
-    COLOR_1 has the colours of its materials, TEXCOORD_0 leads into the image "texture".
+    COLOR_1: material colours; TEXCOORD_0: texture coordinates in the image "texture".
     """
-    images = {} if look.encoded is None else {"texture": look.encoded}
-    corners, _, attributes = _own(shape, look)
+    images = {} if look.jpeg is None else {"texture": look.jpeg}
+    corners, _, attributes = _base_attributes(shape, look)
     layout = attributes.pop("TEXCOORD_1", None)
     if layout is not None and images:
-        attributes["TEXCOORD_0"] = look.on_image(layout)
-    return glb([Drawn("model", attributes, corners), *_rest(shape, look)], images)
+        attributes["TEXCOORD_0"] = look.to_image_uvs(layout)
+    return pack_glb([MeshPart("model", attributes, corners), *_other_parts(shape, look)], images)
 
 
 def target_skin(
-    shape: Shape, own: Look, source: Shape, look: Look, images: Images | None, baked: bytes | None = None
+    target: Shape,
+    target_look: Look,
+    source: Shape,
+    source_look: Look,
+    preview_map: PreviewMap | None,
+    baked: bytes | None = None,
 ) -> bytes:
-    """The target as it is, and with the source's look through the map; a binary glTF file in view coordinates.
+    """The target with its own and the source's materials, as binary glTF in view coordinates.
 
-    Beside the target's own colours and layout (COLOR_1, TEXCOORD_1, the image "baked"), every vertex has what the map
-    gives it: ``_PLACE`` and ``_PLACE_NORMAL`` on the source, ``_TRUST``, the source's texture coordinates TEXCOORD_0 or
-    colour COLOR_0. Triangles that a seam of the source's layout or a border of its materials crosses are apart, as
-    "seams", with an image of that name which has a square of samples for each.
+    The target's own: COLOR_1, and TEXCOORD_1 in the image "baked". Under the map: ``_PLACE`` and ``_PLACE_NORMAL`` are
+    image and normal on the source, ``_TRUST``, and TEXCOORD_0 or COLOR_0 of the source. Triangles across seams or
+    material borders of the source form the mesh "seams", coloured by samples in the image "seams".
     """
-    pictures = {} if baked is None else {"baked": baked}
-    corners, vertex, attributes = _own(shape, own)
-    if images is None:
-        return glb([Drawn("model", attributes, corners), *_rest(shape, own)], pictures)
+    images = {} if baked is None else {"baked": baked}
+    corners, vertex, attributes = _base_attributes(target, target_look)
+    if preview_map is None:
+        return pack_glb([MeshPart("model", attributes, corners), *_other_parts(target, target_look)], images)
     attributes |= {
-        "_PLACE": source.to_view(images.on(source.triangles, source.positions))[vertex],
-        "_PLACE_NORMAL": source.turned(images.on(source.triangles, source.normals))[vertex],
-        "_TRUST": images.trust[vertex],
+        "_PLACE": source.to_view(preview_map.pull_back(source.triangles, source.positions))[vertex],
+        "_PLACE_NORMAL": source.directions_to_view(preview_map.pull_back(source.triangles, source.normals))[vertex],
+        "_TRUST": preview_map.trust[vertex],
     }
-    crossing = np.zeros(len(corners), dtype=bool)
-    if look.encoded is not None and source.uvs is not None and source.uv_triangles is not None:
-        uvs = images.on(source.uv_triangles, source.uvs)
-        crossing = crossing_triangles(shape, source, images, uvs)
-        attributes["TEXCOORD_0"] = look.on_image(uvs)[vertex]
-    elif look.colors is not None:
-        hit = look.colors[source.faces[images.triangle]]
-        crossing = (hit[shape.triangles] != hit[shape.triangles[:, :1]]).any(axis=(1, 2))
-        attributes["COLOR_0"] = to_display(hit)[vertex]
+    at_seam = np.zeros(len(corners), dtype=bool)
+    if source_look.jpeg is not None and source.uvs is not None and source.uv_triangles is not None:
+        uvs = preview_map.pull_back(source.uv_triangles, source.uvs)
+        at_seam = seam_triangles(target, source, preview_map, uvs)
+        attributes["TEXCOORD_0"] = source_look.to_image_uvs(uvs)[vertex]
+    elif source_look.colors is not None:
+        colors = source_look.colors[source.faces[preview_map.triangle]]
+        at_seam = (colors[target.triangles] != colors[target.triangles[:, :1]]).any(axis=(1, 2))
+        attributes["COLOR_0"] = to_display(colors)[vertex]
     seams = []
-    if crossing.any():
-        uvs, pictures["seams"] = _samples(shape.triangles[crossing], source, look, images)
-        apart = corners[crossing].ravel()
-        split = {name: values[apart] for name, values in attributes.items()} | {"TEXCOORD_0": uvs}
-        seams = [Drawn("seams", split, np.arange(len(apart)).reshape(-1, 3))]
-    return glb([Drawn("model", attributes, corners[~crossing]), *seams, *_rest(shape, own)], pictures)
+    if at_seam.any():
+        uvs, images["seams"] = _sample_image(target.triangles[at_seam], source, source_look, preview_map)
+        seam_corners = corners[at_seam].ravel()
+        seam_attributes = {name: values[seam_corners] for name, values in attributes.items()} | {"TEXCOORD_0": uvs}
+        seams = [MeshPart("seams", seam_attributes, np.arange(len(seam_corners)).reshape(-1, 3))]
+    model = MeshPart("model", attributes, corners[~at_seam])
+    return pack_glb([model, *seams, *_other_parts(target, target_look)], images)
 
 
-def _own(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
-    """A model as it is, one vertex for each triple of point, place in the layout and colour.
+def _base_attributes(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
+    """Triangles, shape vertex of each vertex, and attributes of a model without a map.
 
-    Returns triangles, the shape's vertex of each vertex, and attributes.
+    Has one vertex for each combination of point, texture coordinates and colour.
     """
     columns = [shape.triangles]
     if shape.uv_triangles is not None:
@@ -159,98 +159,100 @@ def _own(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, Fl
         key = key * (column.max(initial=0) + 1) + column.ravel()
     _, first, corners = np.unique(key, return_index=True, return_inverse=True)
     vertex = shape.triangles.ravel()[first]
-    made: dict[str, FloatArray] = {
+    attributes: dict[str, FloatArray] = {
         "POSITION": shape.to_view(shape.positions[vertex]),
-        "NORMAL": shape.turned(shape.normals[vertex]),
-        "COLOR_1": np.broadcast_to(CLAY, (len(vertex), 3)),
+        "NORMAL": shape.directions_to_view(shape.normals[vertex]),
+        "COLOR_1": np.broadcast_to(CLAY_COLOR, (len(vertex), 3)),
     }
     if shape.uvs is not None and shape.uv_triangles is not None:
-        made["TEXCOORD_1"] = shape.uvs[shape.uv_triangles.ravel()[first]]
+        attributes["TEXCOORD_1"] = shape.uvs[shape.uv_triangles.ravel()[first]]
     if look.colors is not None:
-        made["COLOR_1"] = to_display(palette)[columns[-1].ravel()[first]]
-    return corners.reshape(-1, 3), vertex, made
+        attributes["COLOR_1"] = to_display(palette)[columns[-1].ravel()[first]]
+    return corners.reshape(-1, 3), vertex, attributes
 
 
-def _rest(shape: Shape, look: Look) -> list[Drawn]:
-    """Parts of the file that are left alone."""
-    rest = look.rest
-    if rest is None:
+def _other_parts(shape: Shape, look: Look) -> list[MeshPart]:
+    """Parts of the file that are not open, in the view."""
+    parts = look.other_parts
+    if parts is None:
         return []
-    attributes = {"POSITION": shape.to_view(rest.positions), "NORMAL": shape.turned(rest.normals)}
-    return [Drawn("rest", attributes, rest.triangles)]
+    attributes = {"POSITION": shape.to_view(parts.positions), "NORMAL": shape.directions_to_view(parts.normals)}
+    return [MeshPart("rest", attributes, parts.triangles)]
 
 
-def _samples(corners: IndexArray, source: Shape, look: Look, images: Images) -> tuple[FloatArray, bytes]:
-    """Colours of the source at points of some target triangles, as an image; (3 t, 2) where their corners are in it."""
-    side = int(np.clip(np.sqrt(_SAMPLES / len(corners)), _FEWEST, _MOST))
+def _sample_image(corners: IndexArray, source: Shape, look: Look, preview_map: PreviewMap) -> tuple[FloatArray, bytes]:
+    """Sample source colours on target triangles: texture coordinates (3 t, 2) and a PNG.
+
+    Each triangle has a square of samples; those beyond its diagonal are moved onto it.
+    """
+    side = int(np.clip(np.sqrt(_MAX_SAMPLES / len(corners)), _MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE))
     column = np.tile(np.arange(side), side) / (side - 1)
     row = np.repeat(np.arange(side), side) / (side - 1)
-    beyond = np.maximum(column + row - 1, 0) / 2
-    column, row = column - beyond, row - beyond
+    excess = np.maximum(column + row - 1, 0) / 2
+    column, row = column - excess, row - excess
     weights = np.column_stack([1 - column - row, column, row])  # (side^2, 3)
-    places = images.on(source.triangles, source.positions)[corners]
-    points = np.einsum("sc,tcd->tsd", weights, places)
-    nearest = np.argmax(weights, axis=1)
-    starts = images.triangle[corners][:, nearest]
+    corner_images = preview_map.pull_back(source.triangles, source.positions)[corners]
+    points = np.einsum("sc,tcd->tsd", weights, corner_images)
+    nearest_corner = np.argmax(weights, axis=1)
+    starts = preview_map.triangle[corners][:, nearest_corner]
     frames = triangle_frames(source.positions, source.triangles)
-    triangle, inside = walk_from(frames, source.surface.neighbors, starts.ravel(), points.reshape(-1, 3))
-    colors = _colors_at(source, look, triangle, inside).reshape(len(corners), side, side, 3)
-    across = int(np.ceil(np.sqrt(len(corners))))
-    squares = np.zeros((across * across, side, side, 3), dtype=np.uint8)
+    triangle, barycentric = walk_from(frames, source.surface.neighbors, starts.ravel(), points.reshape(-1, 3))
+    colors = _source_colors(source, look, triangle, barycentric).reshape(len(corners), side, side, 3)
+    per_row = int(np.ceil(np.sqrt(len(corners))))
+    squares = np.zeros((per_row * per_row, side, side, 3), dtype=np.uint8)
     squares[: len(corners)] = colors
-    picture = squares.reshape(across, across, side, side, 3).swapaxes(1, 2).reshape(across * side, across * side, 3)
-    data = io.BytesIO()
-    imageio.imwrite(data, picture, extension=".png", compress_level=1)
-    down, right = np.divmod(np.arange(len(corners)), across)
-    at = side * np.column_stack([right, down])[:, None] + 0.5 + (side - 1) * np.array([[0, 0], [1, 0], [0, 1]])
-    uvs = at.reshape(-1, 2) / (across * side)
-    return np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1]]), data.getvalue()
+    pixels = squares.reshape(per_row, per_row, side, side, 3).swapaxes(1, 2).reshape(per_row * side, per_row * side, 3)
+    png = io.BytesIO()
+    imageio.imwrite(png, pixels, extension=".png", compress_level=1)
+    down, right = np.divmod(np.arange(len(corners)), per_row)
+    texels = side * np.column_stack([right, down])[:, None] + 0.5 + (side - 1) * np.array([[0, 0], [1, 0], [0, 1]])
+    uvs = texels.reshape(-1, 2) / (per_row * side)
+    return np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1]]), png.getvalue()
 
 
-def _colors_at(source: Shape, look: Look, triangle: IndexArray, inside: FloatArray) -> NDArray[np.uint8]:
-    """(n, 3) colours, as displayed, of the source's image or materials at points of it."""
+def _source_colors(source: Shape, look: Look, triangle: IndexArray, barycentric: FloatArray) -> NDArray[np.uint8]:
+    """(n, 3) displayed colours of the texture or materials at points of the source."""
     if look.texture is None or source.uvs is None or source.uv_triangles is None:
         assert look.colors is not None
         return np.rint(255 * to_display(look.colors[source.faces[triangle]])).astype(np.uint8)
-    uvs = np.einsum("nc,ncd->nd", inside, source.uvs[source.uv_triangles[triangle]])
+    uvs = np.einsum("nc,ncd->nd", barycentric, source.uvs[source.uv_triangles[triangle]])
     return texture_colors(look, uvs)
 
 
-def crossing_triangles(shape: Shape, source: Shape, images: Images, uvs: FloatArray) -> NDArray[np.bool_]:
-    """(t,) target triangles with a seam of the source's layout between the images of their corners.
+def seam_triangles(target: Shape, source: Shape, preview_map: PreviewMap, uvs: FloatArray) -> NDArray[np.bool_]:
+    """(t,) bool: target triangles with a texture seam of the source between their corners' images.
 
-    The layout is affine on every source triangle; going on from one corner by it must lead near the next corner's
-    texture coordinates.
+    Texture coordinates are affine on a source triangle: extrapolated from one corner they are close to the next
+    corner's, unless a seam lies between.
     """
     assert source.uvs is not None
     assert source.uv_triangles is not None
-    places = images.on(source.triangles, source.positions)
-    corners = shape.triangles
-    crossing = np.zeros(len(corners), dtype=bool)
-    jacobians = _layout_jacobians(source)
+    images = preview_map.pull_back(source.triangles, source.positions)
+    corners = target.triangles
+    at_seam = np.zeros(len(corners), dtype=bool)
+    jacobians = _uv_jacobians(source)
     for k in range(3):
-        here, there = corners[:, k], corners[:, (k + 1) % 3]
-        step = places[there] - places[here]
-        predicted = np.einsum("tij,tj->ti", jacobians[images.triangle[here]], step)
-        missed = np.linalg.norm(uvs[there] - uvs[here] - predicted, axis=1)
-        crossing |= missed > _SEAM * np.linalg.norm(predicted, axis=1) + 0.01
-    return crossing
+        start, end = corners[:, k], corners[:, (k + 1) % 3]
+        predicted = np.einsum("tij,tj->ti", jacobians[preview_map.triangle[start]], images[end] - images[start])
+        error = np.linalg.norm(uvs[end] - uvs[start] - predicted, axis=1)
+        at_seam |= error > _SEAM_TOLERANCE * np.linalg.norm(predicted, axis=1) + 0.01
+    return at_seam
 
 
 def texture_colors(look: Look, uvs: FloatArray) -> NDArray[np.uint8]:
-    """(n, 3) colours of the texture at texture coordinates, as displayed: nearest texels."""
+    """(n, 3) displayed colours of the nearest texels."""
     assert look.texture is not None
     height, width = look.texture.shape[:2]
-    across, up = look.on_image(uvs).T
-    column = np.floor(across % 1.0 * width).astype(np.int64).clip(0, width - 1)
-    row = np.floor((1.0 - up) % 1.0 * height).astype(np.int64).clip(0, height - 1)
+    u, v = look.to_image_uvs(uvs).T
+    column = np.floor(u % 1.0 * width).astype(np.int64).clip(0, width - 1)
+    row = np.floor((1.0 - v) % 1.0 * height).astype(np.int64).clip(0, height - 1)
     return np.asarray(look.texture[row, column, :3])
 
 
-def _layout_jacobians(source: Shape) -> FloatArray:
-    """(t, 2, 3) differential of the texture coordinates on every triangle."""
+def _uv_jacobians(source: Shape) -> FloatArray:
+    """(t, 2, 3) derivatives of the texture coordinates by position on each triangle."""
     assert source.uvs is not None
     assert source.uv_triangles is not None
-    layout = source.uvs[source.uv_triangles]
+    uvs = source.uvs[source.uv_triangles]
     gradients = triangle_frames(source.positions, source.triangles)[:, 1:]
-    return np.asarray(np.einsum("tki,tkj->tij", layout[:, 1:] - layout[:, :1], gradients))
+    return np.asarray(np.einsum("tki,tkj->tij", uvs[:, 1:] - uvs[:, :1], gradients))

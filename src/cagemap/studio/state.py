@@ -1,4 +1,4 @@
-"""What the studio knows, as one frozen value that every page shows."""
+"""The state of the studio: one frozen value that all pages show."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from pathlib import Path
 from typing import Literal
 
 from cagemap.errors import ParameterError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
-from cagemap.studio.landmarks import History, LandmarkList, Proposal
-from cagemap.studio.workspace import IMAGES
+from cagemap.studio.landmarks import History, LandmarkList, Proposal, SideNames
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
-# Ends the name of one of several tiles.
-_TILE = re.compile(r"\.1\d{3}$")
-# Ends the name of a mesh that a layout was made for.
-_UNWRAPPED = "_unwrapped"
-# Messages that stay in the page; older ones go.
-MOST_MESSAGES = 5
+MessageKind = Literal["error", "note"]
+_TILE_NUMBER = re.compile(r"\.1\d{3}$")
+# Ends the name of a copy of the target with a new UV layout.
+_UNWRAPPED_ENDING = "_unwrapped"
+# Older messages disappear from the page.
+MAX_MESSAGES = 5
 
 
 @dataclass(frozen=True)
 class Files:
-    """What is open.
+    """Files of the open pair, and how they are opened.
 
     Attributes
     ----------
@@ -33,18 +33,18 @@ class Files:
     texture : Path or None
         Image over the source's UVs.
     landmarks : Path
-        Where landmarks are saved.
+        File that landmarks are saved to.
     result : Path
         RESULT folder of the finish.
     schemes : (str or None, str or None)
-        How target and source are subdivided, "none" for a mesh as it is; None: as the file says.
+        Subdivision scheme of target and source, "none" for a plain mesh; None: as stated in the file.
     ups : (str or None, str or None)
-        Axis of target and source that points up in the view, "y" or "z"; None: as a USD file says, else y.
+        Up axis of target and source, "y" or "z"; None: as stated in a USD file, else y.
     parts : (str or None, str or None)
-        Part of either file that is meant, as `cagemap match --part` takes it; None: the whole file. A file of several
-        pieces is opened with its largest one where none is named, and that one is named here from then on.
+        Part of each file, as `cagemap match --part` takes it; None: the whole file. Opening a file of several pieces
+        without a part sets this to its largest piece.
     welds : (str or None, str or None)
-        Tolerance that either file was welded with when it was opened, as `cagemap match --weld` takes it.
+        Tolerance that each file was welded with when it was opened, as `cagemap match --weld` takes it.
     """
 
     target: Path
@@ -52,10 +52,10 @@ class Files:
     texture: Path | None
     landmarks: Path
     result: Path
-    schemes: tuple[str | None, str | None] = (None, None)
-    ups: tuple[str | None, str | None] = (None, None)
-    parts: tuple[str | None, str | None] = (None, None)
-    welds: tuple[str | None, str | None] = (None, None)
+    schemes: SideNames = (None, None)
+    ups: SideNames = (None, None)
+    parts: SideNames = (None, None)
+    welds: SideNames = (None, None)
 
 
 @dataclass(frozen=True)
@@ -65,25 +65,25 @@ class View:
     Attributes
     ----------
     mode : str
-        "texture": the source's image, on the target through the map; "colours" and "checker": a pattern of the source,
-        there and through the map; "plain": each model as it is; "baked": an image that was baked, in the target's own
-        layout.
+        "texture": the source's image, on the target through the map; "colours" and "checker": patterns on the source,
+        on the target through the map; "plain": both models without the map; "baked": a baked image in the target's
+        own layout.
     cages : bool
-        Control meshes as lines.
+        Show control meshes as lines.
     symmetric : bool
-        A landmark beside the mirror plane of two symmetric models brings its counterpart.
+        Add the mirror image of a new landmark on symmetric models.
     doubts : bool
-        Doubtful places of the map in red.
+        Show doubtful places of the map in red.
     linked : bool
-        Turning one model turns the other.
+        Both models turn together.
     rest : bool
-        Parts of the files that are not open, in grey.
+        Show parts that are not open, in grey.
     baked : Path or None
-        The image that "baked" shows.
+        Image of mode "baked".
     layout : Path or None
-        The mesh that has the layout, where the target has none itself.
+        Mesh with the UV layout of that image, where the target has none.
     pose : str
-        Pose of the source's animations that both models are in; '': as their files have them.
+        Pose of the source's animations that both models are shown in; '': unposed.
     """
 
     mode: Mode = "texture"
@@ -99,37 +99,37 @@ class View:
 
 @dataclass(frozen=True)
 class MapState:
-    """The map as far as it is known.
+    """What is known about the current map.
 
     Attributes
     ----------
     revision : int
-        Counts maps that were found to the end; 0 while there is none.
+        Number of finished maps; 0 before the first.
     answers : tuple of str
-        The landmark-free answers, best first; empty while there was no match without landmarks.
-    chosen : int
-        Which answer the map started from.
+        Names of the alignments found without landmarks, best first; empty if there was no such search.
+    chosen_answer : int
+        The one that the map started from.
     confidence : str
-        What the search says about the first answer.
+        Message of the search about the first answer.
     strain : dict of str to float
-        Per landmark name: how far the map would move it if let go, of the model's size.
+        For each landmark name, how far the landmark would move without its constraint, in units of the model's size.
     contradictions : dict of str to str
-        Landmark pairs that contradict the others, and why.
+        For each landmark name that contradicts the others, the reason.
     notes : tuple of str
-        Warnings of the map.
+        Warnings of the match.
     seconds : float
-        What the last map took.
+        Time that the last map took.
     suggestion : int or None
-        Control vertex of the target at which one more landmark would tell most.
+        Control vertex of the target where the next landmark helps most.
     rough : bool
-        Whether it is a first look, while the search goes on.
+        Whether this is a rough map while the search goes on.
     poses : tuple of str
-        Of the source's animations.
+        Names of poses of the source's animations.
     """
 
     revision: int = 0
     answers: tuple[str, ...] = ()
-    chosen: int = 0
+    chosen_answer: int = 0
     confidence: str = ""
     strain: dict[str, float] = field(default_factory=dict)
     contradictions: dict[str, str] = field(default_factory=dict)
@@ -139,30 +139,29 @@ class MapState:
     rough: bool = False
     poses: tuple[str, ...] = ()
 
-    def under_names(self, before: LandmarkList, now: LandmarkList) -> MapState:
-        """What is known of landmarks, under the names that they have now."""
+    def rename_landmarks(self, before: LandmarkList, now: LandmarkList) -> MapState:
+        """Return the state with the new names of landmarks that kept their number and places."""
         names = {
-            item.name: same.name
+            item.name: renamed.name
             for item in before.items
-            if (same := now.get(item.number)) is not None and replace(item, name=same.name) == same
+            if (renamed := now.get(item.number)) is not None and replace(item, name=renamed.name) == renamed
         }
         strain = {names.get(name, name): value for name, value in self.strain.items()}
-        contradictions = {names.get(name, name): why for name, why in self.contradictions.items()}
+        contradictions = {names.get(name, name): reason for name, reason in self.contradictions.items()}
         return replace(self, strain=strain, contradictions=contradictions)
 
 
 @dataclass(frozen=True)
 class RunningJob:
-    """Something that runs.
+    """A running computation, as the page shows it.
 
     Attributes
     ----------
     title : str
-        What it is, for people.
     stage : str
-        What it does now.
+        Current stage.
     fraction : float or None
-        Done, from 0 to 1, where known.
+        Share that is done, from 0 to 1; None if unknown.
     """
 
     title: str
@@ -172,14 +171,14 @@ class RunningJob:
 
 @dataclass(frozen=True)
 class Probe:
-    """A place that was asked about, and where the map takes it.
+    """A point under the mouse and its image under the map.
 
     Attributes
     ----------
     target, source : (x, y, z) or None
         In file units.
     text : str
-        The parts that they belong to.
+        Names of the parts of both points.
     """
 
     target: tuple[float, float, float] | None
@@ -189,7 +188,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Message:
-    """A line for the user.
+    """A message to the user.
 
     Attributes
     ----------
@@ -198,21 +197,21 @@ class Message:
     text : str
     """
 
-    kind: Literal["error", "note"]
+    kind: MessageKind
     text: str
 
 
 @dataclass(frozen=True)
 class Output:
-    """A file that the finish wrote, or its RESULT folder."""
+    """A file or folder that a finish wrote, with the command's title."""
 
     path: Path
-    what: str
+    title: str
 
 
 @dataclass(frozen=True)
-class Studio:
-    """All of it.
+class StudioState:
+    """Everything that the pages show.
 
     Attributes
     ----------
@@ -222,16 +221,16 @@ class Studio:
     selected : int or None
         Number of the selected landmark.
     proposal : Proposal or None
-        What the map proposes for the landmark that waits for its other place.
+        Place that the map proposes to complete the open landmark.
     view : View
     map : MapState
     preview_job, finish_job : RunningJob or None
-        What runs.
+        Running computations.
     probe : Probe or None
     messages : tuple of Message
     outputs : tuple of Output
     saved : bool
-        Whether the landmark file holds the landmarks as they are.
+        Whether the landmark file holds the current landmarks.
     """
 
     files: Files | None = None
@@ -248,46 +247,46 @@ class Studio:
     saved: bool = True
 
     @property
-    def wish(self) -> tuple[object, ...]:
-        """What decides the map of a finish: models, and landmarks or the answer that is chosen without any."""
+    def map_inputs(self) -> tuple[object, ...]:
+        """Everything that the map of a finish depends on."""
         files, present = self.files, self.history.present
         models = None if files is None else (files.target, files.source, files.schemes, files.parts)
-        return models, present.complete, present.curves, 0 if present.decides else self.map.chosen
+        answer = 0 if present.has_constraints else self.map.chosen_answer
+        return models, present.complete_landmarks, present.curves, answer
 
     @property
-    def images(self) -> tuple[Path, ...]:
-        """Images among the outputs that cover the target's layout, tiles as one: none of the wrapped cage's."""
-        made = (output.path for output in self.outputs if output.what != "wrap")
-        images = (path for path in made if path.suffix.lower() in IMAGES)
-        return tuple(dict.fromkeys(path.with_stem(_TILE.sub(f".{UDIM_MARK}", path.stem)) for path in images))
+    def baked_images(self) -> tuple[Path, ...]:
+        """Written images in the target's layout, tiles as one; without those of the wrapped cage."""
+        paths = (output.path for output in self.outputs if output.title != "wrap")
+        images = (path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES)
+        return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
 
 
-# Fields of what is known of two models that are opened, before anything is.
-AFRESH: dict[str, object] = {
-    name: getattr(Studio(), name) for name in ("history", "selected", "proposal", "map", "probe", "outputs", "saved")
-}
+_PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "saved")
+# Values of the fields that depend on the open pair, for a newly opened one.
+INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name in _PAIR_FIELDS}
 
 
 def map_view(view: View) -> View:
-    """The view without any baked image or pose."""
+    """The view without a baked image or pose."""
     return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None, pose="")
 
 
-def baked_view(state: Studio, image: Path | None) -> View:
-    """The view that shows an image that was baked; None: the map, as a texture where a baked image was shown."""
+def baked_view(state: StudioState, image: Path | None) -> View:
+    """The view with a baked image; without an image the map as a texture."""
     if image is None:
         return map_view(state.view)
-    return replace(state.view, mode="baked", baked=image, layout=layout_of(state, image), pose="")
+    return replace(state.view, mode="baked", baked=image, layout=layout_mesh(state, image), pose="")
 
 
-def layout_of(state: Studio, image: Path) -> Path | None:
-    """The mesh with the layout that an image was baked into, where one was made for it."""
-    meshes = (output.path for output in state.outputs if output.path.stem.endswith(_UNWRAPPED))
-    return next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED))), None)
+def layout_mesh(state: StudioState, image: Path) -> Path | None:
+    """The mesh written with the UV layout of a baked image, if there is one."""
+    meshes = (output.path for output in state.outputs if output.path.stem.endswith(_UNWRAPPED_ENDING))
+    return next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED_ENDING))), None)
 
 
-def changed_view(state: Studio, **fields: object) -> View:
-    """The view with other fields; a baked image, where none was chosen, is the first of the last bake.
+def update_view(state: StudioState, **fields: object) -> View:
+    """The view with changed fields; mode "baked" shows the first baked image by default.
 
     Raises
     ------
@@ -297,12 +296,12 @@ def changed_view(state: Studio, **fields: object) -> View:
     view = replace(map_view(state.view) if fields.get("pose") else state.view, **fields)  # type: ignore[arg-type]
     if view.mode != "baked" or view.baked is not None:
         return view
-    if not state.images:
+    if not state.baked_images:
         raise ParameterError("Show: expected a baked image, there is none yet. Press Bake.")
-    return baked_view(replace(state, view=view), state.images[0])
+    return baked_view(replace(state, view=view), state.baked_images[0])
 
 
-def with_message(messages: tuple[Message, ...], kind: Literal["error", "note"], text: str) -> tuple[Message, ...]:
-    """Return the messages with one more; one that is there already moves to the end."""
-    new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # names of files may be no text
-    return (*(old for old in messages if old != new), new)[-MOST_MESSAGES:]
+def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> tuple[Message, ...]:
+    """Append a message; an equal earlier one is removed."""
+    new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # file names may have invalid characters
+    return (*(old for old in messages if old != new), new)[-MAX_MESSAGES:]

@@ -1,4 +1,4 @@
-"""Processes of their own for everything that takes longer than a click, so that the page always answers."""
+"""Processes for long computations, so that the page always answers."""
 
 from __future__ import annotations
 
@@ -14,27 +14,26 @@ from typing import Any
 
 from cagemap.errors import CagemapError
 
-STOPPED = "Stopped"
-# Kind of the failure of a task that is not wanted any more: nobody waits to be told.
-DROPPED = "Dropped"
-# Of a map's computation; the page has 0.
+# Kinds of `Failure` of a process that ended, and of a cancelled task.
+STOPPED_KIND = "Stopped"
+CANCELLED_KIND = "Cancelled"
+# Of the process that computes maps; the page has 0.
 NICENESS = 5
-# Seconds after which a process that was asked to end is ended whatever it does.
-PATIENCE = 20.0
-# In place of a task: the one before is not wanted any more.
-_DROP = "drop"
+# Seconds until a process that was asked to end is killed.
+END_TIMEOUT = 20.0
+# Sent in place of a task: cancel the running one.
+_CANCEL_MESSAGE = "cancel"
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A computation that ended with an error.
+    """An error that ended a task.
 
     Attributes
     ----------
     kind : str
-        The error's class.
+        Name of the error's class, `STOPPED_KIND` or `CANCELLED_KIND`.
     message : str
-        What it says.
     """
 
     kind: str
@@ -42,190 +41,195 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """What a task does now, said by its process."""
+class StageReply:
+    """Message of a worker's process: the current stage."""
 
     name: str
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What a task shows before it is done, said by its process."""
+class EarlyResult:
+    """Message of a worker's process: a result before the task is done."""
 
-    answer: Any
+    result: Any
 
 
 @dataclass(frozen=True)
-class Done:
-    """What a task gives, said by its process."""
+class FinalResult:
+    """Message of a worker's process: the result of a task."""
 
-    answer: Any
+    result: Any
 
 
-class _DroppedError(Exception):
-    """The task is not wanted any more."""
+class _CancelledError(Exception):
+    """The task was cancelled."""
 
 
 class Worker:
-    """Runs one task after the other in a process that can be killed.
+    """Runs tasks, one after the other, in a process that can be killed.
 
     Parameters
     ----------
     on_stage : callable
-        Told what a task does now.
+        Called with the name of each stage.
     serve : callable, optional
-        Loop of the process: a task in, `Stage` and `Done` or `Failure` out; None in place of a task ends it. That of
-        the preview by default.
-    on_shown : callable, optional
-        Told what a task shows before it is done.
+        Loop of the process: receives tasks, and sends `StageReply` and then `FinalResult` or `Failure`; None in place
+        of a task ends it. That of the preview by default.
+    on_early_result : callable
+        Called with results before the task is done.
     """
 
     def __init__(
         self,
         on_stage: Callable[[str], None],
         serve: Callable[[Connection], None] | None = None,
-        on_shown: Callable[[Any], None] = lambda _: None,
+        on_early_result: Callable[[Any], None] = lambda _: None,
     ) -> None:
-        self._on_stage, self._serve, self._on_shown = on_stage, _serve if serve is None else serve, on_shown
+        self._on_stage, self._on_early_result = on_stage, on_early_result
+        self._serve = _serve_preview if serve is None else serve
         self._lock = threading.Lock()
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
-        self._sending = threading.Lock()
+        self._send_lock = threading.Lock()
         self._task: Any = None
 
     def start(self) -> None:
-        """Start the process ahead of its first task."""
+        """Start the process before its first task."""
         with self._lock:
-            self._connected()
+            self._connect()
 
-    def run(self, task: Any, unless: Callable[[], bool] = lambda: False) -> Any:
-        """Do a task; blocks, so call it from a thread of its own.
+    def run(self, task: Any, is_cancelled: Callable[[], bool] = lambda: False) -> Any:
+        """Run a task and wait for its result.
 
         Parameters
         ----------
         task : value
-        unless : callable
-            Whether the task is not wanted any more, asked when no `end` can come between.
+        is_cancelled : callable
+            Asked before the task is sent, while `end` waits.
 
         Returns
         -------
-        answer or Failure
-            `Failure` also where the process died or was stopped.
+        result or Failure
+            `Failure` also if the process ended.
         """
         with self._lock:
             try:
-                with self._sending:
-                    if unless():
-                        return Failure(DROPPED, "the computation is not wanted any more")
+                with self._send_lock:
+                    if is_cancelled():
+                        return Failure(CANCELLED_KIND, "the computation was cancelled")
                     self._task = task
-                    connection = self._sent(task)
+                    connection = self._send(task)
                 while True:
                     reply = connection.recv()
-                    if isinstance(reply, Stage):
+                    if isinstance(reply, StageReply):
                         self._on_stage(reply.name)
-                    elif isinstance(reply, Shown):
-                        self._on_shown(reply.answer)
+                    elif isinstance(reply, EarlyResult):
+                        self._on_early_result(reply.result)
                     else:
-                        return reply.answer if isinstance(reply, Done) else reply
+                        return reply.result if isinstance(reply, FinalResult) else reply
             except (EOFError, OSError):
-                return self._buried()
+                return self._collect_process()
 
-    def drop(self, task: Any) -> None:
-        """End a task at its next stage, where it is the one that runs; what the process has prepared stays."""
-        with self._sending, contextlib.suppress(OSError):
+    def cancel(self, task: Any) -> None:
+        """End a running task at its next stage; the process keeps what it has prepared."""
+        with self._send_lock, contextlib.suppress(OSError):
             if self._task is task and self._connection is not None:
-                self._connection.send(_DROP)
+                self._connection.send(_CANCEL_MESSAGE)
 
     def end(self) -> None:
-        """Have the process end, with what it is doing, but not in the midst of putting files into place."""
-        with self._sending, contextlib.suppress(OSError):
+        """Ask the process to end; files that are being put into place are finished."""
+        with self._send_lock, contextlib.suppress(OSError):
             if self._connection is not None:
                 self._connection.send(None)
-            if self._lock.acquire(blocking=False):  # no task waits for its end
+            if self._lock.acquire(blocking=False):  # no task is running
                 try:
-                    self._buried()
+                    self._collect_process()
                 finally:
                     self._lock.release()
 
-    def stop(self) -> None:
-        """Kill the process, with what it is doing; the next task starts another one."""
+    def kill(self) -> None:
+        """Kill the process; the next task starts another one."""
         process = self._process
         if process is not None and process.is_alive():
             process.kill()
             process.join(5)
 
-    def _sent(self, task: Any) -> Connection:
-        """Where the answer to a task comes from; a process that has ended since the task before gets a successor."""
-        connection = self._connected()
+    def _send(self, task: Any) -> Connection:
+        """Send a task, if necessary to a new process; return the connection."""
+        connection = self._connect()
         try:
             connection.send(task)
         except OSError:
-            self._buried()
-            connection = self._connected()
+            self._collect_process()
+            connection = self._connect()
             connection.send(task)
         return connection
 
-    def _connected(self) -> Connection:
+    def _connect(self) -> Connection:
+        """Connection to the process, which is started if needed."""
         if self._connection is None or self._process is None or not self._process.is_alive():
             context = multiprocessing.get_context("spawn")
-            here, there = context.Pipe()
-            self._process = context.Process(target=self._serve, args=(there,), daemon=True, name="cagemap studio")
+            connection, child_connection = context.Pipe()
+            self._process = context.Process(
+                target=self._serve, args=(child_connection,), daemon=True, name="cagemap studio"
+            )
             self._process.start()
-            there.close()
-            self._connection = here
+            child_connection.close()
+            self._connection = connection
         return self._connection
 
-    def _buried(self) -> Failure:
+    def _collect_process(self) -> Failure:
+        """Wait for the ended process and say how it ended."""
         process, self._connection, self._process = self._process, None, None
         code = None
         if process is not None:
-            process.join(PATIENCE + 5)
+            process.join(END_TIMEOUT + 5)
             code = process.exitcode
         if code is not None and code < 0:
-            return Failure(STOPPED, f"the computation was ended by signal {-code}; there may be too little memory")
-        return Failure(STOPPED, f"the computation's process ended (exit code {code})")
+            return Failure(STOPPED_KIND, f"the computation was ended by signal {-code}; there may be too little memory")
+        return Failure(STOPPED_KIND, f"the computation's process ended (exit code {code})")
 
 
-def _serve(connection: Connection) -> None:
-    """Loop of the process: a task in, stages and an answer out."""
-    from cagemap.studio.compute import Bench, OpenModels, perform
+def _serve_preview(connection: Connection) -> None:
+    """Loop of the preview's process: receives tasks, sends stages and results."""
+    from cagemap.studio.compute import OpenModels, PreviewCache, run_task
 
-    bench = Bench()
+    cache = PreviewCache()
 
-    def tell(stage: str) -> None:
-        connection.send(Stage(stage))
-        if connection.poll():  # while a task runs there is no other word than that it is not wanted
+    def send_stage(stage: str) -> None:
+        connection.send(StageReply(stage))
+        if connection.poll():  # during a task the only possible message is to cancel it
             connection.recv()
-            raise _DroppedError
+            raise _CancelledError
 
     with contextlib.suppress(EOFError, KeyboardInterrupt, BrokenPipeError):
         while True:
             task = connection.recv()
-            if task == _DROP:  # it came too late
+            if task == _CANCEL_MESSAGE:  # the task was done already
                 continue
-            if not isinstance(task, OpenModels):  # nothing can be done on the page before that
-                _step_back()
+            if not isinstance(task, OpenModels):  # opening comes first: until then the page has nothing to do
+                _lower_priority()
             try:
-                bench, answer = perform(bench, task, tell, lambda early: connection.send(Shown(early)))
-                connection.send(Done(answer))
-            except _DroppedError:
-                connection.send(Failure(DROPPED, "the computation is not wanted any more"))
+                cache, result = run_task(cache, task, send_stage, lambda early: connection.send(EarlyResult(early)))
+                connection.send(FinalResult(result))
+            except _CancelledError:
+                connection.send(Failure(CANCELLED_KIND, "the computation was cancelled"))
             except CagemapError as error:
                 connection.send(Failure(type(error).__name__, str(error)))
             except MemoryError:
                 connection.send(Failure("MemoryError", "not enough memory for surfaces of this size; ask for fewer"))
             except (EOFError, BrokenPipeError, KeyboardInterrupt):
                 raise
-            except Exception as error:  # a fault of ours must not end the studio
+            except Exception as error:  # a bug must not end the studio
                 connection.send(Failure(f"internal error, {type(error).__name__}", str(error)))
 
 
-def _step_back() -> None:
-    """Let the page, and what draws it, have the processor first."""
+def _lower_priority() -> None:
+    """Give the page and the browser priority over this process."""
     if not hasattr(os, "setpriority"):
         return
-    threads = Path("/proc/self/task")  # on Linux every thread has an order of its own; new ones inherit it
+    threads = Path("/proc/self/task")  # on Linux each thread has its own priority, which new ones inherit
     numbers = map(int, os.listdir(threads)) if threads.is_dir() else (0,)
     for number in numbers:
-        with contextlib.suppress(OSError):  # one that has ended
+        with contextlib.suppress(OSError):  # a thread that has ended
             os.setpriority(os.PRIO_PROCESS, number, NICENESS)

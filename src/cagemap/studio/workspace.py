@@ -1,4 +1,4 @@
-"""Which files the page may touch."""
+"""The folders that the page may read and write, and the files in them."""
 
 from __future__ import annotations
 
@@ -19,55 +19,53 @@ from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.files.meshes.obj import named_material_files
 from cagemap.files.usd.read import USD_SUFFIXES, asset_paths
 
-MESHES, IMAGES = MESH_SUFFIXES, IMAGE_SUFFIXES
-LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")
-TABLES = (".npy", ".npz", ".csv")
-# What may be added through the page.
-ADDED = tuple(dict.fromkeys((*MESHES, ".mtl", *IMAGES, *LANDMARKS, *TABLES)))
-Named = TypeVar("Named")
-# Number of a tile, before an image's ending.
-_TILE = re.compile(r"^(.*[._])1\d{3}(\.(?:png|jpe?g|tiff?|exr))$", re.IGNORECASE)
-# A listing longer than this helps nobody.
-_LONGEST_LISTING = 500
-# Entries of a folder that are looked at: somebody may start in a folder of everything.
-_MOST_ENTRIES = 20_000
+LANDMARK_SUFFIXES = (".json", ".pp", ".fcsv", ".csv", ".txt")
+TABLE_SUFFIXES = (".npy", ".npz", ".csv")
+# Files that can be added through the page.
+UPLOAD_SUFFIXES = tuple(dict.fromkeys((*MESH_SUFFIXES, ".mtl", *IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, *TABLE_SUFFIXES)))
+DataclassT = TypeVar("DataclassT")
+# A tile's number before an image's ending.
+_TILE_NUMBER = re.compile(r"^(.*[._])1\d{3}(\.(?:png|jpe?g|tiff?|exr))$", re.IGNORECASE)
+_MAX_LISTED_FILES = 500
+# Bounds the time of a listing in very large folders.
+_MAX_LISTED_ENTRIES = 20_000
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """The folders that were chosen when the studio was started; nothing outside them is read or written.
+    """Folders chosen at the start of the studio; nothing outside them is read or written.
 
     Attributes
     ----------
     folders : tuple of Path
-        Resolved; the first is where new files go.
+        Resolved; new files are written to the first.
     """
 
     folders: tuple[Path, ...]
 
     @classmethod
     def of(cls, *folders: Path) -> Workspace:
-        """Workspace of some folders, each once."""
+        """Workspace of folders, without repetitions."""
         return cls(tuple(dict.fromkeys(folder.resolve() for folder in folders)))
 
-    def require(self, path: str | Path) -> Path:
-        """Resolve a path, relative ones against the first folder.
+    def resolve(self, path: str | Path) -> Path:
+        """Return the absolute path; relative ones start at the first folder.
 
         Raises
         ------
         ParameterError
-            If it lies outside the folders, also by way of links; or, of an image's tiles, any does.
+            If it, or a tile of an image, lies outside the folders, also through links.
         """
-        resolved = self._inside(path)
-        for tile in texture_files(resolved) if resolved.suffix.lower() in IMAGES else ():
-            self._inside(tile)
+        resolved = self._resolve_one(path)
+        for tile in texture_files(resolved) if resolved.suffix.lower() in IMAGE_SUFFIXES else ():
+            self._resolve_one(tile)
         return resolved
 
-    def _inside(self, path: str | Path) -> Path:
+    def _resolve_one(self, path: str | Path) -> Path:
         try:
             resolved = (self.folders[0] / path).resolve()
             str(resolved).encode()
-        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a name that no page can show
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, or an invalid name
             raise ParameterError(f"{str(path)!r}: expected the name of a file, got none ({error}).") from None
         if not any(resolved.is_relative_to(folder) for folder in self.folders):
             listed = ", ".join(map(str, self.folders))
@@ -76,108 +74,109 @@ class Workspace:
             )
         return resolved
 
-    def within(self, value: Named) -> Named:
-        """A dataclass with every path of its fields resolved.
+    def resolve_paths(self, value: DataclassT) -> DataclassT:
+        """Resolve every path among a dataclass's fields.
 
         Raises
         ------
         ParameterError
             If one lies outside the folders.
         """
-        given = {field.name: getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
-        paths = {name: self.require(path) for name, path in given.items() if isinstance(path, Path)}
+        values = {field.name: getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
+        paths = {name: self.resolve(item) for name, item in values.items() if isinstance(item, Path)}
         return replace(value, **paths)  # type: ignore[type-var]
 
     def require_outputs(self, output: Path) -> None:
-        """Refuse to write where links of its name lead out of the folders: an output, its tiles, what is beside it.
+        """Refuse an output whose links, or those of files next to it, lead outside.
 
         Raises
         ------
         ParameterError
         """
-        self.require(output)
-        beside = (file for file in output.parent.glob(f"{glob.escape(output.stem)}*") if file.is_symlink())
-        inside = (file for file in output.rglob("*") if file.is_symlink()) if output.is_dir() else ()
-        for file in (*beside, *inside):
-            self.require(file)
+        self.resolve(output)
+        siblings = (file for file in output.parent.glob(f"{glob.escape(output.stem)}*") if file.is_symlink())
+        contents = (file for file in output.rglob("*") if file.is_symlink()) if output.is_dir() else ()
+        for file in (*siblings, *contents):
+            self.resolve(file)
 
-    def listing(self, suffixes: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the files with these suffixes, two folders deep, as `require` takes them.
+    def list_files(self, suffixes: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the files with these suffixes in the folders and their subfolders.
 
-        Tiles of an image stand there as one, with ``<UDIM>`` for their numbers; with "/" among the suffixes, folders
-        that hold such files as well.
+        An image's tiles are one name with ``<UDIM>``. With "/" among the suffixes, subfolders with such files are
+        listed too.
         """
-        found: dict[Path, None] = {}
+        paths: dict[Path, None] = {}
         for folder in self.folders:
             entries = itertools.chain(folder.glob("*"), folder.glob("*/*"))
-            for path in sorted(itertools.islice(entries, _MOST_ENTRIES)):
+            for path in sorted(itertools.islice(entries, _MAX_LISTED_ENTRIES)):
                 hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-                if path.suffix.lower() not in suffixes or hidden or not _is_shown(path) or not path.is_file():
+                if path.suffix.lower() not in suffixes or hidden or not _has_text_name(path) or not path.is_file():
                     continue
                 if "/" in suffixes and path.parent != folder:
-                    found.setdefault(path.parent)
-                found.setdefault(path)
-        return tuple(self.show(path) for path in itertools.islice(_without_tiles(list(found)), _LONGEST_LISTING))
+                    paths.setdefault(path.parent)
+                paths.setdefault(path)
+        return tuple(map(self.display_name, itertools.islice(_merge_tiles(list(paths)), _MAX_LISTED_FILES)))
 
     def add(self, name: str, content: bytes) -> Path:
-        """Put a file into the first folder, under its name or, where that is taken, with a number behind it.
+        """Write a new file into the first folder, numbered if the name is used.
 
         Raises
         ------
         ParameterError
-            If it is of no kind that the studio opens, or a mesh that names a file outside the folders.
+            If the studio does not open such files, or a mesh refers to a file outside the folders.
         FormatError
             If it is an OBJ that is no text or a damaged USD file, or cannot be written.
         """
-        wanted = self.require(Path(name).name)
-        if wanted.suffix.lower() not in ADDED:
-            raise ParameterError(f"{wanted.name}: expected a file ending in {', '.join(ADDED)}. Add one of these.")
-        if wanted.suffix.lower() == ".obj":
-            for file in named_material_files(wanted.name, content):
-                self.require(file)
-        if wanted.suffix.lower() in USD_SUFFIXES:
-            for file in asset_paths(wanted.name, content):
-                self._require_layer(wanted.name, file)
-        names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
+        path = self.resolve(Path(name).name)
+        if path.suffix.lower() not in UPLOAD_SUFFIXES:
+            raise ParameterError(
+                f"{path.name}: expected a file ending in {', '.join(UPLOAD_SUFFIXES)}. Add one of these."
+            )
+        if path.suffix.lower() == ".obj":
+            for file in named_material_files(path.name, content):
+                self.resolve(file)
+        if path.suffix.lower() in USD_SUFFIXES:
+            for file in asset_paths(path.name, content):
+                self._require_layer(path.name, file)
+        names = itertools.chain([path], (path.with_stem(f"{path.stem} ({k})") for k in itertools.count(2)))
         free = next(path for path in names if not path.exists())
         write_whole(free, content)
         return free
 
     def _require_layer(self, name: str, file: str) -> None:
-        """Refuse an asset path of a USD file that may lead out of the folders: by itself, or where USD searches."""
-        beside = file.startswith(("./", "../")) or (self.folders[0] / file).is_file()
+        """Refuse an asset path that USD may resolve to a file outside the folders."""
+        is_local = file.startswith(("./", "../")) or (self.folders[0] / file).is_file()
         try:
-            if not beside or any(character in file for character in "[:`"):
+            if not is_local or any(character in file for character in "[:`"):
                 raise ParameterError("it is looked for elsewhere")
-            self.require(file)
+            self.resolve(file)
         except ParameterError:
             raise ParameterError(
                 f"{name}: expected a USD file that names files of the studio's folder only, got one outside: {file}. "
                 "Add a flattened file or a package (usdcat --flatten, .usdz), or start the studio with --folder."
             ) from None
 
-    def show(self, path: Path) -> str:
-        """Name of a path as `listing` gives it: from the first folder on."""
+    def display_name(self, path: Path) -> str:
+        """Path relative to the first folder, as `list_files` gives it."""
         try:
             return os.path.relpath(path, self.folders[0])
         except ValueError:  # another drive
             return str(path)
 
 
-def _is_shown(path: Path) -> bool:
-    """Whether a page can show the name: those of old archives may be no text."""
+def _has_text_name(path: Path) -> bool:
+    """Whether the name is valid text; names from old archives may not be."""
     try:
         return bool(str(path).encode())
     except UnicodeEncodeError:
         return False
 
 
-def _without_tiles(files: list[Path]) -> list[Path]:
-    """Files, with one name for all tiles of an image that has a first and another one."""
-    names = {file: _TILE.sub(rf"\g<1>{UDIM_MARK}\g<2>", file.name) for file in files}
+def _merge_tiles(files: list[Path]) -> list[Path]:
+    """Replace an image's tiles by one name, where tile 1001 and another one exist."""
+    names = {file: _TILE_NUMBER.sub(rf"\g<1>{UDIM_MARK}\g<2>", file.name) for file in files}
     patterns = {file: file.with_name(name) for file, name in names.items() if name != file.name}
-    sets = Counter(patterns.values())
-    first = {pattern for file, pattern in patterns.items() if file.name == pattern.name.replace(UDIM_MARK, "1001")}
-    whole = {pattern for pattern in first if sets[pattern] > 1}
-    shown = (patterns[file] if patterns.get(file) in whole else file for file in files)
-    return list(dict.fromkeys(shown))
+    counts = Counter(patterns.values())
+    firsts = {pattern for file, pattern in patterns.items() if file.name == pattern.name.replace(UDIM_MARK, "1001")}
+    tiled = {pattern for pattern in firsts if counts[pattern] > 1}
+    return list(dict.fromkeys(patterns[file] if patterns.get(file) in tiled else file for file in files))

@@ -1,1 +1,1 @@
-"""The page (HTML, JavaScript, three.js), what it is told, what it may ask for, and the server for both."""
+"""The page (HTML, JavaScript, three.js), its messages and its server."""

@@ -1,4 +1,4 @@
-"""What a page may ask for: messages by name, each to one method of the session."""
+"""Messages of a page, by name, each for one method of the session."""
 
 from __future__ import annotations
 
@@ -11,31 +11,32 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.errors import ParameterError
+from cagemap.errors import CagemapError, ParameterError
+from cagemap.files import IMAGE_SUFFIXES
+from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import SIDES, Side
 from cagemap.studio.opening import default_files
-from cagemap.studio.page.form import finish_options
+from cagemap.studio.page.form import read_form
 from cagemap.studio.session import Session
-from cagemap.studio.workspace import IMAGES, MESHES
 
 _FILES = ("target", "source", "texture")
-Sent = Mapping[str, Any]
+Entries = Mapping[str, Any]
 
 
 class Actions:
-    """Does what pages ask for; anything wrong becomes a message of the page."""
+    """Handles messages of pages; errors are shown on the page."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._done: dict[str, Callable[[Sent], object]] = {
-            "list": lambda _: None,  # answered by the server
+        self._handlers: dict[str, Callable[[Entries], object]] = {
+            "list": lambda _: None,  # `StudioApp` replies
             "open": self._open,
-            "part": lambda sent: session.choose_part(_side(sent), sent["part"]),
-            "as_it_is": lambda sent: session.take_as_it_is(_side(sent)),
-            "click": lambda sent: session.click(_side(sent), *_ray(sent)),
-            "probe": lambda sent: session.probe(_side(sent), *_ray(sent)),
-            "move": lambda sent: session.move(int(sent["number"]), _side(sent), *_ray(sent)),
+            "part": lambda sent: session.choose_part(_read_side(sent), sent["part"]),
+            "as_it_is": lambda sent: session.open_plain(_read_side(sent)),
+            "click": lambda sent: session.click(_read_side(sent), *_read_ray(sent)),
+            "probe": lambda sent: session.probe(_read_side(sent), *_read_ray(sent)),
+            "move": lambda sent: session.move(int(sent["number"]), _read_side(sent), *_read_ray(sent)),
             "accept": lambda _: session.accept(),
             "next": lambda _: session.next_landmark(),
             "select": lambda sent: session.select(None if sent["number"] is None else int(sent["number"])),
@@ -46,73 +47,75 @@ class Actions:
             "redo": lambda _: session.redo(),
             "save": lambda sent: session.save(str(sent["name"])),
             "load": lambda sent: session.load(Path(sent["pairs"]), Path(sent["points"]) if sent["points"] else None),
-            "view": lambda sent: session.show_as(**_view(sent["fields"])),
-            "baked": self._baked,
+            "view": lambda sent: session.change_view(**_read_view(sent["fields"])),
+            "baked": self._show_baked,
             "again": lambda _: session.match_again(),
             "answer": lambda sent: session.choose_answer(int(sent["index"])),
             "cancel": lambda _: session.cancel(),
-            "bake": lambda sent: session.finish(
-                finish_options(session.options, sent["options"], session.workspace.require)
-            ),
+            "bake": lambda sent: session.finish(read_form(session.options, sent["options"], session.workspace.resolve)),
         }
 
-    def do(self, message: str | bytes) -> None:
-        """Do what one message asks for."""
-        with self._session.guarded():
+    def handle(self, message: str | bytes) -> None:
+        """Handle one message."""
+        with self._session.report_errors():
             try:
                 if isinstance(message, bytes):
-                    self._add(message)
+                    self._add_file(message)
                     return
                 sent = json.loads(message)
-                self._done[sent["do"]](sent)
+                self._handlers[sent["do"]](sent)
+            except CagemapError:  # also a ValueError
+                raise
             except (KeyError, TypeError, ValueError, IndexError) as error:
-                raise ParameterError(f"the page sent {error!r}, which is not understood. Load it again.") from None
+                raise ParameterError(f"the page sent {error!r}, which is not understood. Reload it.") from None
 
-    def _open(self, sent: Sent) -> None:
-        given = {name: self._session.workspace.require(sent[name]) for name in _FILES if sent.get(name)}
-        if not {"target", "source"} <= set(given):
+    def _open(self, sent: Entries) -> None:
+        paths = {name: self._session.workspace.resolve(sent[name]) for name in _FILES if sent.get(name)}
+        if not {"target", "source"} <= set(paths):
             raise ParameterError("expected a target and a source, got one of them or none. Choose both.")
-        (to, of), (to_up, of_up) = ((word or None for word in sent[name]) for name in ("schemes", "ups"))
-        files = default_files(
-            self._session.workspace.folders[0], given["target"], given["source"], given.get("texture"), (to, of)
+        (target_scheme, source_scheme), (target_up, source_up) = (
+            (name or None for name in sent[key]) for key in ("schemes", "ups")
         )
-        self._session.open(replace(files, ups=(to_up, of_up)))
+        folder = self._session.workspace.folders[0]
+        files = default_files(folder, paths["target"], paths["source"], paths.get("texture"))
+        schemes, ups = (target_scheme, source_scheme), (target_up, source_up)
+        self._session.open(replace(files, schemes=schemes, ups=ups))
 
-    def _add(self, message: bytes) -> None:
-        """Put a file into the workspace; with a role it is opened in place of the model or image that was."""
+    def _add_file(self, message: bytes) -> None:
+        """Add a file to the workspace; with a role, also open it."""
         head, content = message.split(b"\n", 1)
         sent = json.loads(head)
-        added = self._session.add_file(str(sent["name"]), content)
+        path = self._session.add_file(str(sent["name"]), content)
         files, role = self._session.state.files, sent.get("role")
-        if added is None or role is None:
+        if path is None or role is None:
             return
-        if added.suffix.lower() in IMAGES:
+        if path.suffix.lower() in IMAGE_SUFFIXES:
             role = "texture"
-        elif added.suffix.lower() not in MESHES:
-            self._session.load(added)
+        elif path.suffix.lower() not in MESH_SUFFIXES:
+            self._session.load(path)
             return
-        known = {} if files is None else {name: getattr(files, name) for name in _FILES}
-        chosen = known | ({"texture": None} if role == "source" else {}) | {str(role): added}
+        opened = {} if files is None else {name: getattr(files, name) for name in _FILES}
+        chosen = opened | ({"texture": None} if role == "source" else {}) | {str(role): path}
         if None in (chosen.get("target"), chosen.get("source")):
             return
         paths = (chosen["target"], chosen["source"], chosen.get("texture"))
         self._session.open(default_files(self._session.workspace.folders[0], *paths))
 
-    def _baked(self, sent: Sent) -> None:
-        images = self._session.state.images
-        self._session.look_at(next((path for path in images if path.name == sent["name"]), None))
+    def _show_baked(self, sent: Entries) -> None:
+        images = self._session.state.baked_images
+        self._session.show_baked_image(next((path for path in images if path.name == sent["name"]), None))
 
 
-def _side(sent: Sent) -> Side:
+def _read_side(sent: Entries) -> Side:
     return {str(side): side for side in SIDES}[sent["side"]]
 
 
-def _ray(sent: Sent) -> tuple[FloatArray, FloatArray]:
+def _read_ray(sent: Entries) -> tuple[FloatArray, FloatArray]:
     origin, direction = (np.array([float(value) for value in sent[name]]) for name in ("origin", "direction"))
     if origin.shape != (3,) or direction.shape != (3,) or not all(map(math.isfinite, (*origin, *direction))):
         raise ValueError("a ray")
     return origin, direction
 
 
-def _view(fields: Sent) -> dict[str, Any]:
+def _read_view(fields: Entries) -> dict[str, Any]:
     return {name: str(value) if name in ("mode", "pose") else bool(value) for name, value in fields.items()}

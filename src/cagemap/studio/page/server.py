@@ -1,7 +1,7 @@
-"""Serves the page: its files, what it draws, and one web socket for each window that shows it.
+"""HTTP and WebSocket server of the page.
 
-A connection must come from a page of this very address (another site open in the same browser is refused) and, where
-other machines may connect, show the token.
+Requests must come from a page of the same address, not from another site in the same browser. If other machines can
+connect, they must show the token.
 """
 
 from __future__ import annotations
@@ -28,63 +28,62 @@ from websockets.http11 import Request, Response
 
 from cagemap.errors import ParameterError
 
-COOKIE = "cagemap_studio"
-EVERYWHERE = ("0.0.0.0", "::")
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
+COOKIE_NAME = "cagemap_studio"
+WILDCARD_ADDRESSES = ("0.0.0.0", "::")
+LOOPBACK_ADDRESSES = ("127.0.0.1", "localhost", "::1")
 _POLICY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; frame-ancestors 'none'"
-# What a finish wrote is looked at alone: a page of its own origin, which can reach nothing.
+# For written reports: an origin of their own, without access to the studio.
 _SANDBOX = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:"
-FILES, DRAWN, SOCKET = "/files/", "/drawn/", "/socket"
-# Files of the page.
-_PAGE = ("index.html", "page.css", "page.js", "form.js", "gl.js", "view.js")
-# Seconds that open pages are given to close.
-_FAREWELL = 3.0
-# Strangers' broken requests are refused; what is wrong with each, nobody in front of the terminal asks.
+FILES_PATH, DRAWINGS_PATH, SOCKET_PATH = "/files/", "/drawn/", "/socket"
+_PAGE_FILES = ("index.html", "page.css", "page.js", "form.js", "gl.js", "view.js")
+# Seconds for open pages to close.
+_CLOSE_TIMEOUT = 3.0
+# Malformed requests are refused without a log entry.
 _log = logging.getLogger(__name__)
 _log.setLevel(logging.CRITICAL)
-# Ports tried after the first one that is taken.
-_PORTS = 20
+# Ports tried if the first one is in use.
+_PORT_ATTEMPTS = 20
 
 
 def new_token() -> str:
-    """A word that nobody guesses."""
+    """A random token."""
     return secrets.token_urlsafe(24)
 
 
-def admits(request: Request, token: str | None) -> bool:
-    """Whether a request may come in: from a page of the same address, with the token where there is one."""
+def is_admitted(request: Request, token: str | None) -> bool:
+    """Whether a request comes from the same address and has the token, if any."""
     origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
     if origin is not None and urlsplit(origin).netloc != host:
         return False
-    asks = request.headers.get("Sec-Fetch-Site", "none"), request.headers.get("Sec-Fetch-Mode")
-    if origin is None and asks[0] not in ("none", "same-origin") and asks[1] != "navigate":
-        return False  # an image or a script in a page of someone else, which names no origin
+    site, mode = request.headers.get("Sec-Fetch-Site", "none"), request.headers.get("Sec-Fetch-Mode")
+    if origin is None and site not in ("none", "same-origin") and mode != "navigate":
+        return False  # an image or script in a page of another site
     if token is None:
-        # A name that merely resolves to this machine is a page of someone else.
-        return (urlsplit(f"//{host}").hostname or "") in LOOPBACK
-    given = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-    cookie = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE)
-    return any(hmac.compare_digest(word.encode(), token.encode()) for word in (given, cookie.value if cookie else ""))
+        # Another name that resolves to this machine belongs to another site (DNS rebinding).
+        return (urlsplit(f"//{host}").hostname or "") in LOOPBACK_ADDRESSES
+    query = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
+    cookie = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE_NAME)
+    return any(hmac.compare_digest(word.encode(), token.encode()) for word in (query, cookie.value if cookie else ""))
 
 
 class Server:
-    """Serves until `close`.
+    """Serves the page in a thread until `close`.
 
     Parameters
     ----------
     host : str
     port : int
-        The first one tried.
+        Following ports are tried if it is in use.
     token : str or None
-        None only on loopback.
-    given_out : callable
-        Content and media type of a file to download, by its name; None where there is no such file.
-    drawn : callable
-        A binary glTF file for the page, by its name; None where there is none of that name now.
-    hello : callable
-        What a page is told first.
-    heard : callable
-        Told of a page's message, and a function that answers that page alone; called in a thread, one at a time.
+        None only on a loopback address.
+    download : callable
+        Content and media type of a file by its name; None for an unknown name.
+    draw : callable
+        Binary glTF of a drawing by its key; None for an unknown or old key.
+    first_messages : callable
+        Messages for a page that connects.
+    on_message : callable
+        Called in a thread with a page's message and a function that replies to that page.
     """
 
     def __init__(
@@ -92,13 +91,14 @@ class Server:
         host: str,
         port: int,
         token: str | None,
-        given_out: Callable[[str], tuple[bytes, str] | None],
-        drawn: Callable[[str], bytes | None],
-        hello: Callable[[], Iterable[str]],
-        heard: Callable[[str | bytes, Callable[[str], None]], None],
+        download: Callable[[str], tuple[bytes, str] | None],
+        draw: Callable[[str], bytes | None],
+        first_messages: Callable[[], Iterable[str]],
+        on_message: Callable[[str | bytes, Callable[[str], None]], None],
     ) -> None:
         self._host, self._token = host, token
-        self._given_out, self._drawn, self._hello, self._heard = given_out, drawn, hello, heard
+        self._download, self._draw = download, draw
+        self._first_messages, self._on_message = first_messages, on_message
         self._files = _page_files()
         self._pages: set[ServerConnection] = set()
         self._loop = asyncio.new_event_loop()
@@ -114,14 +114,14 @@ class Server:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
-        host = socket.gethostname() if self._host in EVERYWHERE else self._host
-        shown = f"[{host}]" if ":" in host else host
-        return f"http://{shown}:{self.port}/" + (f"?token={self._token}" if self._token else "")
+        """The address to open in a browser."""
+        host = socket.gethostname() if self._host in WILDCARD_ADDRESSES else self._host
+        host = f"[{host}]" if ":" in host else host
+        return f"http://{host}:{self.port}/" + (f"?token={self._token}" if self._token else "")
 
-    def tell(self, message: str) -> None:
-        """Send a message to every page; returns at once."""
-        with contextlib.suppress(RuntimeError):  # closed meanwhile
+    def send(self, message: str) -> None:
+        """Send a message to every page, without waiting."""
+        with contextlib.suppress(RuntimeError):  # the server is closed
             self._loop.call_soon_threadsafe(lambda: websockets.asyncio.server.broadcast(self._pages, message))
 
     def close(self) -> None:
@@ -134,13 +134,13 @@ class Server:
         self._loop.close()
 
     async def _listen(self, first: int) -> None:
-        for port in [*range(first, first + _PORTS), 0]:
+        for port in [*range(first, first + _PORT_ATTEMPTS), 0]:
             try:
                 server = await websockets.asyncio.server.serve(
-                    self._talk,
+                    self._serve_socket,
                     self._host,
                     port,
-                    process_request=self._answer,
+                    process_request=self._respond,
                     compression=None,
                     max_size=None,
                     logger=_log,
@@ -153,79 +153,76 @@ class Server:
             await self._stop.wait()
             server.close()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(server.wait_closed(), _FAREWELL)
+                await asyncio.wait_for(server.wait_closed(), _CLOSE_TIMEOUT)
             return
         self._ready.set()
 
-    async def _answer(self, _: ServerConnection, request: Request) -> Response | None:
-        """Serve a file; None lets a web socket through."""
+    async def _respond(self, _: ServerConnection, request: Request) -> Response | None:
+        """Respond with a file; None accepts a web socket."""
         try:
             path = urlsplit(request.path).path
-            admitted = admits(request, self._token)
-        except (ValueError, LookupError):  # two hosts, an address that is none
+            admitted = is_admitted(request, self._token)
+        except (ValueError, LookupError):  # malformed headers or address
             admitted = False
         if not admitted:
-            return _refusal()
+            return _response(b"open the address that `cagemap studio` printed", status=http.HTTPStatus.FORBIDDEN)
         if request.headers.get("Upgrade", "").lower() == "websocket":
-            return None if path == SOCKET else _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
-        found: Response | None = None
-        if path.startswith(FILES):
-            name = unquote(path.removeprefix(FILES))
-            file = await asyncio.to_thread(self._given_out, name)
-            found = None if file is None else _file(name, *file)
-        elif path.startswith(DRAWN):
-            drawn = await asyncio.to_thread(self._drawn, path.removeprefix(DRAWN))
-            found = None if drawn is None else _response(drawn, "model/gltf-binary")
+            return None if path == SOCKET_PATH else _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
+        response: Response | None = None
+        if path.startswith(FILES_PATH):
+            name = unquote(path.removeprefix(FILES_PATH))
+            file = await asyncio.to_thread(self._download, name)
+            response = None if file is None else _file_response(name, *file)
+        elif path.startswith(DRAWINGS_PATH):
+            drawn = await asyncio.to_thread(self._draw, path.removeprefix(DRAWINGS_PATH))
+            response = None if drawn is None else _response(drawn, "model/gltf-binary")
         elif path in self._files:
-            found = _response(*self._files[path])
+            response = _response(*self._files[path])
             if self._token:
-                found.headers["Set-Cookie"] = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict"
-        return found or _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
+                response.headers["Set-Cookie"] = f"{COOKIE_NAME}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+        return response or _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
 
-    async def _talk(self, page: ServerConnection) -> None:
-        """Tell a page what there is, then listen to it until it closes."""
+    async def _serve_socket(self, page: ServerConnection) -> None:
+        """Send the first messages to a page, then receive until it closes."""
 
         def reply(message: str) -> None:
             asyncio.run_coroutine_threadsafe(page.send(message), self._loop)
 
         try:
-            for message in self._hello():
+            for message in self._first_messages():
                 await page.send(message)
             self._pages.add(page)
             try:
-                async for heard in page:
-                    await asyncio.to_thread(self._heard, heard, reply)
+                async for received in page:
+                    await asyncio.to_thread(self._on_message, received, reply)
             finally:
                 self._pages.discard(page)
         except ConnectionClosed:
             pass
-        except Exception:  # the server's own log is silent
+        except Exception:  # the log of websockets is off
             logging.getLogger("cagemap").exception("a page was not answered")
             raise
 
 
 def _page_files() -> dict[str, tuple[bytes, str]]:
-    """Content and kind of what is served as a file."""
+    """Content and media type of the page's files by path."""
     page, three = resources.files("cagemap.studio.page"), resources.files("cagemap.report.three")
-    found = {f"/{name}": page.joinpath(name).read_bytes() for name in _PAGE}
-    found |= {"/three.min.js": three.joinpath("three.min.js").read_bytes()}
-    kinds = {path: mimetypes.guess_type(path)[0] or "text/html" for path in found}
-    return {path.replace("/index.html", "/"): (body, f"{kinds[path]}; charset=utf-8") for path, body in found.items()}
+    contents = {f"/{name}": page.joinpath(name).read_bytes() for name in _PAGE_FILES}
+    contents |= {"/three.min.js": three.joinpath("three.min.js").read_bytes()}
+    kinds = {path: mimetypes.guess_type(path)[0] or "text/html" for path in contents}
+    return {
+        path.replace("/index.html", "/"): (body, f"{kinds[path]}; charset=utf-8") for path, body in contents.items()
+    }
 
 
-def _file(name: str, body: bytes, kind: str) -> Response:
-    """A file to keep; a page to look at."""
-    shown = kind == "text/html"
-    response = _response(body, f"{kind}; charset=utf-8" if shown else kind)
+def _file_response(name: str, body: bytes, kind: str) -> Response:
+    """A download, or an HTML page that is shown."""
+    is_page = kind == "text/html"
+    response = _response(body, f"{kind}; charset=utf-8" if is_page else kind)
     del response.headers["Content-Security-Policy"]
     response.headers["Content-Security-Policy"] = _SANDBOX
-    response.headers["Content-Disposition"] = "inline" if shown else f"attachment; filename*=UTF-8''{quote(name)}"
+    response.headers["Content-Disposition"] = "inline" if is_page else f"attachment; filename*=UTF-8''{quote(name)}"
     return response
-
-
-def _refusal() -> Response:
-    """What a stranger is told."""
-    return _response(b"open the address that `cagemap studio` printed", status=http.HTTPStatus.FORBIDDEN)
 
 
 def _response(body: bytes, kind: str = "text/plain", status: http.HTTPStatus = http.HTTPStatus.OK) -> Response:

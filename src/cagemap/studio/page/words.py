@@ -1,4 +1,4 @@
-"""The status line: what is computed, how far it is, how sure the map is, and what to do next."""
+"""Texts of the status line: progress, confidence of the map, and the next step."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import re
 from typing import Any
 
 from cagemap.mesh.mesh_report import counted
-from cagemap.studio.preview import OPENING
+from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
-from cagemap.studio.skins import DOUBTFUL
-from cagemap.studio.state import RunningJob, Studio
+from cagemap.studio.skins import DOUBTFUL_TRUST
+from cagemap.studio.state import RunningJob, StudioState
 
-# Beginnings of stages' names, what they are called on the page, and how much of a match is done when they begin.
+# Beginning of a stage's name, its text on the page, and the share of the task done before it.
 STAGES = (
     ("reading the models", "reading the files", 0.1),
     ("reading the texture", "reading the image", 0.6),
@@ -30,75 +30,78 @@ STAGES = (
     ("test landmarks", "checking the landmarks", 0.85),
     ("quality", "checking the map", 0.9),
 )
-# How the package says to ask for another answer and where a landmark helps, which are buttons here.
-_ANSWER, _VERTEX = re.compile(r" \(`answer=\d+`\)"), re.compile(r"(?:, first)? at target vertex \d+")
+# Parts of the package's messages that the page's buttons replace.
+_ANSWER_HINT, _VERTEX_HINT = re.compile(r" \(`answer=\d+`\)"), re.compile(r"(?:, first)? at target vertex \d+")
 _VERDICTS = {"two answers: ": "Two ways fit", "look at it: ": "Have a look"}
 
 
 def confidence_text(message: str) -> str:
-    """What is said of how sure a match is, for the page."""
-    return _VERTEX.sub(" at the place that Next landmark shows", _ANSWER.sub("", message))
+    """The confidence message of a match in words of the page."""
+    return _VERTEX_HINT.sub(" at the place that Next landmark shows", _ANSWER_HINT.sub("", message))
 
 
-def verdict(state: Studio, scene: Scene | None) -> str:
-    """How sure the map is, in a few words; '' without a map."""
-    known, images = state.map, None if scene is None else scene.images
-    if images is None:
+def verdict(state: StudioState, scene: Scene | None) -> str:
+    """Confidence of the map in a few words; '' without a map."""
+    map_state, preview_map = state.map, None if scene is None else scene.preview_map
+    if preview_map is None:
         return ""
-    if known.rough:
+    if map_state.rough:
         return "A first look, not yet checked"
-    if known.revision == 0:
+    if map_state.revision == 0:
         return ""
-    landmarks = state.history.present.complete
-    if known.contradictions:
-        count = len(known.contradictions)
+    landmarks = state.history.present.complete_landmarks
+    if map_state.contradictions:
+        count = len(map_state.contradictions)
         return f"{count} landmark{'s contradict' if count > 1 else ' contradicts'} the others"
-    doubtful = 100 * float((images.trust < DOUBTFUL).mean())
-    few = f"{doubtful:.0f} % doubtful" if doubtful >= 0.5 else "no doubtful places"
+    percent = 100 * float((preview_map.trust < DOUBTFUL_TRUST).mean())
+    doubts = f"{percent:.0f} % doubtful" if percent >= 0.5 else "no doubtful places"
     if landmarks:
-        return f"{counted(len(landmarks), 'landmark')} met, {few}"
-    said = next((words for start, words in _VERDICTS.items() if start in known.confidence), "Sure")
-    return few.capitalize() if not known.confidence else f"{said}, {few}"
+        return f"{counted(len(landmarks), 'landmark')} met, {doubts}"
+    if not map_state.confidence:
+        return doubts.capitalize()
+    confidence = next((text for key, text in _VERDICTS.items() if key in map_state.confidence), "Sure")
+    return f"{confidence}, {doubts}"
 
 
-def status(state: Studio) -> dict[str, Any]:
-    """Text, kind ("busy", "error", "ask" or "ready"), share done or None, and whether it can be cancelled."""
-    job = state.finish_job or state.preview_job
-    if job is not None:
-        return {"kind": "busy", "cancel": True} | _progress(job, finish=state.finish_job is not None)
+def status_entries(state: StudioState) -> dict[str, Any]:
+    """Text, kind ("busy", "error", "ask", "ready"), fraction done or None, and whether it can be cancelled."""
+    if state.finish_job is not None:
+        return {"kind": "busy", "cancel": True} | _finish_progress(state.finish_job)
+    if state.preview_job is not None:
+        return {"kind": "busy", "cancel": True} | _preview_progress(state.preview_job)
     text, kind = _next_step(state), "ready"
     if state.messages and state.messages[-1].kind == "error":
         text, kind = state.messages[-1].text, "error"
-    elif state.history.present.open is not None:
+    elif state.history.present.open_landmark is not None:
         kind = "ask"
     return {"kind": kind, "text": text, "fraction": None, "cancel": False}
 
 
-def _progress(job: RunningJob, *, finish: bool) -> dict[str, Any]:
-    if finish:
-        command, _, stage = job.stage.partition(": ")
-        return {
-            "text": f"Baking, step {job.title.removeprefix('finish ')}: {_words(stage or command)[0]}",
-            "fraction": job.fraction,
-        }
-    words, share = _words(job.stage) if job.stage else ("", 0.02)
-    return {"text": f"{job.title}{': ' if words else ''}{words}", "fraction": share}
+def _finish_progress(job: RunningJob) -> dict[str, Any]:
+    command, _, stage = job.stage.partition(": ")
+    text, _ = _stage_text(stage or command)
+    return {"text": f"Baking, step {job.title.removeprefix('finish ')}: {text}", "fraction": job.fraction}
 
 
-def _words(stage: str) -> tuple[str, float | None]:
-    return next(((words, share) for start, words, share in STAGES if stage.startswith(start)), (stage, None))
+def _preview_progress(job: RunningJob) -> dict[str, Any]:
+    text, fraction = _stage_text(job.stage) if job.stage else ("", 0.02)
+    return {"text": f"{job.title}{': ' if text else ''}{text}", "fraction": fraction}
 
 
-def _next_step(state: Studio) -> str:
+def _stage_text(stage: str) -> tuple[str, float | None]:
+    return next(((text, fraction) for start, text, fraction in STAGES if stage.startswith(start)), (stage, None))
+
+
+def _next_step(state: StudioState) -> str:
     if state.files is None:
         return "Open two models, or drop their files here."
     if state.map.rough:  # the search was cancelled
         return "This is a first look at the map. Press Match again for the checked one."
     if state.map.revision == 0:
-        return OPENING
+        return OPENING_TITLE
     if state.probe is not None and state.probe.text:
         return state.probe.text
-    if state.history.present.open is not None:
+    if state.history.present.open_landmark is not None:
         return "Click the same place on the other model, or press Enter to accept the proposed one."
     if state.view.pose:
         return "Both models are posed, the target by the joints and weights that the map gives it."
