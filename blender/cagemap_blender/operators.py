@@ -138,57 +138,53 @@ def _weights(context):
     return write
 
 
-def _shapes(context):
-    """Shape keys; what writes them."""
-    target, source = sides(context)
-    offsets = reading.shape_offsets(source)
-    if not offsets:
-        raise RefusedError(f"{source.name} has no shape keys.")
-    writing.require_free(target, "shape key", offsets)
-    found = (yield "shapes", {"shapes": offsets})["shapes"]
+def _named(kind, read, request, write_reply):
+    """Transfer of values that have names: ``request`` asks the worker for them, ``write_reply`` writes them."""
 
-    def write(context):
-        writing.set_shapes(sides(context)[0], found)
-        return counted(found, "shape key")
+    def carry(context):
+        target, source = sides(context)
+        given = read(source)
+        if not given:
+            raise RefusedError(f"{source.name} has no {kind}s.")
+        writing.require_free(target, kind, given)
+        reply = yield request(given)
 
-    return write
+        def write(context):
+            write_reply(sides(context)[0], reply, given)
+            return counted(given, kind)
 
+        return write
 
-def _uvs(context):
-    """UV maps; what writes them."""
-    target, source = sides(context)
-    layers = reading.uv_layers(source)
-    if not layers:
-        raise RefusedError(f"{source.name} has no UV maps.")
-    writing.require_free(target, "UV map", layers)
-    found = (yield "values", {"vertices": {}, "corners": layers})["corners"]
-
-    def write(context):
-        writing.set_uvs(sides(context)[0], found)
-        return counted(found, "UV map")
-
-    return write
+    return carry
 
 
-def _colors(context):
-    """Colour attributes; what writes them."""
-    target, source = sides(context)
-    colors = reading.color_attributes(source)
-    if not colors:
-        raise RefusedError(f"{source.name} has no colour attributes.")
-    writing.require_free(target, "colour attribute", colors)
-    given = {
-        domain: {name: values for name, (values, own, _) in colors.items() if own == domain}
-        for domain in ("POINT", "CORNER")
-    }
-    reply = yield "values", {"vertices": given["POINT"], "corners": given["CORNER"]}
+def _color_request(colors):
+    """Colours by their domain."""
+    vertices, corners = (
+        {name: values for name, (values, own, _) in colors.items() if own == domain} for domain in ("POINT", "CORNER")
+    )
+    return "values", {"vertices": vertices, "corners": corners}
+
+
+def _set_colors(target, reply, colors):
+    """Colour attributes with the domains and types of the source's."""
     values = reply["vertices"] | reply["corners"]
+    writing.set_colors(target, {name: (values[name], *colors[name][1:]) for name in values})
 
-    def write(context):
-        writing.set_colors(sides(context)[0], {name: (values[name], *colors[name][1:]) for name in values})
-        return counted(values, "colour attribute")
 
-    return write
+_shapes = _named(
+    "shape key",
+    reading.shape_offsets,
+    lambda offsets: ("shapes", {"shapes": offsets}),
+    lambda target, reply, _: writing.set_shapes(target, reply["shapes"]),
+)
+_uvs = _named(
+    "UV map",
+    reading.uv_layers,
+    lambda layers: ("values", {"vertices": {}, "corners": layers}),
+    lambda target, reply, _: writing.set_uvs(target, reply["corners"]),
+)
+_colors = _named("colour attribute", reading.color_attributes, _color_request, _set_colors)
 
 
 def _clothes(context, armature_of=reading.armature_of):

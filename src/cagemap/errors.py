@@ -46,6 +46,7 @@ OPTIONS = {
     "`answer=1`": "--answer 1",
     "`find_part`": "--part",
     "`weld_mesh`": "--weld",
+    "`plain_mesh`": "--scheme none",
     "`unwrap`": "--unwrap",
     "`ControlMesh.scheme`": "--target-scheme",
 }

@@ -14,7 +14,8 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.maps.hypotheses.search import ANOTHER_WAY
 from cagemap.maps.hypotheses.signs import (
     JUMPING,
     SIGNS,
@@ -82,6 +83,13 @@ def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
     doubt = Confidence.of(answers, 3, {name: 1.1 * SIGNS[name].bound})
     assert doubt.verdict == LOOK
     assert findings(doubt.signs)[0] in doubt.message
+
+
+def test_an_answer_of_the_same_rotation_is_told_apart_in_words() -> None:
+    places, name = np.zeros((4, 3)), "as the files stand"
+    answers = Reading(name, 0.0, places), Reading(name + ANOTHER_WAY, 0.0, places)
+    said = "but the alignment as the files stand (limbs assigned differently) fits as well"
+    assert said in Confidence(TWO, answers, deciding=0).message
 
 
 def test_the_distortion_of_a_stretched_grid_is_that_of_most_columns() -> None:

@@ -338,3 +338,12 @@ def test_every_vertex_list_is_plain_python() -> None:
     assert report.boundary_loops is not None
     assert all(type(v) is int for loop in report.boundary_loops for v in loop)
     assert report == check_mesh(keep_faces(cube(), np.arange(5)))  # a value: equal if the contents are
+
+
+def test_a_refusal_names_the_way_round_where_there_is_one() -> None:
+    with pytest.raises(InvalidMeshError, match=r"Or use `plain_mesh`, which repairs the mesh"):
+        require_valid(flip(cube(), 1))
+    flat = cube().with_positions(cube().positions * [1.0, 1.0, 0.0])
+    with pytest.raises(InvalidMeshError) as refused:
+        require_valid(flat)
+    assert "plain_mesh" not in str(refused.value)

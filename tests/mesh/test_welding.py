@@ -249,6 +249,7 @@ def test_check_names_the_tolerance_and_takes_it(run: Run, folder: Path, monkeypa
     before = run("check", "split.obj")
     assert before.code == 1
     assert "--weld 0 leaves 1 piece" in before.out
+    assert "component:" not in before.out  # none is a part that is meant
     for word in ("0", "auto"):
         after = run("check", "split.obj", "--weld", word)
         assert after.code == 0

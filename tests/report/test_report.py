@@ -98,7 +98,7 @@ def test_names_are_escaped_and_shown(page: str) -> None:
     assert "small → large" in page
     assert "a &lt;b&gt;" in page
     assert "<b>" not in page
-    assert "made for other poses" in page
+    assert "Made for other poses" in page
 
 
 def test_figures_of_the_manifest_are_on_the_page(page: str) -> None:
@@ -184,8 +184,8 @@ def test_pairs_that_were_left_out_are_named(result: MatchResult, gallery: Galler
     check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ("five pairs are few",))
     quality = replace(result.quality, landmark_errors=np.zeros(3))
     page = build_page(replace(result, landmark_check=check, quality=quality), gallery)
-    assert "landmark &#x27;d&#x27; looks wrong" in page
-    assert "five pairs are few" in page
+    assert "Landmark &#x27;d&#x27; looks wrong" in page
+    assert "Five pairs are few" in page
     assert page.count("left out</td>") == 1
     assert "left out</td>" not in build_page(result, gallery)
 
@@ -223,7 +223,7 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
     answers = tuple(Reading(name, 1e-4, result.point_map.images.positions) for name in ("one", "another"))
     page = build_page(replace(result, confidence=Confidence(verdict, answers, deciding=0)), gallery)
     assert heading in page
-    shown = f"{verdict}: the target is aligned with the source one"
+    shown = f"{verdict.capitalize()}: the target is aligned with the source one"
     assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{shown}' in page
 
 
@@ -242,10 +242,12 @@ def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, g
     assert 'class="warning"' not in sure
     for empty in ("<summary>Landmarks", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
         assert empty not in sure
-    # A page speaks the words of the command line.
-    two = build_page(replace(free, confidence=Confidence(TWO, answers, deciding=0)), gallery)
+    # A page speaks the words of the command line, and leaves names of files as they are.
+    noted = {"notes": [f"{result.target.control.name}: `find_part` each matches every piece"]}
+    two = build_page(replace(free, confidence=Confidence(TWO, answers, deciding=0), provenance=noted), gallery)
     assert "(--answer 1)" in two
     assert "answer=1" not in two
+    assert f"<li>{result.target.control.name}: --part each matches every piece</li>" in two
 
 
 def test_written_whole(result: MatchResult, tmp_path: Path) -> None:

@@ -20,8 +20,13 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh.join import join_meshes
 
 from browser_page import Page, studio
+from example_character import bare_body, character, write_character
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
+# Whether the models are drawn as the state has them.
+DRAWN = """
+const {state, views} = window.studio;
+return Object.entries(views.sides).every(([name, side]) => side.parts.model?.key === state.drawn[`${name}/skin`])"""
 
 
 def models(folder: Path) -> None:
@@ -65,7 +70,7 @@ def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
     browser.get(page.as_uri())
     shown = browser.find_element("tag name", "main").text
     # The page names a mark where the terminal names a vertex.
-    assert message.partition("target vertex")[0] in shown
+    assert message[:1].upper() + message[1:].partition("target vertex")[0] in shown
     assert heading in shown
     assert ("which is right?" in shown) == (verdict != "sure")
 
@@ -101,6 +106,30 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         page.until(lambda: page.text("verdict").startswith("Have a look"), "that a body on a box is not sure")
         page.set("part-target", "object:body")
         page.until(lambda: page.text("verdict").startswith("Sure"), "that a body on a body is")
+
+
+def test_an_animated_source_poses_both_models(tmp_path: Path, browser: Any) -> None:
+    body = bare_body(1)
+    write_character(tmp_path / "C.glb", character(body))
+    write_mesh(tmp_path / "B.glb", body)
+    asked = ["--target", str(tmp_path / "B.glb"), "--source", str(tmp_path / "C.glb"), "--vertices", "800"]
+    with studio(*asked) as (_, address):
+        page = Page(browser, address)
+        page.until(lambda: page.revision() == 1, "the first map")
+        page.until(lambda: page.run(DRAWN), "both models under it")
+        rest = [page.look(side) for side in ("target", "source")]
+        page.set("pose", "nod, 0.75 s")
+        page.until(lambda: page.state("view")["pose"] == "nod, 0.75 s", "the pose")
+        for side, still in zip(("target", "source"), rest, strict=True):
+            page.until(lambda side=side, still=still: np.abs(page.look(side) - still).mean() > 1, f"a posed {side}")
+        assert "posed" in page.text("status")
+        page.click("target", (0.0, 0.0))
+        page.until(lambda: "Set Pose back to rest" in page.text("status"), "why no landmark is placed")
+        page.set("pose", "")
+        for side, still in zip(("target", "source"), rest, strict=True):
+            page.until(lambda side=side, still=still: np.abs(page.look(side) - still).mean() < 0.1, f"{side} at rest")
+        assert page.landmarks() == 0
+        assert not page.state("asks")
 
 
 def test_another_machine_needs_the_token(tmp_path: Path, browser: Any) -> None:

@@ -19,6 +19,7 @@ from cagemap.files.images.image import Image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
+from cagemap.mesh.join import join_meshes
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -189,7 +190,8 @@ def test_refusals_name_what_is_wrong(run: Run, files: Character, words: list[str
 
 
 def test_the_report_shows_what_the_body_wears_and_how_it_moves(run: Run, files: Character) -> None:
-    _rig(run, "--passengers", "hat", "--report", "R.html")
+    outcome = run("rig", *"B.glb --like C.glb -o OUT.glb --passengers hat --report R.html".split())
+    assert outcome.out.endswith("Open R.html in a browser.\n")
     page = Path("R.html").read_text()
     assert "B.glb" in page
     for shown in ("Passengers", "Poses", "Skinning weights", "Blend shapes", "nod, 0.5 s"):
@@ -204,6 +206,20 @@ def test_a_file_of_others_is_not_replaced(run: Run, files: Character) -> None:
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
     assert outcome.code == 2
     assert Path("OUT.glb").read_bytes() == b"mine"
+
+
+def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: Character, body: ControlMesh) -> None:
+    """`rig` has no --part, and leaves nothing out."""
+    button = ball("button", body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3], 0.1)
+    whole = join_meshes([replace(one, face_objects=None, object_names=()) for one in (body, button)])
+    write_mesh("B.glb", replace(whole, name="body"), force=True)
+    outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
+    assert outcome.code == 0
+    assert (
+        f"1 smaller piece ({button.n_vertices} vertices) not matched: `cagemap rig` carries them along" in outcome.err
+    )
+    assert "--part" not in outcome.err
+    assert ", 1 animation\n" in outcome.out
 
 
 @pytest.mark.slow

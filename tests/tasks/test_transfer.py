@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 from cagemap.deform.shared_area import SharedArea
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import read_image, write_image
 from cagemap.files.result.folder import write_result
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -32,3 +35,24 @@ def test_area_without_a_counterpart_is_said(tmp_path: Path, shared: float) -> No
     assert bool(said) == (shared < 1.0)
     masked = replace(request, output=tmp_path / "masked.csv", target_mask="red")
     assert not any("no counterpart" in text for text in run_transfer(masked, Stages())[1])
+
+
+def test_the_image_inside_a_gltf_file_is_baked(tmp_path: Path) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
+    scene = {
+        "asset": {"version": "2.0"},
+        "materials": [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "images": [{"uri": "skin.png"}],
+    }
+    (tmp_path / "box.gltf").write_text(json.dumps(scene))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
+    run_transfer(request, Stages())
+    np.testing.assert_array_equal(read_image(tmp_path / "out.png").pixels[4, 4], [200, 30, 10])
+    assert (tmp_path / "RESULT/box_texture.png").is_file()
+
+    scene["materials"] = [{"name": "red"}]
+    (tmp_path / "plain.gltf").write_text(json.dumps(scene))
+    with pytest.raises(ParameterError, match=r"plain.gltf: expected a colour image .* --material-colors"):
+        run_transfer(replace(request, texture=tmp_path / "plain.gltf"), Stages())

@@ -111,7 +111,14 @@ def posed(part: Part, rig: Rig, transforms: FloatArray) -> FloatArray:
     """Linear blend skinning: vertices (n, 3) of a part, its joints at ``transforms`` (j, 4, 4) in the world."""
     if part.weights is None:
         return part.mesh.positions
+    return skinned(part.mesh.positions, part.weights, rig, transforms)
+
+
+def skinned(
+    positions: FloatArray, weights: FloatArray | sparse.csr_array, rig: Rig, transforms: FloatArray
+) -> FloatArray:
+    """Linear blend skinning of positions (n, 3) with weights (n, j)."""
     change = np.linalg.inv(rig.bind) @ transforms
-    blended = (part.weights @ change.reshape(len(change), 16)).reshape(-1, 4, 4)
-    places = np.concatenate([part.mesh.positions, np.ones((part.mesh.n_vertices, 1))], axis=1)
+    blended = (weights @ change.reshape(len(change), 16)).reshape(-1, 4, 4)
+    places = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
     return np.einsum("na,nab->nb", places, blended)[:, :3]

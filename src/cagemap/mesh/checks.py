@@ -43,6 +43,12 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 SEVERAL = "several components"
 # Problems that subdivision does not have: it needs oriented manifold connectivity, no size, area or inside.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
+# Problems that `cagemap.mesh.plain.plain_mesh` repairs.
+REPAIRED = frozenset({"degenerate faces", "duplicate faces", "isolated vertices", "non-manifold edges"}) | {
+    "non-manifold vertices",
+    "inconsistent orientation",
+    "inside out",
+}
 
 # An edge shorter than this share of those around it is two vertices that should be one.
 TINY_EDGE = 0.01
@@ -139,8 +145,11 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     if problems:
         count = counted(len(problems), "problem")
         one_piece = "" if SEVERAL in allowed else " of one piece"
+        repaired = not isinstance(mesh.scheme, Plain) and any(problem.kind in REPAIRED for problem in problems)
+        remedy = "\nOr use `plain_mesh`, which repairs the mesh and takes it without subdivision." if repaired else ""
         raise InvalidMeshError(
             f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed(problems)}"
+            f"{remedy}"
         )
 
 
@@ -282,7 +291,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
         left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
-            f"`weld_mesh` {tolerance:g} leaves {counted(left, 'piece')}. {'Or match' if left == 1 else 'Match'}"
+            f"`weld_mesh` {tolerance:g} leaves {counted(left, 'piece')}. {'Or match' if left == 1 else 'Then match'}"
         )
     return MeshProblem(
         SEVERAL,

@@ -78,6 +78,13 @@ class Repairs(Brief):
         }
         return tuple(sentence for sentence, count in said.items() if count)
 
+    def sentences_of_body(self) -> tuple[str, ...]:
+        """What a user of `cagemap rig` is to know: it carries smaller pieces along with the body."""
+        if not self.pieces:
+            return self.sentences()
+        pieces = f"{counted(self.pieces, 'smaller piece')} ({counted(self.pieces_vertices, 'vertex')})"
+        return (f"{pieces} not matched: `cagemap rig` carries them along", *replace(self, pieces=0).sentences())
+
     def _pieces_remedy(self) -> str:
         if self.pieces_weld:
             return f"`weld_mesh` {self.pieces_weld:g} joins pieces that lie against each other"

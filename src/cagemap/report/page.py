@@ -81,7 +81,8 @@ def build_page(
         _stills(result, gallery),
         _marks(marks),
         _warnings(
-            [with_marks(in_options(text), marks) for text in warnings],
+            result,
+            [with_marks(text, marks) for text in warnings],
             [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])],
         ),
         _answers(result, gallery),
@@ -280,9 +281,14 @@ def _header(title: str, said: str, verdict: str) -> str:
     )
 
 
-def _warnings(warnings: list[str], notes: list[str]) -> str:
-    items = [f'<li class="warning">{escape(text)}</li>' for text in warnings]
-    items += [f"<li>{escape(text)}</li>" for text in notes]
+def _warnings(result: MatchResult, warnings: list[str], notes: list[str]) -> str:
+    files = result.target.control.name, result.source.control.name
+
+    def item(tag: str, text: str) -> str:
+        words = in_options(text)
+        return f"{tag}{escape(words if words.startswith(files) else _capital(words))}</li>"
+
+    items = [item('<li class="warning">', text) for text in warnings] + [item("<li>", text) for text in notes]
     return f'<ul class="notes">{"".join(items)}</ul>' if items else ""
 
 

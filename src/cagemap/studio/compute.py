@@ -9,14 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.values import Character
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.prepared import PreparedPair
+from cagemap.errors import ParameterError
+from cagemap.files.gltf.material_images import extract_texture
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList, SideNames
-from cagemap.studio.models import OpenedModel, extract_texture, open_model, with_texture
+from cagemap.studio.models import OpenedModel, open_model, with_texture
+from cagemap.studio.poses import NO_CHARACTER, animated_character, animation_poses, pose_shapes
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
@@ -80,7 +84,15 @@ class ShowBaked:
     preview_map: PreviewMap | None
 
 
-Task = OpenModels | FindMap | ShowBaked
+@dataclass(frozen=True)
+class ShowPosed:
+    """Draw both models in a pose of the source's animations; '': unposed."""
+
+    pair_files: PairFiles
+    pose: str
+
+
+Task = OpenModels | FindMap | ShowBaked | ShowPosed
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +136,7 @@ class MapUpdate:
     map_state: MapState
 
 
-TaskResult = OpenedPair | MapUpdate | bytes
+TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +155,8 @@ class PreviewCache:
         Answer that maps start from.
     result : MatchResult or None
         The current map.
+    character : Character or None
+        Of the source's file; None before the first map.
     """
 
     pair_files: PairFiles | None = None
@@ -152,6 +166,7 @@ class PreviewCache:
     free_match: MatchResult | None = None
     chosen_answer: int = 0
     result: MatchResult | None = None
+    character: Character | None = None
 
 
 def run_task(
@@ -159,7 +174,7 @@ def run_task(
 ) -> tuple[PreviewCache, TaskResult]:
     """Run a task; return the new cache and the result.
 
-    The result of `ShowBaked` is the target's glTF. Before the first map, ``show`` receives rough ones.
+    `ShowBaked` gives the target's glTF, `ShowPosed` that of both. Before the first map, ``show`` receives rough ones.
 
     Raises
     ------
@@ -180,6 +195,8 @@ def run_task(
             return find_map(cache, task, progress, show)
         case ShowBaked():
             return cache, _baked_skin(target, source, task)
+        case ShowPosed():
+            return cache, _posed_skins(cache, task.pose)
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
@@ -266,6 +283,9 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
     cache = replace(cache, source=replace(source, shape=shape))
     skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
+    if cache.character is None:
+        assert cache.pair_files is not None
+        cache = replace(cache, character=animated_character(cache.pair_files.source))
     map_state = MapState(
         answers=() if free is None else number_duplicates([reading.name for reading in free.readings]),
         chosen_answer=cache.chosen_answer,
@@ -275,6 +295,7 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         seconds=time.perf_counter() - start_time,
         suggestion=_suggested_vertex(cache, result),
+        poses=tuple(animation_poses(cache.character or NO_CHARACTER)),
     )
     return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state)
 
@@ -302,6 +323,28 @@ def _landmark_strain(result: MatchResult) -> dict[str, float]:
     if len(checked) == len(result.landmarks):
         strain |= dict(zip(result.landmarks.names, checked.tolist(), strict=True))
     return strain | {suspect.name: suspect.distance for suspect in result.suspects}
+
+
+def _posed_skins(cache: PreviewCache, name: str) -> tuple[bytes, bytes]:
+    """Target and source in a pose of the source's animations.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such pose.
+    """
+    target, source = _opened_models(cache)
+    shapes, preview_map, result = (target.shape, source.shape), None, cache.result
+    if result is not None:
+        preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
+    if name:
+        character = cache.character or NO_CHARACTER
+        pose = animation_poses(character).get(name)
+        if pose is None or result is None or preview_map is None:
+            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {name!r}. Choose another.")
+        shapes = pose_shapes(character, pose, *shapes, preview_map, result.point_map)
+    skin = target_skin(shapes[0], target.look, shapes[1], source.look, preview_map)
+    return skin, source_skin(shapes[1], source.look)
 
 
 def _baked_skin(target: OpenedModel, source: OpenedModel, task: ShowBaked) -> bytes:

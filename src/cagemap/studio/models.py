@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,15 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
-from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document
-from cagemap.files.gltf.entries import image_bytes
-from cagemap.files.gltf.material_images import material_images
-from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes.formats import read_whole
-from cagemap.files.ownership import is_own
-from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd.space import upright_turn
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -44,8 +36,6 @@ TEXTURE_SIZE = 1024
 # Triangle meshes of at least so many faces may be scans.
 MIN_SCAN_FACES = 20_000
 NO_SCHEME = "none"
-# Texture slot of glTF materials.
-_COLOR_SLOT = "baseColorTexture"
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,26 +96,6 @@ def with_texture(look: Look, path: Path) -> Look:
         file = Path(folder) / "texture.jpg"
         write_image(file, pixels)
         return replace(look, texture=pixels, jpeg=file.read_bytes(), tiles=(columns, rows))
-
-
-def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
-    """Write the colour image of a glTF file's most used material, if it has one."""
-    if path.suffix.lower() not in GLTF_SUFFIXES or control.face_materials is None or control.uvs is None:
-        return None
-    document, names = read_document(path), control.material_names
-    material = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
-    slots = material_images(document, material) if material in material_names(document) else ()
-    color = next((slot for slot in slots if slot.slot == _COLOR_SLOT and np.allclose(slot.transform, np.eye(3))), None)
-    if color is None:
-        return None
-    data, suffix = image_bytes(document, color.image)
-    if suffix not in IMAGE_SUFFIXES:
-        return None
-    files = (folder / f"{path.stem}_texture{number or ''}{suffix}" for number in itertools.count())
-    file = next(file for file in files if not file.exists() or is_own(file) or file.read_bytes() == data)
-    if is_own(file) or not file.exists():
-        write_whole(file, data)
-    return file
 
 
 def _shrink_tile(pixels: Pixels, rows: int, columns: int) -> Pixels:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, Task
+from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Files, RunningJob
@@ -14,7 +14,8 @@ from cagemap.studio.worker import Worker
 
 # Titles of computations on the page.
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
-_TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE}
+POSE_TITLE = "Showing a pose"
+_TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
 # Appended to the first title of a kind: the first run compiles.
 _COMPILE_NOTE = " (some seconds longer on the first run after installing)"
 
@@ -53,6 +54,7 @@ class Preview:
         self._map_request: bool | None = None  # True: a match from the start
         self._answer_request: int | None = None
         self._baked_request: tuple[Path, Path | None] | None = None
+        self._pose_request: str | None = None
         self._closed = False
         self._title = ""
         self._task: Task | None = None
@@ -73,7 +75,7 @@ class Preview:
             if task is not None and not isinstance(task, OpenModels) and task.pair_files != self._pair_files:
                 self._worker.cancel(task)
             self._open_request = True
-            self._map_request = self._answer_request = self._baked_request = None
+            self._map_request = self._answer_request = self._baked_request = self._pose_request = None
             self._condition.notify()
 
     @property
@@ -97,6 +99,12 @@ class Preview:
         """Show a baked image, in the target's UV layout or that of a mesh file."""
         with self._condition:
             self._baked_request = image, layout
+            self._condition.notify()
+
+    def show_posed(self, pose: str) -> None:
+        """Show both models in a pose; '': unposed."""
+        with self._condition:
+            self._pose_request = pose
             self._condition.notify()
 
     def kill(self) -> None:
@@ -137,12 +145,15 @@ class Preview:
                 return None
             pair_files, is_open_request = self._pair_files, self._open_request
             fresh, answer, baked = self._map_request, self._answer_request, self._baked_request
+            pose = self._pose_request
             if is_open_request:
                 self._open_request = False
             elif fresh is not None:
                 self._map_request = None
             elif answer is not None:
                 self._answer_request = None
+            elif pose is not None:
+                self._pose_request = None
             else:
                 self._baked_request = None
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
@@ -152,9 +163,11 @@ class Preview:
             return OpenModels(pair_files)
         if fresh is not None or answer is not None:
             return FindMap(pair_files, landmarks, bool(fresh), answer if fresh is None else None)
+        if pose is not None:
+            return ShowPosed(pair_files, pose)
         assert baked is not None
         return ShowBaked(pair_files, *baked, preview_map)
 
     def _has_request(self) -> bool:
-        requests = self._map_request, self._answer_request, self._baked_request
+        requests = self._map_request, self._answer_request, self._baked_request, self._pose_request
         return self._closed or self._open_request or any(request is not None for request in requests)

@@ -13,7 +13,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.autosave import FileTracker, autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, Task
+from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, plan_commands
 from cagemap.studio.finish_layout import explain_flags
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks, to_file_numbers
@@ -206,6 +206,8 @@ class Session(SharedState):
         with self._lock:
             before = self._state.view
             self._change(view=view)
+            if view.pose != before.pose and self._scene is not None:
+                self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
                 self._preview.show_baked(view.baked, view.layout)
 
@@ -361,6 +363,10 @@ class Session(SharedState):
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
                 if task.image == self._state.view.baked:
                     self._scene = replace(self._scene, skins=(result, self._scene.skins[1]))
+                    self._change()
+            case (bytes() as target, bytes() as source) if self._scene is not None and isinstance(task, ShowPosed):
+                if task.pose == self._state.view.pose:
+                    self._scene = replace(self._scene, skins=(target, source))
                     self._change()
             case _:
                 log.warning("unexpected result %r of %r", type(result), type(task))

@@ -82,6 +82,8 @@ class View:
         Image of mode "baked".
     layout : Path or None
         Mesh with the UV layout of that image, where the target has none.
+    pose : str
+        Pose of the source's animations that both models are shown in; '': unposed.
     """
 
     mode: Mode = "texture"
@@ -92,6 +94,7 @@ class View:
     rest: bool = True
     baked: Path | None = None
     layout: Path | None = None
+    pose: str = ""
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,8 @@ class MapState:
         Control vertex of the target where the next landmark helps most.
     rough : bool
         Whether this is a rough map while the search goes on.
+    poses : tuple of str
+        Names of poses of the source's animations.
     """
 
     revision: int = 0
@@ -132,6 +137,7 @@ class MapState:
     seconds: float = 0.0
     suggestion: int | None = None
     rough: bool = False
+    poses: tuple[str, ...] = ()
 
     def rename_landmarks(self, before: LandmarkList, now: LandmarkList) -> MapState:
         """Return the state with the new names of landmarks that kept their number and places."""
@@ -262,15 +268,15 @@ INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name
 
 
 def map_view(view: View) -> View:
-    """The view without a baked image."""
-    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None)
+    """The view without a baked image or pose."""
+    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None, pose="")
 
 
 def baked_view(state: StudioState, image: Path | None) -> View:
     """The view with a baked image; without an image the map as a texture."""
     if image is None:
         return map_view(state.view)
-    return replace(state.view, mode="baked", baked=image, layout=layout_mesh(state, image))
+    return replace(state.view, mode="baked", baked=image, layout=layout_mesh(state, image), pose="")
 
 
 def layout_mesh(state: StudioState, image: Path) -> Path | None:
@@ -287,7 +293,7 @@ def update_view(state: StudioState, **fields: object) -> View:
     ParameterError
         If there is no baked image.
     """
-    view = replace(state.view, **fields)  # type: ignore[arg-type]
+    view = replace(map_view(state.view) if fields.get("pose") else state.view, **fields)  # type: ignore[arg-type]
     if view.mode != "baked" or view.baked is not None:
         return view
     if not state.baked_images:

@@ -101,7 +101,8 @@ def carry_character(
     chosen, notes = _chosen(source, source_body, target, target_body, passengers)
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
-    notes += [note for one in matched.ready for note in one.notes]
+    plain = [one for one in matched.ready if isinstance(one, PlainMesh)]
+    notes += [f"{one.mesh.name}: {sentence}" for one in plain for sentence in one.repairs.sentences_of_body()]
     pieces = _set_aside(source_body, matched.ready[1])
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from cagemap.errors import ParameterError
+from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.gltf.material_images import extract_texture
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern
 from cagemap.files.result.folder import stated_path
 from cagemap.files.usd.material import unbound_maps
@@ -41,7 +43,8 @@ FEWEST_NORMALS = 0.3
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """One image, or all maps of a material; the map is followed once for all of them."""
-    maps = request.maps if request.texture is None else (("", request.texture),)
+    given = request.maps if request.texture is None else (("", request.texture),)
+    maps = [(name, _image_file(path, request, result)) for name, path in given]
     outputs = [map_path(request.output, name) for name, _ in maps]
     for output, (name, path) in zip(outputs, maps, strict=True):
         dtype, channels = read_image_form(path)
@@ -50,8 +53,8 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     prepared = prepare_bake(request, result, stages, outputs)
     for (name, path), output in zip(maps, outputs, strict=True):
         own = replace(request, output=output)
-        given = _bake_map(own, result, prepared, name, path, stages)
-        entry = _entry("texture", request, path, given)
+        image = _bake_map(own, result, prepared, name, path, stages)
+        entry = _entry("texture", request, path, image)
         summary, warnings = finish(own, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
@@ -69,6 +72,19 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     if len(maps) > 1:
         summary = f"wrote {len(maps)} maps: {', '.join(map(str, outputs))}" + summary.partition("\n")[2]
     return summary, warnings
+
+
+def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Path:
+    """An image as given, or the one that a glTF or FBX file holds, written into RESULT."""
+    if path.suffix.lower() not in SCENE_SUFFIXES:
+        return path
+    image = extract_texture(path, result.source.control, request.result)
+    if image is None:
+        raise ParameterError(
+            f"{path}: expected a colour image on most of {result.source.control.name}, found none. Give an image file, "
+            "or bake --material-colors."
+        )
+    return image
 
 
 def _bake_map(

@@ -24,7 +24,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.quads import join_quads
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
-from cagemap.mesh.weld import weld_tolerance
+from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
@@ -47,7 +47,7 @@ def check_files(
             parts.append(f"{path}\n  cannot be read: {error}")
             sound = False
             continue
-        listed = _part_lines(mesh, pieces=holds is None)
+        listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
         parts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
         sound &= not report.problems
     return "\n\n".join(parts), sound
@@ -100,12 +100,8 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
     try:
         ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else None
         report = check_mesh(mesh if ready is None else ready.mesh)
-        done = None if ready is None else ready.repairs
-        if done is not None and done.pieces and not pieces:
-            vertices = counted(done.pieces_vertices, "vertex")
-            repairs = (f"{counted(done.pieces, 'smaller piece')} ({vertices}) for `rig` to carry along",)
-            done = replace(done, pieces=0)
-        repairs = (*repairs, *(() if done is None else done.sentences()))
+        if ready is not None:
+            repairs = ready.repairs.sentences() if pieces else ready.repairs.sentences_of_body()
     except InvalidMeshError as error:
         report = check_mesh(mesh)
         own = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
@@ -120,6 +116,11 @@ def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
         return list_parts(mesh)
     except (IndexError, ValueError):
         return ()  # what keeps the mesh from having parts is among its problems
+
+
+def _of_one_piece(mesh: ControlMesh) -> bool:
+    """Whether a mesh is connected once vertices at the same place are joined."""
+    return not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
 
 
 def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:

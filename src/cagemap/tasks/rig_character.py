@@ -36,6 +36,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.mesh.mesh_report import counted
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
@@ -323,9 +324,12 @@ def _summary(request: RigRequest, character: Character) -> str:
     body, *others = character.parts
     lines = [f"wrote {request.output}: {request.body.name} like {request.like.name}"]
     if character.rig is not None:
-        tracks = f", {len(character.animations)} animations" if character.animations else ""
-        lines.append(f"  {len(character.rig.names)} joints{tracks}")
-    lines.append(f"  body: {body.mesh.n_vertices} vertices, {len(body.shapes)} shapes")
+        tracks = f", {counted(len(character.animations), 'animation')}" if character.animations else ""
+        lines.append(f"  {counted(len(character.rig.names), 'joint')}{tracks}")
+    shapes = f", {counted(len(body.shapes), 'shape')}" if body.shapes else ""
+    lines.append(f"  body: {counted(body.mesh.n_vertices, 'vertex')}{shapes}")
     if others:
         lines.append(f"  with it: {', '.join(part.name for part in others)}")
+    if request.report is not None:
+        lines.append(f"Open {request.report} in a browser.")
     return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import tempfile
 from collections.abc import Sequence
@@ -12,14 +13,20 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.atomic import write_whole
+from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
 from cagemap.files.images.image import Image, read_image, write_image
+from cagemap.files.ownership import is_own
+from cagemap.files.suffixes import IMAGE_SUFFIXES
+from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
+_COLOR_SLOT = "baseColorTexture"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +73,26 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
     number = _number(document, material)
     entry = document.entry("materials", number)
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
+
+
+def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
+    """Write the colour image that a glTF or FBX file holds for most of a mesh's faces; None if it holds none."""
+    if path.suffix.lower() not in SCENE_SUFFIXES or control.face_materials is None or control.uvs is None:
+        return None
+    document, names = read_document(path), control.material_names
+    most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
+    slots = material_images(document, most) if most in material_names(document) else ()
+    found = next((one for one in slots if one.slot == _COLOR_SLOT and np.allclose(one.transform, np.eye(3))), None)
+    if found is None:
+        return None
+    data, suffix = image_bytes(document, found.image)
+    if suffix not in IMAGE_SUFFIXES:
+        return None
+    files = (folder / f"{path.stem}_texture{number or ''}{suffix}" for number in itertools.count())
+    file = next(file for file in files if not file.exists() or is_own(file) or file.read_bytes() == data)
+    if is_own(file) or not file.exists():
+        write_whole(file, data)
+    return file
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:

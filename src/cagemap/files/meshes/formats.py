@@ -104,6 +104,6 @@ def _extension(path: str | Path, formats: Collection[str] = _READERS) -> str:
     extension = Path(path).suffix.lower()
     if extension not in formats:
         got = "a folder" if Path(path).is_dir() else f"'{extension}'" if extension else "a name without an ending"
-        remedy = "Export the mesh in one of these formats." if formats is _READERS else "Give another name."
+        remedy = "Export it in one of these, as .glb from Blender." if formats is _READERS else "Give another name."
         raise FormatError(f"{path}: expected a mesh file ending in {', '.join(formats)}, got {got}. {remedy}")
     return extension

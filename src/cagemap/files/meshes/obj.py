@@ -257,7 +257,7 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
             f"{len(half)} face(s) with some: {first_few(half)} (0-based; the first is line "
             f"{statements.numbers[corners.rows[half[0]]]}). Unwrap those faces, or export without UVs."
         )
-    text = "%s: %d of %d faces have no texture coordinates: nothing is baked onto them"
+    text = "%s: %d of %d faces have no texture coordinates: no image is baked there"
     _log.warning(text, statements.path, len(bare), len(corners.sizes))
     uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
     indices = _resolve(statements, corners, np.where(corners.has_uv, corners.uvs, 1), _UV, "texture vertex")

@@ -112,8 +112,8 @@ class Confidence:
             return f"sure: {answer}; no other alignment fits nearly as well"
         if self.verdict == TWO:
             return (
-                f"two answers: {answer}, but {others[0].name} fits as well (`answer=1`). A landmark at target vertex "
-                f"{vertex} decides"
+                f"two answers: {answer}, but the alignment {others[0].name} fits as well (`answer=1`). A landmark at "
+                f"target vertex {vertex} decides"
             )
         why = next(iter(findings(self.signs)), NOT_JUDGED)
         hint = f", first at target vertex {vertex}" if self.deciding is not None else ""

@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads
 
 # Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
-ANOTHER_WAY = " in another way"
+ANOTHER_WAY = " (limbs assigned differently)"
 
 
 def search(

@@ -118,4 +118,4 @@ def _read_ray(sent: Entries) -> tuple[FloatArray, FloatArray]:
 
 
 def _read_view(fields: Entries) -> dict[str, Any]:
-    return {name: str(value) if name == "mode" else bool(value) for name, value in fields.items()}
+    return {name: str(value) if name in ("mode", "pose") else bool(value) for name, value in fields.items()}

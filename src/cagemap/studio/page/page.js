@@ -92,9 +92,11 @@ function showViews() {
       solid: one.proposed !== side, selected: one.number === state.selected, wrong: !!one.wrong}));
     const asked = state.probe?.[side];
     if (asked) marks.push({number: 0, name: '', color: '#fff', at: [...asked, 0, 0, 0], place: null, solid: true, selected: true});
-    views.setMarks(side, marks);
+    views.setMarks(side, view.pose ? [] : marks);
   }
-  views.set({look: view.mode, doubts: view.doubts, cages: view.cages, linked: view.linked, rest: view.rest});
+  views.set({look: view.mode, doubts: view.doubts, cages: view.cages, linked: view.linked, rest: view.rest, pose: view.pose});
+  fill($('pose'), [['', 'at rest'], ...state.poses], view.pose);
+  $('pose-line').hidden = !state.poses.length;
   $('morph').disabled = $('overlay').disabled = !state.revision;
 }
 
@@ -186,6 +188,7 @@ for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(nam
 for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric'])
   on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
 on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
+on('pose', 'change', () => send('view', {fields: {pose: $('pose').value}}));
 on('other', 'change', () => { $('split').hidden = !$('other').value; views.set({other: $('other').value}); });
 on('split', 'input', () => views.set({split: Number($('split').value)}));
 on('morph', 'input', () => views.set({morph: Number($('morph').value)}));

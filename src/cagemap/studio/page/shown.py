@@ -24,6 +24,7 @@ from cagemap.studio.workspace import LANDMARK_SUFFIXES, UPLOAD_SUFFIXES, Workspa
 
 # Colours of landmarks and curves, in their order.
 _COLORS = distinct_colors(64)
+_VIEW_FIELDS = ("mode", "cages", "doubts", "linked", "rest", "symmetric", "pose")
 # Height of lines above the model, in units of its radius.
 _LINE_HEIGHT = 0.004
 _CAGE_COLOR = np.array([0.35, 0.67, 1.0])
@@ -52,7 +53,8 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "symmetric": scene is not None and scene.has_mirrors,
         "rest": scene is not None and scene.has_other_parts,
         "drawn": keys,
-        "view": {name: getattr(view, name) for name in ("mode", "cages", "doubts", "linked", "rest", "symmetric")},
+        "view": {name: getattr(view, name) for name in _VIEW_FIELDS},
+        "poses": map_state.poses,
         "baked": "" if view.baked is None else view.baked.name,
         "images": [path.name for path in state.baked_images],
         "landmarks": [] if scene is None else _landmark_entries(state, scene),

@@ -23,7 +23,7 @@ export class Views {
     this.renderer.autoClear = false;
     this.renderer.setPixelRatio(slow ? 1 : Math.min(window.devicePixelRatio || 1, 2));
     this.shown = {look: 'plain', other: '', split: 0.5, morph: 0, overlay: false, doubts: true, cages: false, numbers: true,
-      linked: true, rest: true};
+      linked: true, rest: true, pose: ''};
     this.fit = Math.hypot(...FIRST);
     this.blank = texture(new ImageData(1, 1), true);
     this.sides = Object.fromEntries(SIDES.map(name => [name, this.side(name, root.querySelector(`#${name}`))]));
@@ -94,7 +94,7 @@ export class Views {
     }
     for (const one of meshes) {
       const mesh = this.part(side, one);
-      mesh.kind = kind;
+      Object.assign(mesh, {kind, key});
       side.parts[one.name] = mesh;
       side.world.add(mesh);
     }
@@ -208,10 +208,12 @@ export class Views {
     const tall = Math.max(...all.map(one => one.tall)), wide = Math.max(...all.map(one => one.wide));
     const aspect = Math.min(...all.map(one => one.camera.aspect));
     this.fit = Math.max(tall / 0.88, wide / 0.95 / aspect) / half + 0.4 * wide;
-    for (const {camera, controls} of all) {
-      camera.position.sub(controls.target).multiplyScalar(this.fit / before).add(controls.target);
+    // Computed for all before any moves: a camera that moves takes the linked one along.
+    const moved = all.map(({camera, controls}) => camera.position.clone().sub(controls.target).multiplyScalar(this.fit / before));
+    all.forEach(({camera, controls}, i) => {
+      camera.position.copy(moved[i]).add(controls.target);
       controls.update();
-    }
+    });
     this.changed();
   }
 
@@ -272,7 +274,8 @@ export class Views {
     const morph = side.name === 'target' ? shown.morph : 0;
     for (const [name, mesh] of Object.entries(side.parts)) {
       const uniforms = mesh.material.uniforms;
-      mesh.visible = name === 'cage' ? shown.cages && !morph && !over : name === 'curves' ? !morph && !over : name !== 'rest' || (shown.rest && !over && !morph);
+      const still = !morph && !over && !shown.pose;
+      mesh.visible = name === 'cage' ? shown.cages && still : name === 'curves' ? still : name !== 'rest' || (shown.rest && still);
       if (name === 'cage' || name === 'curves') continue;
       const picture = name === 'seams' ? side.images.seams : this.sides.source.images.texture ?? this.blank;
       const known = name => name === 'baked' && !side.images.baked ? (side.name === 'source' ? 'texture' : 'plain') : name;
@@ -368,7 +371,8 @@ export class Views {
       return;
     }
     if (drag) return;
-    if (this.shown.morph && side.name === 'target') this.told.hint('Set Wrap back to 0 to place landmarks.');
+    if (this.shown.pose) this.told.hint('Set Pose back to rest to place landmarks.');
+    else if (this.shown.morph && side.name === 'target') this.told.hint('Set Wrap back to 0 to place landmarks.');
     else if (event.shiftKey) this.told.probe(ray);
     else {
       const over = this.markAt(side, event);

@@ -103,6 +103,8 @@ def _next_step(state: StudioState) -> str:
         return state.probe.text
     if state.history.present.open_landmark is not None:
         return "Click the same place on the other model, or press Enter to accept the proposed one."
+    if state.view.pose:
+        return "Both models are posed, the target by the joints and weights that the map gives it."
     if state.view.mode == "baked":
         return "The baked image is on the target."
     return "Map found. Where it is wrong, click that place on one model, then on the other."

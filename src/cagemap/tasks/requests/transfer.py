@@ -31,7 +31,9 @@ class TransferRequest:
     ]
     texture: Annotated[
         Path | None,
-        Option(help="Source texture, any image; for several, repeat it with NAME=IMAGE."),
+        Option(
+            help="Source texture: an image, or a glTF or FBX file with one; for several, repeat it with NAME=IMAGE."
+        ),
     ] = None
     maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
     usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None

@@ -1,0 +1,62 @@
+"""Both models posed before any bake: as `cagemap rig` poses them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from test_studio_models import attributes_of
+
+from cagemap.character.poses import pose_at
+from cagemap.character.values import posed
+from cagemap.errors import ParameterError
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.studio.compute import FindMap, MapUpdate, PairFiles, PreviewCache, ShowPosed, run_task
+from cagemap.studio.landmarks import LandmarkList
+
+from example_character import bare_body, character, write_character
+
+
+@pytest.fixture(scope="module")
+def body() -> ControlMesh:
+    return bare_body(1)
+
+
+def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) -> None:
+    made = character(body)
+    write_character(tmp_path / "C.glb", made)
+    write_mesh(tmp_path / "B.glb", body)
+    pair_files = PairFiles(tmp_path / "B.glb", tmp_path / "C.glb", None, 300, tmp_path, parts=(None, "object:body"))
+    cache, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    assert isinstance(found, MapUpdate)
+    assert found.map_state.poses == tuple(f"nod, {time:.2g} s" for time in (0.25, 0.5, 0.75))
+
+    def drawn(pose: str) -> list[np.ndarray]:
+        _, skins = run_task(cache, ShowPosed(pair_files, pose), lambda _: None)
+        assert isinstance(skins, tuple)
+        return [attributes_of(skin, "model")["POSITION"] for skin in skins]
+
+    rest, nodding = drawn(""), drawn("nod, 0.5 s")
+    for still, moved in zip(rest, nodding, strict=True):
+        assert np.abs(still - moved).max() > 0.02
+    assert cKDTree(nodding[0]).query(nodding[1])[0].max() < 2e-3  # one body, so that both are one picture
+    assert made.rig is not None
+    wanted = posed(made.parts[0], made.rig, pose_at(made.rig, made.animations[0], 0.5))
+    size = np.linalg.norm(np.ptp(wanted, axis=0)) / 2
+    np.testing.assert_allclose(np.ptp(nodding[0], axis=0), np.ptp(wanted, axis=0) / size, atol=5e-3)
+    with pytest.raises(ParameterError, match="Pose: expected a pose of the source"):
+        run_task(cache, ShowPosed(pair_files, "wave, 1 s"), lambda _: None)
+    with pytest.raises(ParameterError, match="Pose: expected"):
+        run_task(PreviewCache(), ShowPosed(pair_files, "nod, 0.5 s"), lambda _: None)
+
+
+def test_other_files_have_no_poses(tmp_path: Path, body: ControlMesh) -> None:
+    for name in ("B.obj", "S.obj"):
+        write_mesh(tmp_path / name, body)
+    pair_files = PairFiles(tmp_path / "B.obj", tmp_path / "S.obj", None, 300, tmp_path)
+    _, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    assert isinstance(found, MapUpdate)
+    assert found.map_state.poses == ()
