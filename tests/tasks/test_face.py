@@ -12,7 +12,7 @@ from scipy import sparse
 
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.files.face_kit import ABSENT, read_face_kit
+from cagemap.files.face_kit import ABSENT, kit_vertices, read_face_kit
 from cagemap.files.gltf.character import read_character
 from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.write import character_glb
@@ -28,13 +28,13 @@ from plain_meshes import ball
 
 def test_the_kit_has_all_names_of_arkit_but_one() -> None:
     kit = read_face_kit()
-    assert len(kit.part.shapes) == 51
-    assert ABSENT not in kit.part.shapes
-    assert {"jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "noseSneerRight", "browInnerUp"} <= set(kit.part.shapes)
+    assert len(kit.shapes) == 51
+    assert ABSENT not in kit.shapes
+    assert {"jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "noseSneerRight", "browInnerUp"} <= set(kit.shapes)
     # Left is the face's own: at +X of a face that looks along +Z.
     for name, side in (("eyeBlinkLeft", 1.0), ("eyeBlinkRight", -1.0), ("mouthSmileLeft", 1.0)):
-        weights = np.linalg.norm(kit.part.shapes[name], axis=1)
-        assert side * (weights @ kit.part.mesh.positions[:, 0]) > 0.0
+        weights = np.linalg.norm(kit.shapes[name], axis=1)
+        assert side * (weights @ kit.mesh.positions[:, 0]) > 0.0
     assert KEPT.stat().st_size < 4e6
 
 
@@ -47,30 +47,30 @@ def test_the_kits_file_is_made_of_the_data(shared_data: Path) -> None:
 
 
 def test_only_names_of_the_kit_are_taken() -> None:
-    assert list(read_face_kit(("jawOpen",)).part.shapes) == ["jawOpen"]
+    assert list(read_face_kit(("jawOpen",)).shapes) == ["jawOpen"]
     with pytest.raises(ParameterError, match=r"tongueOut is not among"):
         read_face_kit(("tongueOut",))
     with pytest.raises(ParameterError, match=r"expected names among .* got jawopen"):
         read_face_kit(("jawopen",))
     with pytest.raises(InvalidLandmarksError, match="got ear"):
-        read_face_kit(()).vertices_of(("chin", "ear"))
+        kit_vertices(("chin", "ear"))
 
 
 @pytest.mark.slow
 def test_on_the_kits_own_head_every_shape_comes_back() -> None:
     kit = read_face_kit(("jawOpen", "eyeBlinkLeft"))
-    found = match_bodies(Part("head", kit.part.mesh), kit.part, Landmarks.none(), Stages())
+    found = match_bodies(Part("head", kit.mesh), kit, Landmarks.none(), Stages())
     for name, offsets in body_shapes(found).items():
-        assert np.abs(offsets - kit.part.shapes[name]).max() < 1e-3 * np.abs(kit.part.shapes[name]).max(), name
+        assert np.abs(offsets - kit.shapes[name]).max() < 1e-3 * np.abs(kit.shapes[name]).max(), name
 
 
 @pytest.mark.slow
 def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     kit = read_face_kit(())
-    own = {"jawOpen": np.tile([0.0, 1.0, 0.0], (kit.part.mesh.n_vertices, 1))}
+    own = {"jawOpen": np.tile([0.0, 1.0, 0.0], (kit.mesh.n_vertices, 1))}
     eyes = Part("eyes", ball(2))
-    head = Part("head", kit.part.mesh.with_positions(0.01 * kit.part.mesh.positions), None, own)
+    head = Part("head", kit.mesh.with_positions(0.01 * kit.mesh.positions), None, own)
     write_document(Path("H.glb"), character_glb(Character((head, eyes))))
     done = run.done("face H.glb -o F.glb --only jawOpen,eyeBlinkLeft --sheet S.png")
     assert "jawOpen: H.glb has its own" in done.err
@@ -80,7 +80,7 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, run: Run, monk
     assert np.array_equal(after[0].mesh.positions, before[0].mesh.positions)
     assert np.allclose(after[0].shapes["jawOpen"], [0.0, 1.0, 0.0])
     assert not after[1].shapes
-    largest = np.abs(read_face_kit(("eyeBlinkLeft",)).part.shapes["eyeBlinkLeft"]).max()
+    largest = np.abs(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"]).max()
     assert np.abs(after[0].shapes["eyeBlinkLeft"]).max() == pytest.approx(0.01 * largest, rel=0.1)
     assert Path("S.png").stat().st_size > 0
 

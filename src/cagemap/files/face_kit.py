@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from importlib import resources
 
 import numpy as np
@@ -27,25 +26,18 @@ POINTS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class FaceKit:
-    """A head with expressions."""
-
-    part: Part = field(repr=False)  # in centimetres, Y up, facing +Z, with the shapes chosen; open at the neck
-    points: dict[str, int] = field(default_factory=lambda: dict(POINTS))  # vertices that landmarks may name
-
-    def vertices_of(self, names: tuple[str, ...]) -> list[int]:
-        """Vertices of named points."""
-        unknown = [name for name in names if name not in self.points]
-        if unknown:
-            raise InvalidLandmarksError(
-                f"expected points of a face named {', '.join(self.points)}, got {first_few(unknown)}. Rename them."
-            )
-        return [self.points[name] for name in names]
+def kit_vertices(names: tuple[str, ...]) -> list[int]:
+    """Vertices of the head that named points stand for."""
+    unknown = [name for name in names if name not in POINTS]
+    if unknown:
+        raise InvalidLandmarksError(
+            f"expected points of a face named {', '.join(POINTS)}, got {first_few(unknown)}. Rename them."
+        )
+    return [POINTS[name] for name in names]
 
 
-def read_face_kit(only: tuple[str, ...] | None = None) -> FaceKit:
-    """Read the head and its shapes.
+def read_face_kit(only: tuple[str, ...] | None = None) -> Part:
+    """Read the head, in centimetres, Y up, facing +Z, open at the neck, with its shapes.
 
     ``only``: ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
     """
@@ -65,4 +57,4 @@ def read_face_kit(only: tuple[str, ...] | None = None) -> FaceKit:
         offsets[given["rows"][start:end]] = given["shifts"][start:end]
         shapes[name] = offsets
     mesh = ControlMesh.from_faces(given["positions"].astype(np.float64), given["quads"], name="ICT-FaceKit")
-    return FaceKit(Part("face", mesh, None, shapes))
+    return Part("face", mesh, None, shapes)

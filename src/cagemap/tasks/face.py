@@ -11,7 +11,7 @@ from cagemap.character.bones import humanoid_joints
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.face_kit import ABSENT, FaceKit, read_face_kit
+from cagemap.files.face_kit import ABSENT, kit_vertices, read_face_kit
 from cagemap.files.gltf.document import GLTF_SUFFIXES, write_document
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import check_writable, write_image
@@ -43,13 +43,11 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     kit = read_face_kit(None if request.only is None else _names(request.only))
     document, given = read_body(request.head)
     body = body_in(given, request.part, request.head)
-    kept = [name for name in kit.part.shapes if name in body.shapes]
-    kit = replace(
-        kit, part=replace(kit.part, shapes={name: one for name, one in kit.part.shapes.items() if name not in kept})
-    )
+    kept = [name for name in kit.shapes if name in body.shapes]
+    kit = replace(kit, shapes={name: one for name, one in kit.shapes.items() if name not in kept})
     vertices = _head_vertices(body, given.rig)
     head = body if vertices is None else _cut(body, vertices)
-    found = match_bodies(head, kit.part, _landmarks(request, head, kit), stages)
+    found = match_bodies(head, kit, _landmarks(request, head), stages)
     trusted = found.result.quality.trusted_area
     if trusted < _TRUSTED:
         raise ParameterError(
@@ -115,13 +113,13 @@ def _cut(body: Part, vertices: IndexArray) -> Part:
     return Part(body.name, replace(extract(body.mesh, faces), name=body.mesh.name))
 
 
-def _landmarks(request: FaceRequest, head: Part, kit: FaceKit) -> Landmarks:
+def _landmarks(request: FaceRequest, head: Part) -> Landmarks:
     """Points of HEAD's file and those of the kit of the same names, as vertices."""
     if request.landmarks is None:
         return Landmarks.none()
     mesh = read_mesh(request.head)
     points = read_points(request.landmarks, mesh)
-    rows = kit.vertices_of(points.names)
+    rows = kit_vertices(points.names)
     places = mesh.positions[on_cage(points, mesh).nearest_vertices]
     return Landmarks(points.names, nearest(head.mesh.positions, places), np.array(rows, dtype=np.int64))
 

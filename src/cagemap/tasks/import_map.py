@@ -21,6 +21,7 @@ from cagemap.tasks.masks import mask_inputs, masks_on, read_masks
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import weld_asked
 
 MAP_VERTICES = 50_000
@@ -49,9 +50,8 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     masks.require_fit(places[0].n, places[1].n)
     stages("quality")
     quality = measure_quality(point_map, masks=masks)
-    welds = {"weld": request.weld, "target_weld": request.target_weld, "source_weld": request.source_weld}
-    asked = {"target_mask": request.target_mask, "source_mask": request.source_mask, "mask_edge": request.mask_edge}
-    parameters = {"method": "map of the user's", "level": request.level, **welds, **asked}
+    asked = said(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
+    parameters = {"method": "map of the user's", "level": request.level, **asked}
     provenance = {"parameters": parameters, "inputs": stated}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")

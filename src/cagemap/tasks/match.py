@@ -45,6 +45,7 @@ from cagemap.tasks.method import (
 )
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
+from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 _log = logging.getLogger(__name__)
@@ -98,19 +99,19 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
     }
     parts = asked_parts(request.part, request.target_part, request.source_part)
-    said = partial(_said, request)
+    given = partial(said, request)
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
-        **said("target_vertices", "source_vertices"),
+        **given("target_vertices", "source_vertices"),
         **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
         "method": request.method,
         "spectral": used_parameters(config),
-        **said("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
-        **said("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
-        **said("weld", "target_weld", "source_weld"),
+        **given("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
+        **given("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
+        **given("weld", "target_weld", "source_weld"),
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
-        **said("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
+        **given("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
     }
     entries = {"parameters": parameters, "inputs": stated}
     result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
@@ -118,11 +119,6 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     write_result(request.output, result, force=request.force)
     note_match(request)
     return summary(result, request.output, time.perf_counter() - started), warnings(result)
-
-
-def _said(request: MatchRequest, *names: str) -> dict[str, Any]:
-    """Some options as they were said."""
-    return {name: getattr(request, name) for name in names}
 
 
 def match_config(request: MatchRequest) -> MatchConfig:

@@ -34,6 +34,7 @@ from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.options import said
 from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
@@ -63,22 +64,21 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
     """Write the RESULT to wrap with: of a match, or of a point map of the user's."""
     if request.map is not None:
-        return run_map(MapRequest(request.map, target, source, result, **_said(request, "weld")), stages)
-    options = _said(request, "scheme", "weld")
+        return run_map(MapRequest(request.map, target, source, result, **_of_both(request, "weld")), stages)
+    options = _of_both(request, "scheme", "weld")
     return run_match(MatchRequest(target, source, request.landmarks, result, **options), stages)
 
 
-def _said(request: WrapRequest, *names: str) -> dict[str, Any]:
+def _of_both(request: WrapRequest, *names: str) -> dict[str, Any]:
     """Options of both meshes, and of each."""
-    return {field: getattr(request, field) for name in names for field in (name, f"target_{name}", f"source_{name}")}
+    return said(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
 
 
 def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
     """Carry the source's texture into the target's layout as well, if that was asked for."""
     if request.texture is None or request.baked is None:
         return summary, warnings
-    names = ("texture", "size", "target_mask", "source_mask", "mask_edge", "force")
-    options = {name: getattr(request, name) for name in names}
+    options = said(request, "texture", "size", "target_mask", "source_mask", "mask_edge", "force")
     more, others = carry_one(TransferRequest(request.results[0], request.baked, **options), stages)
     return f"{summary}\n{more}", warnings + others
 
@@ -92,13 +92,13 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError(
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
-    if not request.target and any(_said(request, "scheme", "weld").values()):
+    if not request.target and any(_of_both(request, "scheme", "weld").values()):
         raise ParameterError(
             "--scheme, --weld: expected with --target and --source; a RESULT has its schemes and welded meshes already"
         )
     if (request.target_scheme or request.scheme) == "none":
         raise ParameterError(f"{request.target}: {NO_CAGE}")
-    if request.map is not None and (request.landmarks is not None or any(_said(request, "scheme").values())):
+    if request.map is not None and (request.landmarks is not None or any(_of_both(request, "scheme").values())):
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     bakes = wrap_bakes(request)
     bakes.check()

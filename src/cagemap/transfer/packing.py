@@ -7,8 +7,6 @@ generation*, 2002, section 4).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -25,21 +23,8 @@ _SLACK = 1.1
 _HEIGHT_SHARE = 0.25
 
 
-@dataclass(frozen=True, eq=False)
-class _Island:
-    """Points (q, 2) of an island, and its edges as pairs of them."""
-
-    points: FloatArray
-    edges: IndexArray
-
-
-@dataclass(frozen=True, eq=False)
-class _Profile:
-    """Lower and upper outline of an island, column by column, above its own lowest point; origin its low corner."""
-
-    lower: FloatArray
-    upper: FloatArray
-    origin: FloatArray
+# Points (q, 2) of an island, and its edges as pairs of them.
+_Island = tuple[FloatArray, IndexArray]
 
 
 def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, padding: float) -> FloatArray:
@@ -54,10 +39,10 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     for rows in members:
         local[rows] = np.arange(len(rows))
     shapes = [
-        _Island(_upright(uvs[rows]), local[edges[own]])
+        (_upright(uvs[rows]), local[edges[own]])
         for rows, own in zip(members, _split(islands[edges[:, 0]]), strict=True)
     ]
-    boxes = np.array([np.ptp(shape.points, axis=0) for shape in shapes])
+    boxes = np.array([np.ptp(points, axis=0) for points, _ in shapes])
     side = max(1.2 * float(np.sqrt(boxes.prod(axis=1).sum())), float(boxes.max()))
     best, rounds = np.inf, 0
     packed = np.empty_like(uvs)
@@ -92,32 +77,32 @@ def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) 
     """Place all islands, the longest first, in a strip as wide as ``side``; their points, and the height reached."""
     column = side / _COLUMNS
     horizon = np.zeros(_COLUMNS)
-    placed = [shape.points for shape in shapes]
+    placed = [points for points, _ in shapes]
     for island in np.lexsort((-boxes.prod(axis=1), -boxes.max(axis=1))):
         best = np.inf
-        chosen: tuple[FloatArray, _Profile, int, float] | None = None
+        chosen: tuple[FloatArray, FloatArray, int, float] | None = None
         for turn in _QUARTER_TURNS:
-            points = shapes[island].points @ turn.T
-            profile = _profile(points, shapes[island].edges, column, margin)
-            if len(profile.lower) > _COLUMNS:
+            points = shapes[island][0] @ turn.T
+            lower, upper, origin = _profile(points, shapes[island][1], column, margin)
+            if len(lower) > _COLUMNS:
                 continue
-            windows = sliding_window_view(horizon, len(profile.lower))
-            floors = (windows - profile.lower).max(axis=1)
+            windows = sliding_window_view(horizon, len(lower))
+            floors = (windows - lower).max(axis=1)
             # Room lost beneath, plus a share of what growing taller would cost.
-            beneath = (len(profile.lower) * floors + profile.lower.sum() - windows.sum(axis=1)) * column
-            cost = beneath + (floors + profile.upper.max()) * side * _HEIGHT_SHARE
+            beneath = (len(lower) * floors + lower.sum() - windows.sum(axis=1)) * column
+            cost = beneath + (floors + upper.max()) * side * _HEIGHT_SHARE
             at = int(cost.argmin())
             if cost[at] < best * (1 - 1e-9):
-                best, chosen = float(cost[at]), (points, profile, at, float(floors[at]))
+                best, chosen = float(cost[at]), (points - origin, upper, at, float(floors[at]))
         assert chosen is not None, "the strip is at least as wide as every island"
-        points, profile, at, floor = chosen
-        placed[island] = points - profile.origin + (at * column, floor)
-        horizon[at : at + len(profile.upper)] = floor + profile.upper
+        points, upper, at, floor = chosen
+        placed[island] = points + np.array([at * column, floor])
+        horizon[at : at + len(upper)] = floor + upper
     return placed, float(horizon.max())
 
 
-def _profile(points: FloatArray, edges: IndexArray, column: float, margin: float) -> _Profile:
-    """Outline of one island with a margin around it, in columns of the given width."""
+def _profile(points: FloatArray, edges: IndexArray, column: float, margin: float) -> tuple[FloatArray, ...]:
+    """Lower and upper outline of an island with a margin, column by column above its low corner; and that corner."""
     low = points.min(axis=0)
     reach = 0.5 * margin  # half from either of two neighbours
     a, b = points[edges[:, 0]] - low, points[edges[:, 1]] - low
@@ -136,4 +121,4 @@ def _profile(points: FloatArray, edges: IndexArray, column: float, margin: float
     lower = sliding_window_view(np.pad(lower, cover, constant_values=np.inf), 2 * cover + 1).min(axis=1)
     upper = sliding_window_view(np.pad(upper, cover, constant_values=-np.inf), 2 * cover + 1).max(axis=1)
     shift = np.array([cover * column, reach])
-    return _Profile(lower, upper + 2 * reach, low - shift)
+    return lower, upper + 2 * reach, low - shift

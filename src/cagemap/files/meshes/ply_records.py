@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,9 @@ def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
     body = content[start:] if order else _pack_text(path, content[start:])
     columns, position = {}, 0
     for element in elements:
-        found, position = _read_element(path, body, position, element if order else _as_float64(element))
+        found, position = _read_element(
+            path, body, position, element if order else _with_types(element, lambda _: "<f8")
+        )
         columns[element.name] = {p.name: replace(found[p.name], stated=p.type) for p in element.properties}
     return columns
 
@@ -109,7 +112,8 @@ def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
             raise FormatError(at_line(path, number, "a line of a PLY header", line, _REMEDY)) from None
     if order is None:
         raise FormatError(f"{path}: expected a 'format' line in the PLY header, found none. {_REMEDY}")
-    return order, [_with_order(element, order or "<") for element in elements], start
+    known = order or "<"
+    return order, [_with_types(element, lambda kind: known + kind) for element in elements], start
 
 
 def _count(word: str) -> int:
@@ -125,16 +129,10 @@ def _with_property(element: Element, added: Property) -> Element:
     return replace(element, properties=(*element.properties, added))
 
 
-def _with_order(element: Element, order: str) -> Element:
-    ordered = [
-        Property(p.name, order + p.type, order + p.count_type if p.count_type else "") for p in element.properties
-    ]
-    return replace(element, properties=tuple(ordered))
-
-
-def _as_float64(element: Element) -> Element:
-    wide = [Property(p.name, "<f8", "<f8" if p.count_type else "") for p in element.properties]
-    return replace(element, properties=tuple(wide))
+def _with_types(element: Element, change: Callable[[str], str]) -> Element:
+    """An element whose numbers, and lengths of lists, have other types."""
+    changed = (Property(p.name, change(p.type), p.count_type and change(p.count_type)) for p in element.properties)
+    return replace(element, properties=tuple(changed))
 
 
 def _pack_text(path: Path, body: bytes) -> bytes:

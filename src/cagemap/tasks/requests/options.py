@@ -29,6 +29,11 @@ class Option:
     setting: bool = False
 
 
+def said(request: Any, *names: str) -> dict[str, Any]:
+    """Some fields of a request, by name."""
+    return {name: getattr(request, name) for name in names}
+
+
 def comma_words(text: str) -> list[str]:
     """Words of an option with commas between them."""
     return [word.strip() for word in text.split(",") if word.strip()]
