@@ -61,7 +61,7 @@ TABLES: dict[str, tuple[Callable[[], str], str]] = {
     "table3": (tables.table_3, "Table 3. Timing of whole results (its columns are not in the extracted text)."),
     "methods": (
         tables.table_of_methods,
-        "Ours. Mean errors, x100 of sqrt(area), of the methods by level and landmarks.",
+        "Ours. Mean errors, x100 of sqrt(area), of the methods by level and landmarks; `paper` with the schedule (100, 50, 50).",
     ),
     "levels": (
         table_of_levels,
