@@ -11,6 +11,7 @@ from itertools import chain
 
 from benchmarks.paper.data import DATA, folder
 from benchmarks.paper.drawing import FIGURES, TABLES, made, write_page
+from benchmarks.speed.measure import machine
 
 
 def main() -> None:
@@ -23,12 +24,15 @@ def main() -> None:
     wanted = arguments.names or [*FIGURES, *TABLES]
     place = folder() / "paper.json"
     seen = json.loads(place.read_text()) if place.is_file() else {}
+    used = machine()
+    code = f"{used['commit']}, {used['date']}"
     begin = time.perf_counter()
     # Tables come last and one by one, for they are of seconds.
     figures, tables_of_seconds = ([name for name in wanted if (name in FIGURES) == is_figure] for is_figure in (1, 0))
     with ProcessPoolExecutor(arguments.processes, multiprocessing.get_context("spawn")) as processes:
         for name, said, seconds in chain(processes.map(made, figures), map(made, tables_of_seconds)):
             seen[name] = said
+            seen.setdefault("code", {})[name] = code
             print(f"{name}: {seconds:.0f} s", flush=True)
             place.write_text(json.dumps(seen, indent=1) + "\n")
             write_page(seen)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import matplotlib as mpl
 
@@ -60,7 +61,7 @@ TABLES: dict[str, tuple[Callable[[], str], str]] = {
     "table3": (tables.table_3, "Table 3. Timing of whole results (its columns are not in the extracted text)."),
     "methods": (
         tables.table_of_methods,
-        "Ours. Mean errors, x100 of sqrt(area), of the methods by level and landmarks.",
+        "Ours. Mean errors, x100 of sqrt(area), of the methods by level and landmarks; `paper` with the schedule (100, 50, 50).",
     ),
     "levels": (
         table_of_levels,
@@ -84,20 +85,24 @@ def made(name: str) -> tuple[str, str, float]:
     return name, said, time.perf_counter() - start
 
 
-def write_page(seen: dict[str, str]) -> None:
-    """One page: the paper's claim, what we see, where it does not hold."""
+def write_page(seen: dict[str, Any]) -> None:
+    """One page: the paper's claim, what we see, where it does not hold; ``seen["code"]`` has the commit of each."""
     parts = [
         "# The paper's figures and tables\n\nRedrawn from our data by `python -m benchmarks.paper`. The paper's own models are "
         "not published. Eigenvalues and times are for unit area, errors x100 of sqrt(area). Figures are vectors; pictures in "
         "them have 300 dpi. Missing: Figures 11 to 18 and Table 2, whose models or text are not available, and "
         "orientation-aware descriptors, which are neither implemented nor measured."
     ]
+
+    def version(name: str) -> str:
+        return f"Code: {seen['code'][name]}."
+
     for name, (_, claim) in FIGURES.items():
         if name in seen:
             title, said = claim.split(". ", 1)[0] + ". " + claim.split(". ", 2)[1], claim.split(". ", 2)[2]
-            parts.append(f"## {title}\n\nThe paper: {said}\n\n![{name}]({name}.svg)\n\n{seen[name]}")
+            parts.append(f"## {title}\n\nThe paper: {said}\n\n![{name}]({name}.svg)\n\n{seen[name]}\n\n{version(name)}")
     for name, (_, claim) in TABLES.items():
         if name in seen:
             title, said = claim.split(". ", 1)
-            parts.append(f"## {title}\n\n{said}\n\n{seen[name]}")
+            parts.append(f"## {title}\n\n{said}\n\n{seen[name]}\n\n{version(name)}")
     (folder() / "index.md").write_text("\n\n".join(parts) + "\n")
