@@ -13,7 +13,7 @@ from examples.shapes import creature, cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cagemap import match, prepare_surface, update_match
+from cagemap import Surface, match, prepare_surface, update_match
 from cagemap.deform.config import StartConfig
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.point_formats import POINT_FORMS, PointForm, write_points
@@ -236,16 +236,25 @@ def test_landmarks_keep_their_points_through_reversal_and_selection() -> None:
         check_landmarks(wrong, cube(), cube())
 
 
-def test_the_map_meets_landmarks_between_vertices() -> None:
-    cage = creature()
-    target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
-    triangles = cage_triangles(cage)[0]
-    chosen = np.linspace(0, len(triangles) - 1, 10).astype(int)
+@pytest.fixture(scope="module")
+def twins() -> tuple[Surface, Surface]:
+    """A creature and the same one bent."""
+    return prepare_surface(creature(), 2), prepare_surface(bent(creature()), 2)
+
+
+def some_corners() -> np.ndarray:
+    """(10, 3) corners of ten triangles of the creature."""
+    triangles = cage_triangles(creature())[0]
+    return triangles[np.linspace(0, len(triangles) - 1, 10).astype(int)]
+
+
+def test_the_map_meets_landmarks_between_vertices(twins: tuple[Surface, Surface]) -> None:
+    chosen = some_corners()
     weights = np.random.default_rng(8).dirichlet([2, 2, 2], len(chosen))
-    points = CagePoints(triangles[chosen], weights)
-    names = tuple(map(str, chosen))
+    points = CagePoints(chosen, weights)
+    names = tuple(map(str, range(10)))
     config = replace(QUICK, start=StartConfig(search_vertices=600))
-    between = match(target, source, Landmarks.of_points(names, points, points, "t", "s"), config)
+    between = match(*twins, Landmarks.of_points(names, points, points, "t", "s"), config)
     assert between.suspects == ()
     # Rounding alone is left: each lies in a triangle whose corners are moved until it is met.
     assert between.quality.landmark_errors.max() < 1e-10
@@ -253,24 +262,21 @@ def test_the_map_meets_landmarks_between_vertices() -> None:
     # Every vertex keeps its meaning, so the map of true points leads to where it is itself.
     errors = np.linalg.norm(between.point_map.images.positions - between.point_map.source.positions, axis=1)
     assert errors.mean() < 0.01
-    moved = CagePoints(triangles[chosen], weights[:, [1, 0, 2]])
+    moved = CagePoints(chosen, weights[:, [1, 0, 2]])
     updated = update_match(between, Landmarks.of_points(names, points, moved, "t", "s"), config)
     assert updated.quality.landmark_errors.max() < 1e-10
 
 
-def test_coarse_search_levels_have_landmarks_between_vertices() -> None:
+def test_coarse_search_levels_have_landmarks_between_vertices(twins: tuple[Surface, Surface]) -> None:
     """Landmarks between vertices are vertices of the level that is searched, however coarse: it was an IndexError."""
-    cage = creature()
-    target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
-    triangles = cage_triangles(cage)[0]
-    chosen = np.linspace(0, len(triangles) - 1, 10).astype(int)
-    points = CagePoints(triangles[chosen], np.full((len(chosen), 3), 1 / 3))
-    landmarks = Landmarks.of_points(tuple(map(str, chosen)), points, points, "t", "s")
+    chosen = some_corners()
+    points = CagePoints(chosen, np.full((len(chosen), 3), 1 / 3))
+    landmarks = Landmarks.of_points(tuple(map(str, range(10))), points, points, "t", "s")
     config = replace(QUICK, start=StartConfig(search_vertices=100))
-    found = match(target, source, landmarks, config)
+    found = match(*twins, landmarks, config)
     assert found.prepared.mesh.n < NEAR_VERTICES
     assert found.quality.landmark_errors.max() < 1e-3
-    moved = CagePoints(triangles[chosen], np.tile([0.5, 0.3, 0.2], (len(chosen), 1)))
+    moved = CagePoints(chosen, np.tile([0.5, 0.3, 0.2], (len(chosen), 1)))
     updated = update_match(found, Landmarks.of_points(landmarks.names, points, moved, "t", "s"), config)
     assert updated.quality.landmark_errors.max() < 1e-3
 

@@ -79,13 +79,10 @@ def test_uvs_of_every_interpolation(tmp_path: Path) -> None:
         api.CreatePrimvar(name, Sdf.ValueTypeNames.TexCoord2fArray, name).Set(Vt.Vec2fArray.FromNumpy(values))
     stage.Save()
     mesh = read_usd(tmp_path / "uvs.usda")
+    owners = {"constant": np.zeros(8, int), "uniform": mesh.corner_faces, "faceVarying": np.arange(8)}
     for name in counts:
         chosen = mesh.with_uv_set(name)
-        owner = {
-            "constant": np.zeros(8, int),
-            "uniform": mesh.corner_faces,
-            "faceVarying": np.arange(8),
-        }.get(name, mesh.face_indices)
+        owner = owners.get(name, mesh.face_indices)
         np.testing.assert_array_equal(chosen.uvs[chosen.uv_indices][:, 0], 2 * owner)
 
 

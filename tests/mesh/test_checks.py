@@ -22,7 +22,7 @@ from cagemap.mesh.topology import (
     mesh_topology,
 )
 
-from mesh_faults import SHAPES, elements, faces_of, flip, kinds, with_faces
+from mesh_faults import SHAPES, elements, faces_of, flip, kinds, moebius_strip, with_faces
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -123,13 +123,7 @@ def test_openings_are_closed_before_the_inside_is_judged() -> None:
 
 
 def test_one_sided_surface_is_refused() -> None:
-    angle = np.linspace(0, 2 * np.pi, 9)[:-1]
-    across = np.array([-0.3, 0.3])
-    radius = 1 + across * np.cos(angle / 2)[:, None]
-    height = across * np.sin(angle / 2)[:, None]
-    positions = np.stack([radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None], height], axis=-1)
-    faces = [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(7)] + [(14, 1, 0, 15)]
-    mesh = ControlMesh.from_faces(positions.reshape(-1, 3), faces)
+    mesh = moebius_strip()
     assert kinds(mesh) == ["one-sided surface"]
     assert elements(mesh, "one-sided surface") == ()
     assert check_mesh(mesh).genus is None

@@ -26,7 +26,8 @@ from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
 from cagemap.operators.coarse_levels import coarsened, delaunay, prolongation, refined, simplified
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
-from cagemap.subdivision import finest_mesh, refine
+from cagemap.spectral import Surface
+from cagemap.subdivision import Refinement, finest_mesh, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import triangle_normals, triangles
 from cagemap.transfer.matched import transfer_of
@@ -36,9 +37,20 @@ from cotangents import triangle_cotangents
 from plain_meshes import animal, far_apart
 
 
-def test_levels_below_a_plain_mesh_are_nested() -> None:
-    mesh = animal(3)
-    found = refined(mesh, 0)
+@pytest.fixture(scope="module")
+def scan() -> Surface:
+    """A plain mesh of two coarse levels."""
+    return prepare_surface(animal(3), 0)
+
+
+@pytest.fixture(scope="module")
+def levels() -> Refinement:
+    """The same with its coarse levels, as they are made."""
+    return refined(animal(3), 0)
+
+
+def test_levels_below_a_plain_mesh_are_nested(levels: Refinement) -> None:
+    mesh, found = animal(3), levels
     assert found.is_plain
     assert found.n_levels >= 1
     assert [level.n_vertices for level in found.levels] == sorted(level.n_vertices for level in found.levels)
@@ -59,8 +71,8 @@ def test_levels_below_a_plain_mesh_are_nested() -> None:
         assert miss.mean() < 0.2 * size / np.sqrt(coarse.n_vertices)
 
 
-def test_vertices_of_levels_are_found_among_the_finest() -> None:
-    plain, cage = refined(animal(3), 0), refine(creature(), 2)
+def test_vertices_of_levels_are_found_among_the_finest(levels: Refinement) -> None:
+    plain, cage = levels, refine(creature(), 2)
     assert plain.n_levels == 2
     for refinement in (plain, cage):
         for level, mesh in enumerate(refinement.levels):
@@ -81,7 +93,7 @@ def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
     meshes = [refine(replace(mesh, scheme=Plain()), 0) for mesh in finest]
     alone = [coarsened(mesh) for mesh in meshes]
     for _ in range(3):
-        for once, again in zip(alone, in_threads(coarsened, meshes, 2), strict=True):
+        for once, again in zip(alone, in_threads(coarsened, meshes), strict=True):
             for one, other in zip(once.levels, again.levels, strict=True):
                 np.testing.assert_array_equal(one.positions, other.positions)
                 np.testing.assert_array_equal(one.faces, other.faces)
@@ -107,9 +119,9 @@ def test_a_coarse_vertex_without_triangles_is_none(monkeypatch) -> None:
     assert np.linalg.norm(places[far] - positions[far]) < np.ptp(positions, axis=0).max() / np.sqrt(600)
 
 
-def test_coarse_levels_know_the_mesh_s_low_frequencies() -> None:
+def test_coarse_levels_know_the_mesh_s_low_frequencies(levels: Refinement) -> None:
     """Rayleigh quotients of coordinates, which vary slowly: prolonging them from a coarse level adds little energy."""
-    found = refined(animal(3), 0)
+    found = levels
     operators = build_operators(found)
     stiffness, mass, places = operators.stiffness, operators.mass, found.finest.positions.T
     exact = [x @ stiffness[-1] @ x / (x @ mass[-1] @ x) for x in places]
@@ -169,9 +181,8 @@ def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp
     assert vars(again.target)["hierarchy"].n_levels == 1
 
 
-def test_a_prepared_plain_pair_has_masks_of_its_levels() -> None:
-    mesh, cage = animal(3), prepare_surface(creature(), 2)
-    surface = prepare_surface(mesh, 0)
+def test_a_prepared_plain_pair_has_masks_of_its_levels(scan: Surface) -> None:
+    surface, mesh, cage = scan, scan.control, prepare_surface(creature(), 2)
     masks = Masks(np.linspace(0, 1, mesh.n_vertices), np.linspace(1, 0, len(cage.vertices)))
     pair = prepare_pair(surface, cage, MatchConfig(masks=masks))
     assert pair.mesh.n < mesh.n_vertices
@@ -185,8 +196,8 @@ def test_a_prepared_plain_pair_has_masks_of_its_levels() -> None:
     np.testing.assert_array_equal(back.reversed.rest.masks.target, masks.target[pair.vertices])
 
 
-def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place() -> None:
-    surface = prepare_surface(animal(3), 0)
+def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place(scan: Surface) -> None:
+    surface = scan
     levels, finest = surface.hierarchy, surface.finest_triangles
     for vertices in (levels.on_finest(0)[:5], np.arange(0, 900, 100)):
         points = SurfacePoints.from_vertices(finest, vertices)
@@ -199,9 +210,8 @@ def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place() -> None
             assert apart.max() < 0.15  # of sqrt(area)
 
 
-def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
-    mesh = animal(3)
-    surface = prepare_surface(mesh, 0)
+def test_answers_for_a_plain_mesh_are_in_its_own_numbers(scan: Surface) -> None:
+    surface, mesh = scan, scan.control
     prepared = prepare_pair(surface, surface)
     known = Placement(prepared.mesh.positions, 1e-4, name="as the files stand")
     assert len(known.positions) < mesh.n_vertices

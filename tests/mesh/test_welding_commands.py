@@ -30,6 +30,7 @@ from cagemap.studio.session import Session
 from cagemap.tasks.requests.catalogue import all_options
 
 from command_line import Run
+from mesh_faults import moebius_strip
 from plain_meshes import animal, soup, split_at_seams
 from studio_boxes import until
 
@@ -65,23 +66,13 @@ def test_check_names_the_tolerance_and_takes_it(run: Run, folder: Path, monkeypa
     assert "expected auto or a distance" in wrong.out + wrong.err
 
 
-def _moebius() -> ControlMesh:
-    turn = np.arange(12) * np.pi / 6
-    width = np.column_stack([np.cos(turn / 2) * np.cos(turn), np.cos(turn / 2) * np.sin(turn), np.sin(turn / 2)])
-    middle = 3 * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
-    low, high = np.arange(12), np.arange(12, 24)
-    quads = np.column_stack([low, np.roll(low, -1), np.roll(high, -1), high])
-    quads[-1] = [11, 12, 0, 23]
-    return ControlMesh.from_faces(np.vstack([middle - width, middle + width]), quads)
-
-
 @pytest.mark.parametrize(
     ("build", "usable", "said"),
     [
         (lambda: soup(animal(1)), True, "vertices joined with others at the same place"),
         (lambda: join_meshes([animal(1), cube()]), True, "1 smaller piece set aside ("),
         (lambda: replace(animal(1), face_indices=animal(1).face_indices[::-1]), True, "faces turned round"),
-        (_moebius, False, "Moebius"),
+        (moebius_strip, False, "Moebius"),
     ],
     ids=["soup", "two pieces", "inside out", "one-sided"],
 )

@@ -188,6 +188,13 @@ def test_the_form_has_every_option_that_the_page_shows() -> None:
     assert not {".".join(key) for key in OMITTED_OPTIONS} & set(keys)
     json.dumps(shown)
     assert all(line["hint"] for line in rows)
+    for line in rows:
+        if line["kind"] in ("choice", "several"):
+            assert line["choices"], line
+        elif line["kind"] == "number":
+            option = options[tuple(line["key"].split("."))]
+            assert (line["least"], line["most"]) == (option.least, option.most)
+        assert ("suffixes" in line) == ("file" in line["kind"]), line
 
 
 def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> None:

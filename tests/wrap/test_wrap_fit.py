@@ -32,6 +32,12 @@ def samples_of(net: ControlNet, images: SurfacePoints) -> Samples:
     return Samples.choose(net, images, np.ones(count), np.zeros(count, dtype=bool), NetConfig())
 
 
+def net_of(target: Refinement, point_map: PointMap) -> tuple[ControlNet, Samples]:
+    """The net of the target's cage, all of which follows the map."""
+    net = control_net(target, 0, point_map.target.scale)
+    return net, samples_of(net, point_map.images)
+
+
 def test_a_round_solves_its_system() -> None:
     """Planes, images and energy, written out densely; points that do not move keep their places."""
     target = refine(torus(12, 8), 2)
@@ -72,8 +78,7 @@ def test_mending_a_thin_face_moves_nothing_far_from_it(many: int) -> None:
     target = refine(torus(24, 12), 2)
     source = refine(dented(torus(24, 12), 0.25), 2)
     point_map = same_vertices(target, source)
-    net = control_net(target, 0, point_map.target.scale)
-    data = samples_of(net, point_map.images)
+    net, data = net_of(target, point_map)
     fitted = fit_net(net, data, WrapConfig())
     spoilt = fitted.copy()
     face = net.mesh.face_indices[net.mesh.face_offsets[40] : net.mesh.face_offsets[41]]
@@ -92,8 +97,7 @@ def test_mending_a_thin_face_moves_nothing_far_from_it(many: int) -> None:
 def test_what_is_sound_is_left_as_it_is() -> None:
     target = refine(torus(12, 8), 3)
     point_map = same_vertices(target, refine(dented(torus(12, 8), 0.2), 3))
-    net = control_net(target, 0, point_map.target.scale)
-    data = samples_of(net, point_map.images)
+    net, data = net_of(target, point_map)
     fitted = fit_net(net, data, WrapConfig())
     np.testing.assert_array_equal(mend(net, data, WrapConfig(), fitted), fitted)
 
@@ -127,8 +131,7 @@ def test_what_still_folds_in_the_end_is_laid_flat() -> None:
     config = WrapConfig(mending=MendConfig(rounds=0, max_flat=0.1))
     target = refine(torus(24, 12), 1)
     point_map = same_vertices(target, target)
-    net = control_net(target, 0, point_map.target.scale)
-    data = samples_of(net, point_map.images)
+    net, data = net_of(target, point_map)
     spoilt = net.graph.positions.copy()
     one, two = net.mesh.face_indices[:2]
     spoilt[[one, two]] = spoilt[[two, one]]
@@ -185,8 +188,7 @@ def test_a_small_piece_of_its_own_that_folds_goes_with_what_is_around_it() -> No
     control, n = ring_and_ball(0.05)
     target = refine(control, 2)
     point_map = same_vertices(target, target)
-    net = control_net(target, 0, point_map.target.scale)
-    data = samples_of(net, point_map.images)
+    net, data = net_of(target, point_map)
     spoilt = net.graph.positions.copy()
     spoilt[n : n + 2] = spoilt[[n + 1, n]]  # two corners change places
     assert folded_faces(net, spoilt).any()
