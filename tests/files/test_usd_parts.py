@@ -124,7 +124,7 @@ def test_refined_files_keep_units_axis_and_place(suffix: str, tmp_path: Path) ->
 
 
 def _volume(mesh: ControlMesh) -> float:
-    surface = TriangleSurface.fromusd_mesh(mesh.positions, mesh.face_indices.reshape(-1, 4))
+    surface = TriangleSurface.from_faces(mesh.positions, mesh.face_indices.reshape(-1, 4))
     a, b, c = (surface.positions[surface.triangles[:, k]] for k in range(3))
     return float(np.einsum("td,td->", a, np.cross(b, c)))
 

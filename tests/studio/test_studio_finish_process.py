@@ -65,7 +65,7 @@ def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
         write_whole(tmp_path / "a.txt", "a")
         raise ParameterError("exists (`force=True`)")
 
-    monkeypatch.setattr("cagemap.tasks.run_request.run_request", work)
+    monkeypatch.setattr("cagemap.tasks.requests.catalogue.run_request", work)
     made = run_finish_request(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
     assert made.warnings == ("a.obj has no UVs: --unwrap",)
     assert made.files == (tmp_path / "a.txt",)
@@ -119,9 +119,9 @@ def wait_for_threads(connection: Connection) -> None:
         stages("waits")
         threading.Event().wait()
 
-    import cagemap.tasks.run_request
+    import cagemap.tasks.requests.catalogue
 
-    cagemap.tasks.run_request.run_request = wait  # type: ignore[assignment]
+    cagemap.tasks.requests.catalogue.run_request = wait  # type: ignore[assignment]
     serve(connection)
 
 
@@ -159,9 +159,9 @@ def remove_slowly(connection: Connection) -> None:
             time.sleep(0.5)
             (request.result / "removed").touch()
 
-    import cagemap.tasks.run_request
+    import cagemap.tasks.requests.catalogue
 
-    cagemap.tasks.run_request.run_request = wait  # type: ignore[assignment]
+    cagemap.tasks.requests.catalogue.run_request = wait  # type: ignore[assignment]
     serve(connection)
 
 
