@@ -35,7 +35,7 @@ from benchmarks.truth import true_map
 from cagemap.files.meshes.obj import read_obj
 from cagemap.numerics.factorization import factor
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.spectral.zoomout import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -129,7 +129,7 @@ def write_humans(root: Path) -> None:
         )
     truth = true_map(neutral[1], neutral[0]).on(neutral[0])
     nearest = truth.corners[np.arange(len(truth)), truth.barycentric.argmax(axis=1)]
-    known = evenly_spaced(neutral[1].n, KNOWN["faust_r"])[: KNOWN["faust_r"]]
+    known = evenly_spaced_vertices(neutral[1].n, KNOWN["faust_r"])[: KNOWN["faust_r"]]
     known[list(ids)] = [named[name] for name in HUMAN_LANDMARKS]
     for i, (cage, identity) in enumerate(HUMANS):
         on_it = np.arange(neutral[1].n) if i == 1 else nearest
@@ -153,7 +153,7 @@ def write_animals(root: Path) -> None:
     bones = animal_bones({name: standing[vertex] for name, vertex in named.items()})
     weights = shares(standing, triangles, bones, 0.04)
     (ids,) = SETS["smal_r"].landmarks.values()
-    known = evenly_spaced(len(standing), KNOWN["smal_r"])[: KNOWN["smal_r"]]
+    known = evenly_spaced_vertices(len(standing), KNOWN["smal_r"])[: KNOWN["smal_r"]]
     known[list(ids)] = [named[name] for name in ANIMAL_LANDMARKS]
     for i, (family, sizes) in enumerate(FAMILIES.items()):
         own = detail(standing, triangles, 0.08, 0.018 if sizes else 0.008, 300 + i)

@@ -22,7 +22,7 @@ from benchmarks.skeleton import Bone, Sizes, Turns, shares, skinned
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
-from cagemap.spectral.zoomout import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangles import triangle_areas
 
@@ -232,7 +232,7 @@ def write_set(
 ) -> None:
     """Write a set in its published layout; the template's points are vertices of the refined cage."""
     (ids,) = SETS[name].landmarks.values()
-    known = evenly_spaced(len(next(iter(shapes.values()))), KNOWN[name])[: KNOWN[name]]
+    known = evenly_spaced_vertices(len(next(iter(shapes.values()))), KNOWN[name])[: KNOWN[name]]
     known[list(ids)] = landmarks
     for shape, positions in shapes.items():
         write_shape(root, shape, positions, triangles, known)

@@ -13,7 +13,7 @@ from benchmarks.public.sets import Marks, PublicSet, more_landmarks
 from benchmarks.verdicts import verdict
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.geodesic import BATCH, HeatDistances
-from cagemap.maps.places import located
+from cagemap.maps.places import locate
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.plain import plain_mesh
@@ -75,7 +75,7 @@ class Shapes:
         marks = self.public.pair_marks(self.root, target, source, receiving.mesh)
         if marks is not None:
             marks = marks if receiving.numbers is None else marks.renumbered(receiving.numbers)
-            receiving = replace(receiving, marks=marks, places=located(receiving.surface, marks.points))
+            receiving = replace(receiving, marks=marks, places=locate(receiving.surface, marks.points))
         return receiving, self[source]
 
     def _prepared(self, name: str) -> Shape:
@@ -89,7 +89,7 @@ class Shapes:
             control = replace(control, scheme=SCHEMES[self.scheme]())
             level = choose_level(control, self.vertices)
         surface = prepare_surface(control, level)
-        return Shape(surface, marks, located(surface, marks.points), given, numbers)
+        return Shape(surface, marks, locate(surface, marks.points), given, numbers)
 
 
 def receiver(shape: Shape, points: int) -> Receiver:

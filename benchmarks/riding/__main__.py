@@ -35,7 +35,7 @@ from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.subdivision import finest_mesh, refine
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
@@ -118,7 +118,7 @@ def identity() -> Iterator[Row]:
         transfer = cagemap.transfer_of(cagemap.read_result(root / "R"))
         inside = touched(transfer, size)
         noise = rng.integers(0, 256, (size, size, 3)).astype(np.uint8)
-        directions = normalized(rng.standard_normal((size * size, 3)) + np.array([0.0, 0.0, 2.0]))
+        directions = normalize_rows(rng.standard_normal((size * size, 3)) + np.array([0.0, 0.0, 2.0]))
         normals = np.rint((0.5 * directions + 0.5) * 255).astype(np.uint8).reshape(size, size, 3)
         moves = rng.standard_normal((size, size, 3)).astype(np.float32)
         for name, image in (("noise", noise), ("normals", normals)):
@@ -204,7 +204,7 @@ def _there_and_back(
 
 
 def _unit(pixels: np.ndarray) -> np.ndarray:
-    return normalized(pixels.astype(np.float64) / 255 * 2 - 1)
+    return normalize_rows(pixels.astype(np.float64) / 255 * 2 - 1)
 
 
 def shapes() -> Iterator[Row]:

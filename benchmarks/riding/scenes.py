@@ -12,7 +12,7 @@ from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import normalized, vertex_normals
+from cagemap.surface.triangles import normalize_rows, vertex_normals
 
 JOINTS = 60
 INFLUENCES = 4
@@ -77,5 +77,5 @@ def normal_image(size: int, steep: float = 1.0) -> NDArray[np.uint8]:
         rough = ndimage.gaussian_filter(rng.standard_normal((size, size)), width, mode="wrap")
         heights += steep * depth * rough / rough.std()
     slopes = [ndimage.sobel(heights, axis=axis, mode="wrap") / 8 for axis in (1, 0)]
-    normals = normalized(np.stack([-slopes[0], slopes[1], np.ones_like(heights)], axis=2).reshape(-1, 3))
+    normals = normalize_rows(np.stack([-slopes[0], slopes[1], np.ones_like(heights)], axis=2).reshape(-1, 3))
     return np.rint((0.5 * normals + 0.5) * 255).astype(np.uint8).reshape(size, size, 3)

@@ -26,8 +26,8 @@ from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Part, Rig
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.mesh import ControlMesh, Plain
-from cagemap.mesh.landmarks import Landmarks, NamedPoints, paired
-from cagemap.mesh.parts import extract, find_part, numbers_on_part
+from cagemap.mesh.landmarks import Landmarks, NamedPoints, pair_by_name
+from cagemap.mesh.parts import extract_faces, find_part, numbers_on_part
 from cagemap.mesh.plain import PlainMesh
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.mesh.udim import FIRST_TILE
@@ -81,7 +81,7 @@ def largest_piece(mesh: ControlMesh) -> PlainMesh | Welded:
     whole = part is None or (len(part.faces), len(np.unique(mesh.face_indices))) == (mesh.n_faces, mesh.n_vertices)
     if part is None or whole or isinstance(mesh.scheme, Plain):
         return ready_mesh(mesh)
-    piece = extract(mesh, part.faces)
+    piece = extract_faces(mesh, part.faces)
     number = numbers_on_part(piece, mesh)
     return replace(ready_mesh(piece), vertex_of=number)
 
@@ -324,7 +324,7 @@ def _landmarks(
         NamedPoints(tuple(points), np.full(len(points), -1), np.array(list(points.values()), dtype=np.float64))
         for points in (target_points, source_points)
     ]
-    landmarks, notes = paired(*named, *(part.mesh for part in parts))
+    landmarks, notes = pair_by_name(*named, *(part.mesh for part in parts))
     return landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready)), notes
 
 

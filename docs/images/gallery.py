@@ -16,7 +16,7 @@ import numpy as np
 from tutorial import draw, draw_wired, model_of, save, screenshot, textured
 
 from cagemap.files.result.folder import read_result
-from cagemap.maps.places import located
+from cagemap.maps.places import locate
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
@@ -93,7 +93,7 @@ def moved(names: Names) -> tuple[Image, ...]:
     source, result = names["source"], names["result"]
     model = model_of(source.refinement)
     landmarks = [of.landmarks.source_points for of in (result, names["updated"])]
-    points = [located(source, of).positions[names["eye"]] for of in landmarks]
+    points = [locate(source, of).positions[names["eye"]] for of in landmarks]
     camera = frame(model.positions, FRONT, aspect=1.0)
     colors = np.array([[0.55, 0.55, 0.6], [0.9, 0.25, 0.2]])
     dots = draw_dots(draw(model), model, camera, np.array(points) / source.operators.scale, colors, radius=4)

@@ -16,7 +16,7 @@ import numpy as np
 from cagemap.files.images.image import Pixels, read_image, write_image
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import read_result
-from cagemap.maps.places import located
+from cagemap.maps.places import locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray
@@ -108,7 +108,7 @@ def main(folder: Path) -> None:
     result: MatchResult = read_result(folder / "RESULT")
     source, target = result.source, result.target
     pony, deer = model_of(source.refinement), model_of(target.refinement)
-    points = [located(side, of).positions for side, of in _landmarks(result)]
+    points = [locate(side, of).positions for side, of in _landmarks(result)]
     save("tutorial_landmarks", with_landmarks(source, pony, points[0]), with_landmarks(target, deer, points[1]))
     finest = source.refinement.finest.positions
     images = result.point_map.images.positions / source.operators.scale

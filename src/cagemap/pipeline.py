@@ -17,7 +17,7 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic import elastic_map, hypothesis_map, known_map
-from cagemap.maps.hypotheses.confidence import at_finest
+from cagemap.maps.hypotheses.confidence import prolong_answers
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.other_answers import mirrored_readings, turned_limbs
@@ -42,9 +42,9 @@ from cagemap.spectral.surface import ENOUGH as ENOUGH
 from cagemap.spectral.surface import METHODS as METHODS
 from cagemap.spectral.surface import choose_level as choose_level
 from cagemap.spectral.surface import default_basis as default_basis
+from cagemap.spectral.surface import no_progress as no_progress
 from cagemap.spectral.surface import prepare_surface as prepare_surface
 from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
-from cagemap.spectral.surface import silent as silent
 
 logger = logging.getLogger(__name__)
 
@@ -133,7 +133,7 @@ def match(
     landmarks: LandmarksLike | None = None,
     config: MatchConfig = MatchConfig(),
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> MatchResult:
     """Map a target surface to a source surface (paper, section 5).
 
@@ -199,7 +199,7 @@ def match_pair(
     landmarks: LandmarksLike | None = None,
     config: MatchConfig = MatchConfig(),
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     timings: dict[str, float] | None = None,
     preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
@@ -249,7 +249,7 @@ def match_pair(
                 point_map, ends = elastic_map(problem, progress)
         shared = SharedArea.of_fit(prepared, ends[0].answer)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
-    found = replace(judged, confidence=None if confidence is None else at_finest(confidence, prepared))
+    found = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
 
@@ -259,7 +259,7 @@ def update_match(
     landmarks: LandmarksLike,
     config: MatchConfig = MatchConfig(),
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> MatchResult:
     """A match after landmarks were added, moved or removed: a preview at once, from the map that is there.
 
@@ -308,7 +308,7 @@ def update_match(
 
 
 def other_answer(
-    before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = silent
+    before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = no_progress
 ) -> MatchResult:
     """Another of the answers ``before.confidence.readings`` in place of the first, which is 0.
 

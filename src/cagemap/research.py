@@ -20,12 +20,12 @@ from cagemap.errors import ParameterError
 from cagemap.maps.elastic import elastic_map
 from cagemap.maps.functional_maps import (
     MapLike,
-    checked,
+    check_map,
     from_bases,
     functional_map_from,
-    places_of,
+    image_positions,
     to_bases,
-    zoomed_out,
+    zoomout_of_map,
 )
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of
@@ -185,7 +185,7 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
         C12 on the leading basis functions of both surfaces. Vertex maps of the finest level and point maps are kept;
         vertex maps of coarser levels are converted to C12 first.
     """
-    checked_map = checked(pair, map_like)
+    checked_map = check_map(pair, map_like)
     if isinstance(checked_map, PointMap):
         return checked_map
     if checked_map.ndim == 1 and len(checked_map) == len(pair.target.vertices):
@@ -206,7 +206,7 @@ def functional_map_of(pair: Pair, map_like: MapLike) -> FloatArray:
 
 def zoomout(pair: Pair, start: MapLike, schedule: ZoomOutSchedule = ZoomOutSchedule()) -> FloatArray:
     """C12 (k1, k2) by ZoomOut from any map, on sampled vertices."""
-    return zoomed_out(pair, start, schedule)
+    return zoomout_of_map(pair, start, schedule)
 
 
 def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | None = None) -> PointMap:
@@ -229,7 +229,7 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair)
     places = None
     if start is not None:
-        places = places_of(pair, start, problem.prepared.vertices[problem.shape.vertices])
+        places = image_positions(pair, start, problem.prepared.vertices[problem.shape.vertices])
     return elastic_map(problem, start=places)[0]
 
 
@@ -247,7 +247,7 @@ def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) ->
     prepared = prepare_pair(pair.target, pair.source) if prepared is None else prepared
     places = None if isinstance(start, PointMap) else array_of(start)
     if places is None or places.shape != (prepared.mesh.n, 3):
-        places = places_of(pair, start, prepared.vertices)
+        places = image_positions(pair, start, prepared.vertices)
     return _project(prepared, places, pair.landmarks)
 
 

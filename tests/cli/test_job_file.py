@@ -22,7 +22,7 @@ from cagemap.tasks.job_file import JOB, note_match, note_output
 from cagemap.tasks.match import MatchRequest
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
-from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.matching import MapRequest
 from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.tasks.run_job import run_task
 from cagemap.tasks.wrap import run_wrap

@@ -18,7 +18,7 @@ from cagemap.errors import MissingLibraryError
 from cagemap.example import example_pair
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.numerics import factorization
-from cagemap.numerics.process import library
+from cagemap.numerics.process import import_library
 from cagemap.pictures.render import Model
 from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces
 from cagemap.subdivision import level_triangles
@@ -95,7 +95,7 @@ def test_pip_takes_only_what_has_a_wheel() -> None:
 
 
 def test_a_library_that_is_there_is_given() -> None:
-    assert library("math", "sums").pi > 3
+    assert import_library("math", "sums").pi > 3
 
 
 def test_a_job_without_dask_can_be_looked_at_and_says_what_to_install(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from cagemap.files.images.image import read_texture, udim_path, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh
-from cagemap.mesh.parts import extract, list_parts
+from cagemap.mesh.parts import extract_faces, list_parts
 from cagemap.subdivision import limit_positions, refine
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
@@ -55,7 +55,7 @@ def _use(path: Path) -> None:
     if report.problems:
         raise FormatError("; ".join(problem.found for problem in report.problems))
     for part in list_parts(mesh)[:4]:
-        extract(mesh, part.faces)
+        extract_faces(mesh, part.faces)
     refinement = refine(mesh, 1)
     assert np.isfinite(refinement.finest.positions).all()
     limit_positions(refinement, 1)

@@ -16,7 +16,7 @@ from cagemap.maps.projection.project import facing_points
 from cagemap.subdivision import refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized, triangle_normals
+from cagemap.surface.triangles import normalize_rows, triangle_normals
 
 from elastic_shapes import minimised
 
@@ -42,7 +42,7 @@ def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarr
 
 def test_round_trips_count_more_inside_than_outside() -> None:
     lengths = np.linspace(0, 0.05, 11)
-    trips = lengths[:, None] * normalized(np.array([[1.0, 2.0, 2.0]]))
+    trips = lengths[:, None] * normalize_rows(np.array([[1.0, 2.0, 2.0]]))
     inside = round_trip_weights(trips, np.full(11, -1e-3), 2e-4)
     outside = round_trip_weights(trips, np.full(11, 1e-3), 2e-4)
     assert inside[0] == outside[0] == 1.0
@@ -90,7 +90,7 @@ def test_projection_keeps_to_its_side_and_its_place() -> None:
     sheet = TriangleSurface(positions, triangles)
     rng = np.random.default_rng(51)
     points = np.column_stack([rng.uniform(0.2, 0.8, (50, 2)), rng.uniform(-0.004, 0.008, 50)])
-    normals = normalized(np.array([0.0, 0.0, 1.0]) + 0.3 * rng.standard_normal((50, 3)))
+    normals = normalize_rows(np.array([0.0, 0.0, 1.0]) + 0.3 * rng.standard_normal((50, 3)))
     assert (facing_points(sheet, points, normals, (0.002, 0.02)).triangle >= 2).all()
     assert (SurfacePoints.nearest(sheet, points, normals, normal_weight=0.002).triangle < 2).any()
     # Where the surface bends little, a normal that is off does not move the foot far.
@@ -101,6 +101,6 @@ def test_projection_keeps_to_its_side_and_its_place() -> None:
     strip_triangles = np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     assert (triangle_normals(strip, strip_triangles)[:, 2] > 0).all()
     query = np.array([[0.0, 0.0, 0.001]])
-    tilted = normalized(np.array([[0.2, 0.0, 1.0]]))
+    tilted = normalize_rows(np.array([[0.2, 0.0, 1.0]]))
     found = facing_points(TriangleSurface(strip, strip_triangles), query, tilted, (0.002, 0.02))
     assert abs(found.positions[0, 0]) < 1e-3

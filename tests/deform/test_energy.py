@@ -10,7 +10,7 @@ from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import cluster_graph, extrapolate
 from cagemap.deform.update import displacement_response
 from cagemap.subdivision import Refinement
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 from elastic_shapes import graph_of
 
@@ -55,7 +55,7 @@ def test_both_right_sides_are_those_of_the_energy(creature_at_3: tuple[Refinemen
 
 def test_maps_that_flatten_or_mirror_are_bounded_and_no_others() -> None:
     rng = np.random.default_rng(21)
-    normals = normalized(rng.standard_normal((400, 3)))
+    normals = normalize_rows(rng.standard_normal((400, 3)))
     maps = rng.standard_normal((400, 3, 3))
     found, bounded = bounded_maps(maps, normals)
     expected = []
@@ -87,7 +87,7 @@ def test_a_part_that_is_thin_along_its_normal_is_not_bounded() -> None:
 def test_flat_maps_come_out_upright_whatever_the_factorisation_says() -> None:
     rng = np.random.default_rng(22)
     maps = rng.standard_normal((50, 3, 2)) @ rng.integers(-3, 4, (50, 2, 3))
-    found, bounded = bounded_maps(maps, normalized(rng.standard_normal((50, 3))))
+    found, bounded = bounded_maps(maps, normalize_rows(rng.standard_normal((50, 3))))
     assert np.all(np.linalg.det(found[bounded]) > 0)
     # Rounding decides which of them have a positive determinant and pass as thin along the normal.
     assert len(bounded) > 10

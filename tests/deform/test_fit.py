@@ -27,7 +27,7 @@ from cagemap.operators import build_operators
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.triangles import normalized, triangle_normals, vertex_normals
+from cagemap.surface.triangles import normalize_rows, triangle_normals, vertex_normals
 
 from elastic_shapes import fitted_map, graph_of, mesh_of, minimised, prepared_at, surface_of, unit_refinement
 
@@ -81,7 +81,7 @@ def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(
     closest = graph.positions
     term = source_to_target(mesh, samples, positions, normals, None, 0.03, closest, 1e-4)
     found, weights, _ = closest_points(build_tree(positions, split), samples.points, samples.planes, normal_weight=0.03)
-    facing = normalized(triangle_normals(positions, split))[found]
+    facing = normalize_rows(triangle_normals(positions, split))[found]
     blocks, right, received = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3)), np.zeros(graph.n)
     for j, corners in enumerate(split[found]):
         plane, foot = (
@@ -110,7 +110,9 @@ def test_curved_points_are_exact_on_quadratic_surfaces() -> None:
         flat = rng.standard_normal((40, 3, 2))
         x, y = flat[..., 0], flat[..., 1]
         corners = np.dstack([x, y, height * (a * x * x + b * x * y + c * y * y)])
-        normals = normalized(np.dstack([-height * (2 * a * x + b * y), -height * (b * x + 2 * c * y), np.ones_like(x)]))
+        normals = normalize_rows(
+            np.dstack([-height * (2 * a * x + b * y), -height * (b * x + 2 * c * y), np.ones_like(x)])
+        )
         weights = rng.dirichlet(np.ones(3), 40)
         x, y, z = curved_points(corners, normals, weights).T
         sag = height * (a * x * x + b * x * y + c * y * y) - np.einsum("mk,mk->m", weights, corners[..., 2])

@@ -8,11 +8,11 @@ from examples.shapes import creature
 
 from cagemap.deform.config import StartConfig
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.deform.refit import inverse, inverse_consistent, smoothed
+from cagemap.deform.refit import inverse_consistent, inverse_positions, smooth_shifts
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.places import CurvePair, SurfaceCurve
-from cagemap.mesh.parts import extract
+from cagemap.mesh.parts import extract_faces
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import refine
@@ -39,13 +39,13 @@ def test_the_inverse_of_a_motion_is_the_motion_back(prepared: PreparedPair) -> N
     mesh = prepared.mesh
     rotation = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
-    places, gaps = inverse(mesh, mesh.positions, mesh, 0.02)
+    places, gaps = inverse_positions(mesh, mesh.positions, mesh, 0.02)
     np.testing.assert_allclose(places, mesh.positions, atol=1e-9)
     assert gaps.max() < 1e-9
     turned = type(mesh)(mesh.positions @ rotation.T, mesh.triangles)
-    places, gaps = inverse(mesh, turned.positions, turned, 0.02)
+    places, gaps = inverse_positions(mesh, turned.positions, turned, 0.02)
     np.testing.assert_allclose(places, mesh.positions, atol=1e-7)
-    far, _ = inverse(mesh, turned.positions + 1e-3, turned, 0.02)
+    far, _ = inverse_positions(mesh, turned.positions + 1e-3, turned, 0.02)
     assert 1e-4 < np.linalg.norm(far - mesh.positions, axis=1).mean() < 2e-3
 
 
@@ -67,11 +67,11 @@ def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
 def test_what_is_not_trusted_follows_its_surroundings(prepared: PreparedPair) -> None:
     n, rng = prepared.mesh.n, np.random.default_rng(5)
     same = np.tile([1.0, -2.0, 3.0], (n, 1))
-    np.testing.assert_allclose(smoothed(prepared.rest.graph, same, rng.uniform(size=n), 0.02), same, atol=1e-6)
+    np.testing.assert_allclose(smooth_shifts(prepared.rest.graph, same, rng.uniform(size=n), 0.02), same, atol=1e-6)
     wild, trust = same.copy(), np.ones(n)
     wild[7], trust[7] = 100.0, 0.0
-    np.testing.assert_allclose(smoothed(prepared.rest.graph, wild, trust, 0.02)[7], same[7], atol=1e-2)
-    assert np.abs(smoothed(prepared.rest.graph, wild, np.ones(n), 0.02)[7] - same[7]).max() > 1.0
+    np.testing.assert_allclose(smooth_shifts(prepared.rest.graph, wild, trust, 0.02)[7], same[7], atol=1e-2)
+    assert np.abs(smooth_shifts(prepared.rest.graph, wild, np.ones(n), 0.02)[7] - same[7]).max() > 1.0
 
 
 def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None:
@@ -104,7 +104,7 @@ def test_a_whole_body_is_not_fitted_back_from_a_part_of_it(prepared: PreparedPai
     """The way back would drag what the part has onto what it lacks."""
     whole = creature()
     middles = np.array([whole.positions[whole.face(face)].mean(axis=0) for face in range(whole.n_faces)])
-    part = extract(whole, np.flatnonzero(middles[:, 2] < np.quantile(middles[:, 2], 0.75)))
+    part = extract_faces(whole, np.flatnonzero(middles[:, 2] < np.quantile(middles[:, 2], 0.75)))
     refinement = refine(part, 2)
     operators = build_operators(refinement)
     source = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))

@@ -79,11 +79,11 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(
     prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())
     problem: Any = SimpleNamespace(prepared=prepared, shape=SimpleNamespace(rest=rest))
     coarse, hopeless = Placement(front, 1.0), Placement(behind, 9.0)
-    found = multi_start.refine_best(problem, [coarse], refined=[with_cost(prepared, behind)])
+    found = multi_start.refine_cheapest(problem, [coarse], refined=[with_cost(prepared, behind)])
     assert len(found) == 3
     assert [one.cost for one in found] == sorted(one.cost for one in found)
     np.testing.assert_allclose(found[0].positions, graph.positions, atol=1e-12)
-    assert len(multi_start.refine_best(problem, [coarse, hopeless])) == 1
+    assert len(multi_start.refine_cheapest(problem, [coarse, hopeless])) == 1
 
 
 def test_shares_of_the_energy_are_its_terms(graph: ElasticGraph) -> None:

@@ -17,7 +17,7 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem, RestShape
 from cagemap.deform.refit import (
     edge_stiffness,
-    finished,
+    finish_placement,
     fit_in_pose,
     largest_limb_rotation,
     pose_difference,
@@ -191,7 +191,7 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     monkeypatch.setattr(refit, "fine_stage", lambda problem, start: start)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
     landmarks = problem.pair.landmarks
-    first = finished(problem, ended)
+    first = finish_placement(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
     assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reversed, back, 1)])
     assert first.positions is ended.positions

@@ -16,7 +16,7 @@ from cagemap import research
 from cagemap.errors import ParameterError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, PointPairs
-from cagemap.maps.places import located
+from cagemap.maps.places import locate
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
@@ -137,8 +137,8 @@ def test_a_result_with_landmarks_between_vertices_is_written_and_read(itself, tm
     write_result(tmp_path / "RESULT", research.result_of_map(pair, identity))
     read = read_result(tmp_path / "RESULT")
     for side in (read.landmarks.target_points, read.landmarks.source_points):
-        # The inverse of `located` is iterated; 2e-3 of sqrt(area) is a fortieth of an edge of the control mesh.
-        np.testing.assert_allclose(located(surface, side).positions, points.positions, atol=2e-3)
+        # The inverse of `locate` is iterated; 2e-3 of sqrt(area) is a fortieth of an edge of the control mesh.
+        np.testing.assert_allclose(locate(surface, side).positions, points.positions, atol=2e-3)
         assert side.vertices[-1] == 5
     np.testing.assert_allclose(read.landmark_errors, 0.0, atol=1e-12)
     assert len(research.result_of_map(research.make_pair(surface, surface), identity).landmarks) == 0

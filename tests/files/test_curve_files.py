@@ -22,7 +22,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh import Plain
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
-from cagemap.mesh.landmarks import Landmarks, check_landmarks, paired
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.match_parts import PartInputs, ready_inputs
 
@@ -116,7 +116,7 @@ def test_files_of_one_mesh_hold_curves_and_missing_ones_are_reported(tmp_path: P
     more = {**belts, "curves": [*belts["curves"], {"name": "hem", "vertices": ring(mesh, 2.0).tolist()}]}
     (tmp_path / "b.json").write_text(json.dumps(more))
     ours, theirs = (read_points(tmp_path / f"{name}.json") for name in "ab")
-    landmarks, notes = paired(ours, theirs, mesh, mesh)
+    landmarks, notes = pair_by_name(ours, theirs, mesh, mesh)
     assert landmarks.curves.names == ("belt",)
     assert notes == ("curves only on the source, which were not used: hem",)
     write_points(tmp_path / "c.json", theirs, mesh)

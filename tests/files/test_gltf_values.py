@@ -16,7 +16,7 @@ from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.files.values.rigs import read_shapes, read_skeleton
-from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.tasks.mesh_commands import check_files, check_values
 
 from gltf_scenes import Maker, arm
@@ -34,7 +34,7 @@ def test_weights_and_shapes_of_the_whole_and_of_a_part(file: Path) -> None:
     table = read_attributes(file, whole)[JOINT_WEIGHTS]
     assert table.shape == (9, 2)
     np.testing.assert_allclose(table.sum(axis=1), 1.0)
-    part = extract(whole, find_part(whole, "strip").faces)
+    part = extract_faces(whole, find_part(whole, "strip").faces)
     rows = FileRows(part, whole)
     np.testing.assert_allclose(read_attributes(file, part, rows)[JOINT_WEIGHTS], table[3:])
     shapes = read_shapes([file], part, rows)

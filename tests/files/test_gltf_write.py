@@ -22,7 +22,7 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.parts import extract
+from cagemap.mesh.parts import extract_faces
 from cagemap.tasks.mesh_commands import refine_file
 
 from gltf_scenes import arm
@@ -266,7 +266,7 @@ def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
     again = read_character(tmp_path / "moved.glb")
     assert again.rig is not None
     np.testing.assert_allclose(again.parts[1].mesh.positions[:, 2], 1.0)
-    half = extract(mesh, np.array([1, 2]))
+    half = extract_faces(mesh, np.array([1, 2]))
     write_mesh(tmp_path / "half.glb", half, like=tmp_path / "arm.glb")
     assert read_character(tmp_path / "half.glb").rig is None
 

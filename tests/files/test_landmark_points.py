@@ -21,7 +21,7 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.maps.pair import NEAR_VERTICES
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.faces import cage_triangles
-from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
+from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, pair_by_name
 
 from plain_meshes import bent
 from quick_match import QUICK
@@ -176,7 +176,7 @@ def test_places_on_the_mesh_are_found_where_they_are(triangles: list[int], seed:
 def test_points_of_two_meshes_are_matched_by_name() -> None:
     target = NamedPoints(("a", "only here", "b"), np.array([1, 2, 3]), np.full((3, 3), np.nan))
     source = NamedPoints(("b", "a", "only there"), np.array([5, 6, 7]), np.full((3, 3), np.nan))
-    landmarks, notes = paired(target, source, cube(), creature())
+    landmarks, notes = pair_by_name(target, source, cube(), creature())
     assert landmarks.names == ("a", "b")
     assert (landmarks.target.tolist(), landmarks.source.tolist()) == ([1, 3], [6, 5])
     assert len(notes) == 2
@@ -185,7 +185,7 @@ def test_points_of_two_meshes_are_matched_by_name() -> None:
     with pytest.raises(
         InvalidLandmarksError, match="names that both sides have, got a, only here, b on the target and A"
     ):
-        paired(target, replace(source, names=("A", "B", "C")), cube(), creature())
+        pair_by_name(target, replace(source, names=("A", "B", "C")), cube(), creature())
 
 
 def test_points_that_say_they_are_the_other_meshs_are_refused() -> None:
@@ -193,12 +193,12 @@ def test_points_that_say_they_are_the_other_meshs_are_refused() -> None:
     target, source = replace(cube(), name="deer.obj"), replace(cube(), name="folder/pony.ply")
     both = NamedPoints(("a", "b"), np.array([0, 3]), np.full((2, 3), np.nan))
     of_target, of_source = replace(both, mesh_name="Deer"), replace(both, mesh_name="pony.obj")
-    assert len(paired(of_target, of_source, target, source)[0]) == 2
-    assert len(paired(both, replace(both, mesh_name="base"), target, source)[0]) == 2
-    assert len(paired(of_target, of_target, target, replace(target))[0]) == 2
+    assert len(pair_by_name(of_target, of_source, target, source)[0]) == 2
+    assert len(pair_by_name(both, replace(both, mesh_name="base"), target, source)[0]) == 2
+    assert len(pair_by_name(of_target, of_target, target, replace(target))[0]) == 2
     for exchanged in ((of_source, of_target), (both, of_target), (of_source, both)):
         with pytest.raises(DirectionError, match="the other mesh"):
-            paired(*exchanged, target, source)
+            pair_by_name(*exchanged, target, source)
 
 
 def test_points_far_away_and_wrong_vertices_are_refused() -> None:

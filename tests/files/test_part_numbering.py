@@ -18,7 +18,7 @@ from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, find_part, join_meshes
+from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.results import TransferRequest, WrapRequest
@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_rows_of_a_part_in_any_order() -> None:
     scene = _scene()
-    rows = FileRows(extract(scene, find_part(scene, "body").faces[::-1]), scene)
+    rows = FileRows(extract_faces(scene, find_part(scene, "body").faces[::-1]), scene)
     for count, own in ((scene.n_vertices, rows.vertices), (scene.n_faces, rows.faces)):
         values = np.arange(count)
         np.testing.assert_array_equal(rows.to_part(values), own)

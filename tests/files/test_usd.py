@@ -14,7 +14,7 @@ from examples.shapes import cube, grid, icosahedron
 from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
-from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.mesh.topology import uv_islands
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.tasks.mesh_commands import check_files
@@ -373,9 +373,9 @@ def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) ->
     with pytest.raises(FormatError, match="`find_part` NAME"):
         read_usd(path)
     mixed = read_usd(path, mixed=True)
-    part = extract(mixed, find_part(mixed, "eye").faces)
+    part = extract_faces(mixed, find_part(mixed, "eye").faces)
     assert isinstance(part.scheme, Loop)
-    assert extract(mixed, find_part(mixed, "mesh").faces).scheme == CatmullClark("edge_only")
+    assert extract_faces(mixed, find_part(mixed, "mesh").faces).scheme == CatmullClark("edge_only")
     text, sound = check_files([path])
     assert not sound
     assert "object:/Asset/eye" in text, text

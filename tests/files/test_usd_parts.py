@@ -15,7 +15,7 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, find_part, join_meshes
+from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.mesh_commands import refine_file
@@ -167,7 +167,7 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
     stage.Save()
     whole, meshes = read_usd(tmp_path / "mirrored.usda"), read_usd_meshes(tmp_path / "mirrored.usda")
     for mesh in meshes:
-        part = extract(whole, find_part(whole, mesh.path).faces)
+        part = extract_faces(whole, find_part(whole, mesh.path).faces)
         centred = part.with_positions(part.positions - part.positions.mean(axis=0))
         assert _volume(centred) > 0, mesh.path
         where = part.positions[part.face_indices]
@@ -183,7 +183,7 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
         placed = points @ mesh.to_world[:3, :3] + mesh.to_world[3, :3]
         np.testing.assert_allclose(values, placed, atol=1e-5)
         np.testing.assert_allclose(flat, placed[:, :2], atol=1e-5)
-        again = read_attributes(layer, extract(read_usd(layer), find_part(whole, mesh.path).faces))["where"]
+        again = read_attributes(layer, extract_faces(read_usd(layer), find_part(whole, mesh.path).faces))["where"]
         np.testing.assert_allclose(again, where, atol=1e-5)
 
 
@@ -204,7 +204,7 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
     stage.Save()
     assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == ["/World/box0/m", "/World/box1/m"]
     whole = read_usd(tmp_path / "scene.usda")
-    part = extract(whole, find_part(whole, "/World/box1/m").faces)
+    part = extract_faces(whole, find_part(whole, "/World/box1/m").faces)
     points = UsdResults(points=part.positions + 1)
     write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", ["/World/box1/m"], part, points, world=True)
     first, second = read_usd_meshes(tmp_path / "over.usda")

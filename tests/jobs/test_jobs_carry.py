@@ -22,7 +22,7 @@ from cagemap.files.result.manifest import read_manifest
 from cagemap.jobs import Plan, plan_job, read_job, spanning_tree
 from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
 from cagemap.jobs.detours import add_detours
-from cagemap.maps.places import cage_points_of, located
+from cagemap.maps.places import cage_points_of, locate
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.surface_points import SurfacePoints
@@ -166,14 +166,14 @@ def test_points_where_both_directions_disagree_are_to_be_looked_at(tmp_path: Pat
 
 
 def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> None:
-    """`cage_points_of` undoes `located`, up to what creases of the cage leave without a counterpart."""
+    """`cage_points_of` undoes `locate`, up to what creases of the cage leave without a counterpart."""
     surface = prepare_surface(creature(), 2)
     finest = surface.triangles(surface.finest)
     random = np.random.default_rng(8)
     chosen = random.integers(len(finest.triangles), size=200)
     weights = random.dirichlet(np.ones(3), size=200)
     points = SurfacePoints(finest, chosen, weights)
-    missed = np.linalg.norm(located(surface, cage_points_of(surface, points)).positions - points.positions, axis=1)
+    missed = np.linalg.norm(locate(surface, cage_points_of(surface, points)).positions - points.positions, axis=1)
     assert np.median(missed) < 1e-4
     assert np.quantile(missed, 0.95) < 2e-3
     corners = SurfacePoints.from_vertices(finest, np.arange(surface.control.n_vertices))

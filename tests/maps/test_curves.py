@@ -19,7 +19,7 @@ from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.curves import CageCurves, Curves
-from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, paired
+from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
@@ -189,7 +189,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
     top = ring(mesh, 3.0)
     places = 0.5 * (mesh.positions[top] + mesh.positions[np.roll(top, -1)])
     points = NamedPoints((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), "", (_through(places),))
-    landmarks, notes = paired(points, points, mesh, mesh)
+    landmarks, notes = pair_by_name(points, points, mesh, mesh)
     check_landmarks(landmarks, mesh, mesh)
     assert notes == ()
     pair = curve_pairs(surfaces[0], surfaces[0], landmarks.curves)[0]

@@ -11,12 +11,12 @@ from cagemap.deform.config import ProjectionConfig
 from cagemap.errors import SolverError
 from cagemap.maps.projection.flatten import (
     Disc,
-    combined,
+    combine_points,
     convex_weights,
     flat_disc,
     flatten_folded_parts,
     folded_parts,
-    moved_to,
+    move_points,
 )
 from cagemap.maps.quality import flipped_triangles
 from cagemap.surface.surface_points import SurfacePoints
@@ -79,7 +79,7 @@ def test_mean_value_combinations_leave_a_map_that_is_one_to_one_as_it_is() -> No
     disc, places = round_disc()
     sheared = places @ np.array([[1.0, 0.4], [0.0, 0.7]]) + 0.02 * np.sin(3 * places)
     assert signed_areas(sheared, disc.triangles).min() > 0
-    again = combined(convex_weights(sheared, disc), sheared, disc.inside)
+    again = combine_points(convex_weights(sheared, disc), sheared, disc.inside)
     np.testing.assert_allclose(again, sheared, atol=1e-12)
 
 
@@ -93,7 +93,7 @@ def test_convex_combinations_unfold_whatever_lies_in_a_convex_rim(seed: int) -> 
     weights = convex_weights(folded, disc)
     np.testing.assert_allclose(np.asarray(weights.sum(axis=1)).ravel(), 1.0, rtol=1e-13)
     assert weights.data.min() > 0
-    unfolded = combined(weights, folded, disc.inside)
+    unfolded = combine_points(weights, folded, disc.inside)
     assert signed_areas(unfolded, disc.triangles).min() > 0
     np.testing.assert_array_equal(unfolded[disc.rim], places[disc.rim])
 
@@ -104,26 +104,26 @@ def test_slivers_and_coinciding_points_have_combinations_too() -> None:
     places[20] = places[19] + 0.5 * (places[21] - places[19])
     weights = convex_weights(places, disc)
     assert np.isfinite(weights.data).all()
-    assert np.isfinite(combined(weights, places, disc.inside)).all()
+    assert np.isfinite(combine_points(weights, places, disc.inside)).all()
 
 
 def test_vertices_that_depend_on_each_other_alone_are_refused() -> None:
     disc, places = round_disc()
     itself = sparse.csr_array(sparse.eye_array(len(places), format="csr")[np.flatnonzero(disc.inside)])
     with pytest.raises(SolverError, match="non-singular"):
-        combined(itself, places, disc.inside)
+        combine_points(itself, places, disc.inside)
 
 
 def test_a_disc_that_is_all_rim_stays_as_it_is() -> None:
     disc = Disc(np.arange(3), np.array([0]), np.array([[0, 1, 2]]), np.array([0, 1, 2]))
     plane = flat_disc(disc)
-    np.testing.assert_array_equal(combined(convex_weights(plane, disc), plane, disc.inside), plane)
+    np.testing.assert_array_equal(combine_points(convex_weights(plane, disc), plane, disc.inside), plane)
 
 
 def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
     disc, places = round_disc()
     chosen, goals = np.array([0, 3]), np.array([[2.5, 1.0], [-2.0, -3.0]])
-    moved = moved_to(places, disc.rim, chosen, goals, 50)
+    moved = move_points(places, disc.rim, chosen, goals, 50)
     np.testing.assert_allclose(moved[chosen], goals, atol=1e-12)
     np.testing.assert_allclose(moved[disc.rim], places[disc.rim], atol=1e-12)
     # Points move with triangles of rim and landmarks, of which a triangle of the disc may straddle two.
@@ -132,7 +132,7 @@ def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
 
 def test_landmarks_cannot_leave_the_disc() -> None:
     disc, places = round_disc()
-    assert moved_to(places, disc.rim, np.array([0]), np.array([[9.0, 0.0]]), 50) is None
+    assert move_points(places, disc.rim, np.array([0]), np.array([[9.0, 0.0]]), 50) is None
 
 
 @pytest.mark.parametrize("held", [[], [(0.5, 0.5)]])

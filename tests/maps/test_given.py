@@ -8,7 +8,7 @@ from examples import shapes
 
 from cagemap import research
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import checked, functional_map_from, places_of
+from cagemap.maps.functional_maps import check_map, functional_map_from, image_positions
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import prepare_pair
 from cagemap.spectral import BasisConfig
@@ -39,12 +39,14 @@ def test_every_form_gives_the_same_places_and_matrix(pair):
     true, *others = forms(pair)
     vertices = np.arange(0, len(pair.target.vertices), 5)
     wanted = true.images.at(vertices).positions
-    np.testing.assert_array_equal(places_of(pair, true, vertices), wanted)
+    np.testing.assert_array_equal(image_positions(pair, true, vertices), wanted)
     for given, most in zip(others, (0.0, 0.05, 0.05), strict=True):
-        away = np.linalg.norm(places_of(pair, given, vertices) - wanted, axis=1)
+        away = np.linalg.norm(image_positions(pair, given, vertices) - wanted, axis=1)
         assert away.mean() <= most
         np.testing.assert_allclose(functional_map_from(pair, given)[:10, :10], others[2][:10, :10], atol=0.05)
-    np.testing.assert_array_equal(places_of(pair, others[1], np.arange(9)), true.images.at(np.arange(9)).positions)
+    np.testing.assert_array_equal(
+        image_positions(pair, others[1], np.arange(9)), true.images.at(np.arange(9)).positions
+    )
 
 
 def test_what_is_no_map_of_the_pair_is_refused(pair):
@@ -52,12 +54,12 @@ def test_what_is_no_map_of_the_pair_is_refused(pair):
     wrong = (3, np.zeros((0, 0)), np.eye(41), np.arange(n - 1), np.full(n, n), np.full(n, -1))
     for given in wrong:
         with pytest.raises(ParameterError, match="map: expected a PointMap, a functional map of at most"):
-            checked(pair, given)
+            check_map(pair, given)
     with pytest.raises(ParameterError, match="finite numbers"):
-        checked(pair, np.full((4, 4), np.nan))
+        check_map(pair, np.full((4, 4), np.nan))
     coarse = pair.target.triangles(0)
     with pytest.raises(ParameterError, match="may be exchanged"):
-        checked(pair, PointMap.from_vertices(coarse, coarse, np.arange(coarse.n)))
+        check_map(pair, PointMap.from_vertices(coarse, coarse, np.arange(coarse.n)))
 
 
 def test_bases_of_others_may_be_flipped_and_mixed(pair):

@@ -18,7 +18,7 @@ from cagemap.maps.hypotheses.search import least_cost
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear, ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, join_meshes
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.schemes import Scheme
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 
@@ -69,7 +69,7 @@ def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
 @pytest.mark.slow
 def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
     scene = join_meshes([creature(), cube()])
-    cage = extract(scene, np.arange(creature().n_faces, scene.n_faces))
+    cage = extract_faces(scene, np.arange(creature().n_faces, scene.n_faces))
     # Elsewhere: surfaces that lie on each other are known at once.
     longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003) + 5.0)
     target, source = prepare_surface(cage, 3), prepare_surface(longer, 3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature
 
-from cagemap.deform.fit import with_cost
+from cagemap.deform.fit import evaluate_placement
 from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
@@ -35,7 +35,7 @@ def found(
         prepared, pair_of(prepared.target, prepared.source, Landmarks(("a", "b", "c"), vertices, vertices))
     )
     places = prepared.rest.graph.positions
-    beside = with_cost(prepared, places + np.array([0.05, 0.0, 0.0]))
+    beside = evaluate_placement(prepared, places + np.array([0.05, 0.0, 0.0]))
 
     def rough_fits(problem: Problem, rigid: bool, show: object) -> tuple[list[object], list[object]]:
         asked.append(rigid)
@@ -45,7 +45,7 @@ def found(
     monkeypatch.setattr(AnchoredFits, "of", lambda *given: fits)
     monkeypatch.setattr(AnchoredFits, "upsampled", lambda self, problem: self)
     monkeypatch.setattr(search, "rough_fits", rough_fits)
-    monkeypatch.setattr(search, "released_fits", lambda problem, rough: [with_cost(prepared, places)])
+    monkeypatch.setattr(search, "released_fits", lambda problem, rough: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "led_by_tips", lambda problem, tips, placed: placed)
     monkeypatch.setattr(search, "finished", lambda problem, placed: placed)
     return search.search(problem, start=start), asked

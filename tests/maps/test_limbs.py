@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.limbs import assigned_limbs, assignments, limb_measures
+from cagemap.maps.hypotheses.limbs import assigned_limbs, limb_measures, rank_assignments
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
@@ -49,7 +49,7 @@ def test_lengths_of_limbs_do_not_count_and_girths_do() -> None:
     target, source = ((between[np.ix_(few, few)], own[few]) for between, own in (target, source))
     order = np.array([2, 0, 3, 1])
     shuffled = source[0][np.ix_(order, order)], source[1][order]
-    (own, to), *others = assignments(target, shuffled)
+    (own, to), *others = rank_assignments(target, shuffled)
     np.testing.assert_array_equal(order[to], own)
     assert len(others) == SearchConfig.max_assignments - 1
 
@@ -62,7 +62,7 @@ def test_the_surface_with_more_limbs_keeps_some_for_itself() -> None:
     graph, tips = star([8, 8, 9, 7, 8, 12], [1.0, 1.0, 2.0, 2.5, 1.0, 3.0])
     more, fewer = limb_measures(graph, NONE, tips), limb_measures(graph, NONE, np.delete(tips, 3))
     for target, source in ((more, fewer), (fewer, more)):
-        own, to = assignments(target, source)[0]
+        own, to = rank_assignments(target, source)[0]
         np.testing.assert_allclose(target[1][own], source[1][to])  # two limbs are alike
         assert len(set(own)) == len(set(to)) == 5
 

@@ -15,7 +15,7 @@ from cagemap.maps.projection.relax import relax_folds
 from cagemap.maps.quality import flipped_triangles
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 from elastic_shapes import mesh_of, prepared_at, surface_of
 
@@ -51,7 +51,7 @@ def test_unfolding_repairs_folds_and_leaves_the_rest_alone(creature_at_3: tuple[
     held = np.setdiff1d(np.arange(0, len(positions), 50), pulled)
     wanted = positions.copy()
     spacing = np.sqrt(1 / len(positions))
-    wanted[pulled] += 3 * spacing * normalized(rng.standard_normal((12, 3)))
+    wanted[pulled] += 3 * spacing * normalize_rows(rng.standard_normal((12, 3)))
     images = SurfacePoints.nearest(surface, wanted)
     before = flipped_triangles(images, faces).sum()
     assert before > 10

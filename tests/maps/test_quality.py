@@ -26,7 +26,7 @@ from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized, surface_area, triangle_normals, vertex_normals
+from cagemap.surface.triangles import normalize_rows, surface_area, triangle_normals, vertex_normals
 
 from closest_reference import closest_points_slowly
 
@@ -66,7 +66,7 @@ def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: floa
     rng = np.random.default_rng(seed)
     positions = rng.standard_normal((30, 3))
     triangles = np.array([rng.choice(30, 3, replace=False) for _ in range(50)])
-    points, normals = rng.standard_normal((20, 3)), normalized(rng.standard_normal((20, 3)))
+    points, normals = rng.standard_normal((20, 3)), normalize_rows(rng.standard_normal((20, 3)))
     options = {"normal_weight": weight, "minimum_cosine": cosine}
     guess = rng.integers(-1, 50, 20)
     expected, barycentric, distance = closest_points_slowly(positions, triangles, points, normals, **options)
@@ -92,11 +92,11 @@ def test_both_orders_of_the_tree_find_the_same_points(shuffled: bool) -> None:
     tree = build_tree(positions, triangles)
     assert np.array_equal(np.sort(tree.order), np.arange(len(triangles)))
     np.testing.assert_array_equal(
-        tree.normals_of(np.arange(len(triangles))), normalized(triangle_normals(positions, triangles))
+        tree.normals_of(np.arange(len(triangles))), normalize_rows(triangle_normals(positions, triangles))
     )
     runs = tree.order[: len(triangles) // 8 * 8].reshape(-1, 8)
     assert (np.diff(runs, axis=1) == 1).all() != shuffled
-    points, normals = rng.random((50, 3)), normalized(rng.standard_normal((50, 3)))
+    points, normals = rng.random((50, 3)), normalize_rows(rng.standard_normal((50, 3)))
     expected = closest_points_slowly(positions, triangles, points, normals, normal_weight=0.3)[2]
     distance = closest_points(tree, points, normals, normal_weight=0.3)[2]
     np.testing.assert_allclose(distance, expected, atol=1e-12)
@@ -108,11 +108,11 @@ def test_a_limit_leaves_out_what_is_farther_and_nothing_else(seed: int, weight: 
     rng = np.random.default_rng(seed)
     positions = rng.standard_normal((30, 3))
     triangles = np.array([rng.choice(30, 3, replace=False) for _ in range(50)])
-    points, normals = rng.standard_normal((20, 3)), normalized(rng.standard_normal((20, 3)))
+    points, normals = rng.standard_normal((20, 3)), normalize_rows(rng.standard_normal((20, 3)))
     options = {"normal_weight": weight, "minimum_cosine": cosine}
     tree = build_tree(positions, triangles)
     unlimited, _, distance = closest_points(tree, points, normals, **options)
-    found_normals = normalized(triangle_normals(positions, triangles))[unlimited]
+    found_normals = normalize_rows(triangle_normals(positions, triangles))[unlimited]
     cost = distance**2 + weight**2 * ((normals - found_normals) ** 2).sum(axis=1)
     for guess in (None, rng.integers(-1, 50, 20)):
         limit = np.sqrt(cost) * np.where(np.arange(20) % 2, 0.99, 1.01)
@@ -332,7 +332,7 @@ def test_vertex_normals_are_sums_over_adjacent_triangles() -> None:
         expected[triangle[0]] += np.cross(b - a, c - a)
         expected[triangle[1]] += np.cross(b - a, c - a)
         expected[triangle[2]] += np.cross(b - a, c - a)
-    np.testing.assert_allclose(vertex_normals(positions, triangles), normalized(expected), atol=1e-13)
+    np.testing.assert_allclose(vertex_normals(positions, triangles), normalize_rows(expected), atol=1e-13)
 
 
 def test_surface_area_and_percentiles() -> None:

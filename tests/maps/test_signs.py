@@ -19,11 +19,11 @@ from cagemap.maps.hypotheses.search import ANOTHER_WAY
 from cagemap.maps.hypotheses.signs import (
     JUMPING,
     SIGNS,
-    findings,
+    describe_signs,
     image_pairs,
+    jump_lengths,
     jump_share,
     jump_warnings,
-    jumps,
     median_distortion,
     turned_share,
 )
@@ -82,7 +82,7 @@ def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
     assert Confidence.of(answers, 3, {name: SIGNS[name].bound}).verdict == SURE
     doubt = Confidence.of(answers, 3, {name: 1.1 * SIGNS[name].bound})
     assert doubt.verdict == LOOK
-    assert findings(doubt.signs)[0] in doubt.message
+    assert describe_signs(doubt.signs)[0] in doubt.message
 
 
 def test_an_answer_of_the_same_rotation_is_told_apart_in_words() -> None:
@@ -113,10 +113,10 @@ def test_a_strip_s_last_third_on_its_first_jumps_on_both_and_at_the_tear() -> No
     found = PointMap(mesh, SurfacePoints.nearest(mesh, places))
     column = third / 20
     # Both thirds, and the column this side of the tear; images compare within 1.4 mean distances of vertices.
-    assert jump_share(pair, jumps(pair, found)) == pytest.approx((2 * third + column) / (3 * third), abs=0.04)
+    assert jump_share(pair, jump_lengths(pair, found)) == pytest.approx((2 * third + column) / (3 * third), abs=0.04)
     little = mesh.positions.copy()
     little[x > 2 * third + 1e-9, 0] -= 2 * column  # slides by less than `JUMP`
-    assert not jumps(pair, PointMap(mesh, SurfacePoints.nearest(mesh, little))).any()
+    assert not jump_lengths(pair, PointMap(mesh, SurfacePoints.nearest(mesh, little))).any()
 
 
 def test_half_a_bar_turned_about_its_axis_is_its_sides() -> None:
@@ -138,14 +138,14 @@ def test_half_a_bar_turned_about_its_axis_is_its_sides() -> None:
 def test_the_identity_has_no_jumps(surface: Surface, prepared: PreparedPair) -> None:
     mesh = surface.triangles(surface.finest)
     same = PointMap.from_vertices(mesh, mesh, np.arange(mesh.n))
-    assert not jumps(prepared, same).any()
+    assert not jump_lengths(prepared, same).any()
     assert jump_warnings(prepared, same) == ()
 
 
 def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepared: PreparedPair) -> None:
     mesh = surface.triangles(surface.finest)
     wrong, lower = across(surface)
-    farthest = jumps(prepared, wrong)
+    farthest = jump_lengths(prepared, wrong)
     share = jump_share(prepared, farthest)
     assert share > 0.05
     (sentence,) = jump_warnings(prepared, wrong)
@@ -197,7 +197,7 @@ def test_parts_of_one_result_keep_their_shared_area() -> None:
 def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prepared: PreparedPair) -> None:
     wrong, lower = across(surface)
     counts = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
-    assert not jumps(prepared, wrong, counts).any()
+    assert not jump_lengths(prepared, wrong, counts).any()
     assert median_distortion(wrong, counts) == pytest.approx(1.0, abs=1e-6)
     nothing = SharedArea(np.zeros(wrong.target.n), np.ones(wrong.source.n), 0.0, 1.0)
     assert not nothing.within(WHOLE).any  # a map that shares nothing is judged as a whole
@@ -206,7 +206,7 @@ def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prep
 def test_what_is_masked_does_not_jump(surface: Surface) -> None:
     wrong, lower = across(surface)
     counts = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
-    assert not jumps(prepare_pair(surface, surface, MatchConfig(masks=Masks(target=counts))), wrong).any()
+    assert not jump_lengths(prepare_pair(surface, surface, MatchConfig(masks=Masks(target=counts))), wrong).any()
 
 
 def test_a_map_of_one_point_stays_within_its_memory() -> None:

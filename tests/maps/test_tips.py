@@ -15,14 +15,14 @@ from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
-from cagemap.deform.refit import finished
+from cagemap.deform.refit import finish_placement
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses.limbs import (
     Tips,
-    led_by_tips,
     mean_distances,
     prominences,
+    refit_to_tips,
     tip_vertices,
 )
 from cagemap.maps.masks import Masks
@@ -116,7 +116,7 @@ def test_a_fit_is_led_to_tips_that_it_missed(
     problem = Problem(prepared, pair_of(surface, surface, Landmarks.none()))
     found, rest = Tips.of(problem), prepared.rest.graph.positions
     there = Placement(rest, 1e-4)
-    assert led_by_tips(problem, found, there) is there  # nothing is missed
+    assert refit_to_tips(problem, found, there) is there  # nothing is missed
     tail = np.linalg.norm(rest - found.places[ends_of(surface, found.places) == TAIL], axis=1) < 0.12
     assert 3 * CONFIG.tips_met < 0.15 < CONFIG.tips_near
     bent = rest + tail[:, None] * np.array([0.15, 0.0, 0.0])
@@ -124,24 +124,24 @@ def test_a_fit_is_led_to_tips_that_it_missed(
     assert np.array_equal(
         ends_of(surface, rest[found.vertices[pairs[:, 0]]]), ends_of(surface, found.places[pairs[:, 1]])
     )
-    led = led_by_tips(problem, found, Placement(bent, 1e-2))
+    led = refit_to_tips(problem, found, Placement(bent, 1e-2))
     assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < CONFIG.tips_met
     ((tips, places),) = held  # the same shape, so that every tip is held at its own place
     assert len(tips) == len(ENDS)
     assert np.linalg.norm(tips - places, axis=1).max() < CONFIG.tips_met
     cheap = Placement(bent, 0.5 * led.cost / SearchConfig.as_cheap)
-    assert led_by_tips(problem, found, cheap) is cheap
+    assert refit_to_tips(problem, found, cheap) is cheap
 
 
 def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
     pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
     problem = Problem(prepared, pair)
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
-    moved = finished(problem, Placement(bent, 1.0)).answer
+    moved = finish_placement(problem, Placement(bent, 1.0)).answer
     assert 0.0 < np.abs(moved - bent).max() < 0.1
-    assert finished(problem, Placement(bent, 1.1e-4)).answer is bent  # it costs more
+    assert finish_placement(problem, Placement(bent, 1.1e-4)).answer is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
-    assert finished(Problem(masked, pair), Placement(bent, 1.0)).answer is bent
+    assert finish_placement(Problem(masked, pair), Placement(bent, 1.0)).answer is bent
 
 
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:

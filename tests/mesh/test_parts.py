@@ -17,7 +17,15 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import connected_parts, extract, find_part, join_meshes, list_parts, material_pieces, pair_parts
+from cagemap.mesh.parts import (
+    connected_parts,
+    extract_faces,
+    find_part,
+    join_meshes,
+    list_parts,
+    material_pieces,
+    pair_parts,
+)
 from cagemap.subdivision import refine
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.tasks.match_parts import asked_parts, chosen_parts
@@ -87,7 +95,7 @@ def test_a_group_of_several_names_is_in_each_of_them() -> None:
 
 def test_a_part_taken_out_is_the_mesh_that_was_joined() -> None:
     scene = _scene()
-    eye = extract(scene, find_part(scene, "eye_right").faces)
+    eye = extract_faces(scene, find_part(scene, "eye_right").faces)
     expected = _named(icosahedron(), "eye_right", -5)
     np.testing.assert_array_equal(eye.positions, expected.positions)
     np.testing.assert_array_equal(eye.face_indices, expected.face_indices)
@@ -95,9 +103,9 @@ def test_a_part_taken_out_is_the_mesh_that_was_joined() -> None:
     assert len(eye.corner_vertices) == 0
     np.testing.assert_array_equal(eye.file_vertices, 20 + np.arange(12))
     np.testing.assert_array_equal(eye.file_faces, 26 + np.arange(20))
-    again = extract(eye, np.arange(3))
+    again = extract_faces(eye, np.arange(3))
     np.testing.assert_array_equal(again.file_faces, [26, 27, 28])
-    left = extract(scene, find_part(scene, "eye_left").faces)
+    left = extract_faces(scene, find_part(scene, "eye_left").faces)
     np.testing.assert_array_equal(left.corner_vertices, [3])
 
 
@@ -189,7 +197,7 @@ def test_landmarks_follow_the_part_and_what_is_left_alone_is_said() -> None:
     chosen, notes = chosen_parts(scene, scene, _landmarks(pairs), "each", "each")
     assert [len(part.landmarks) for part in chosen] == [2, 1, 3]  # the larger parts first
     assert notes == ()
-    lone = extract(scene, find_part(scene, "body").faces)
+    lone = extract_faces(scene, find_part(scene, "body").faces)
     _, notes = chosen_parts(scene, lone, _landmarks(np.array([[0, 0]])), "each", "each")
     (note,) = notes
     assert note.startswith("left alone")
@@ -206,7 +214,7 @@ def test_parts_of_one_side_find_what_goes_with_them_on_the_other(every: str) -> 
         (chosen,), (note,) = chosen_parts(scene, scene, _landmarks(np.array([[7, 7]])), *words)
         assert chosen.target.n_faces == chosen.source.n_faces == faces
         assert note.endswith("of the target" if words[0] == every else "of the source")
-    lone = extract(scene, find_part(scene, "eye_left").faces)
+    lone = extract_faces(scene, find_part(scene, "eye_left").faces)
     for pair in (scene, lone), (lone, scene):
         (found,), notes = chosen_parts(*pair, _landmarks(np.zeros((0, 2), dtype=np.int64)), "each", "each")
         assert found.target.n_faces == found.source.n_faces == lone.n_faces

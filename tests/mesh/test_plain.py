@@ -14,7 +14,7 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import signed_volume
-from cagemap.mesh.parts import extract, join_meshes
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_among
@@ -146,7 +146,7 @@ def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
 def test_holes_stay_and_uv_sets_come_along() -> None:
     sheet = grid(6, 5)
     sheet = sheet.with_uvs(sheet.positions[:, :2] / 6.0, sheet.face_indices)
-    plain = plain_mesh(extract(sheet, np.delete(np.arange(sheet.n_faces), [7, 8])))
+    plain = plain_mesh(extract_faces(sheet, np.delete(np.arange(sheet.n_faces), [7, 8])))
     assert plain.repairs.openings == 2
     assert plain.mesh.uvs is not None
     pair = plain_mesh(join_meshes([sheet, replace(sheet, positions=sheet.positions + 9.0)]))

@@ -15,7 +15,7 @@ from cagemap.deform.config import ElasticConfig
 from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.maps.hypotheses.confidence import Confidence, at_finest
+from cagemap.maps.hypotheses.confidence import Confidence, prolong_answers
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
@@ -24,7 +24,13 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
-from cagemap.operators.coarse_levels import coarsened, delaunay, prolongation, refined, simplified
+from cagemap.operators.coarse_levels import (
+    build_coarse_levels,
+    build_levels,
+    flip_to_delaunay,
+    prolongation,
+    simplify_mesh,
+)
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement, finest_mesh, refine
@@ -46,7 +52,7 @@ def scan() -> Surface:
 @pytest.fixture(scope="module")
 def levels() -> Refinement:
     """The same with its coarse levels, as they are made."""
-    return refined(animal(3), 0)
+    return build_levels(animal(3), 0)
 
 
 def test_levels_below_a_plain_mesh_are_nested(levels: Refinement) -> None:
@@ -91,9 +97,9 @@ def test_vertices_of_levels_are_found_among_the_finest(levels: Refinement) -> No
 def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
     finest = [finest_mesh(refine(mesh, 3)) for mesh in (creature(), torus())]
     meshes = [refine(replace(mesh, scheme=Plain()), 0) for mesh in finest]
-    alone = [coarsened(mesh) for mesh in meshes]
+    alone = [build_coarse_levels(mesh) for mesh in meshes]
     for _ in range(3):
-        for once, again in zip(alone, in_threads(coarsened, meshes), strict=True):
+        for once, again in zip(alone, in_threads(build_coarse_levels, meshes), strict=True):
             for one, other in zip(once.levels, again.levels, strict=True):
                 np.testing.assert_array_equal(one.positions, other.positions)
                 np.testing.assert_array_equal(one.faces, other.faces)
@@ -112,7 +118,7 @@ def test_a_coarse_vertex_without_triangles_is_none(monkeypatch) -> None:
         return np.vstack([places, given[0][far]]), coarse, cluster
 
     monkeypatch.setattr(fast_simplification, "replay_simplification", left_alone)
-    step = simplified(positions, faces, 600)
+    step = simplify_mesh(positions, faces, 600)
     np.testing.assert_array_equal(np.unique(step.triangles), np.arange(len(step.kept)))
     places = prolongation(positions, faces, step) @ positions[step.kept]
     # Smoothing moves the tip of a limb by less than the length of a coarse edge.
@@ -139,7 +145,7 @@ def test_only_level_0_of_a_plain_mesh_exists() -> None:
             wrong()
     mixed = ControlMesh.from_faces(cube().positions, [[0, 1, 2], *(cube().face(i) for i in range(1, 6))])
     with pytest.raises(InvalidMeshError, match="different sizes"):
-        coarsened(refine(replace(mixed, scheme=Plain()), 0))
+        build_coarse_levels(refine(replace(mixed, scheme=Plain()), 0))
 
 
 def test_a_plain_mesh_lies_on_itself() -> None:
@@ -215,13 +221,13 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers(scan: Surface) -> None:
     prepared = prepare_pair(surface, surface)
     known = Placement(prepared.mesh.positions, 1e-4, name="as the files stand")
     assert len(known.positions) < mesh.n_vertices
-    told = at_finest(Confidence("sure", (known,)), prepared).readings[0]
+    told = prolong_answers(Confidence("sure", (known,)), prepared).readings[0]
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(told.positions[prepared.vertices], known.positions)
     whole = replace(prepared, levels=(surface.finest, prepared.levels[1]))
     known = replace(known, positions=read_only(surface.finest_triangles.positions))
-    told = at_finest(Confidence("sure", (known,)), whole).readings[0]
+    told = prolong_answers(Confidence("sure", (known,)), whole).readings[0]
     np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)
 
 
@@ -243,12 +249,12 @@ def test_flips_make_better_triangles_between_the_same_vertices() -> None:
     for faces in (wanted, sheared):
         inwards = triangle_normals(points, faces)[:, 2] < 0
         faces[inwards] = faces[inwards, ::-1]
-    found = delaunay(points, sheared)
+    found = flip_to_delaunay(points, sheared)
     assert {tuple(sorted(face)) for face in found.tolist()} == {tuple(sorted(face)) for face in wanted.tolist()}
     assert not np.array_equal(np.sort(sheared, axis=1), np.sort(found, axis=1))
     mesh = animal(2)
     faces = mesh.face_indices.reshape(-1, 3)
-    better = delaunay(mesh.positions, faces)
+    better = flip_to_delaunay(mesh.positions, faces)
     require_valid(replace(mesh, face_indices=better.ravel()))
     smallest = [np.percentile(_angles(mesh.positions, one).min(axis=1), 5) for one in (faces, better)]
     assert smallest[1] >= smallest[0]

@@ -12,7 +12,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.mesh.parts import extract, find_part, join_meshes
+from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.weld import coincident_vertices, weld_mesh, weld_tolerance
 
@@ -174,7 +174,7 @@ def test_parts_of_a_welded_mesh_keep_the_copies() -> None:
     split = split_at_seams(creature())
     far = replace(split, positions=split.positions + np.array([9.0, 0, 0]))
     welded = weld_mesh(join_meshes([split, far])).mesh
-    parts = [extract(welded, find_part(welded, f"component:{number}").faces) for number in (1, 0)]
+    parts = [extract_faces(welded, find_part(welded, f"component:{number}").faces) for number in (1, 0)]
     joined = join_meshes(parts)
     whole = join_meshes([split, far])
     for mesh in (*parts, joined):

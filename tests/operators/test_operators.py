@@ -23,7 +23,7 @@ from cagemap.operators import (
     stiffness,
     vertex_areas,
 )
-from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, face_terms, gathered
+from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, assemble_stiffness, face_terms
 from cagemap.spectral import exact_basis
 from cagemap.subdivision import refine
 from cagemap.surface.triangles import triangle_areas
@@ -229,7 +229,7 @@ def test_every_laplacian_is_exact_for_linear_functions_on_flat_quads(laplacian):
     positions[:, flat] += 0.15 * rng.uniform(-1, 1, (len(positions), 2))
     faces = control.face_indices.reshape(-1, 4)
     weights, areas = laplacian.face_terms(positions, faces)
-    stiff = gathered(weights, faces, len(positions))
+    stiff = assemble_stiffness(weights, faces, len(positions))
     gradient = np.where(flat, [0.3, -0.7, 0.45], 0.0)
     values = positions @ gradient
     boundary = np.zeros(len(positions), dtype=bool)
@@ -279,7 +279,7 @@ def test_collapsed_faces_do_no_harm(laplacian):
     weights, areas = laplacian.face_terms(positions, finest.faces)
     assert np.isfinite(weights).all()
     assert areas.min() >= 0.0
-    values = np.linalg.eigvalsh(gathered(weights, finest.faces, len(positions)).toarray())
+    values = np.linalg.eigvalsh(assemble_stiffness(weights, finest.faces, len(positions)).toarray())
     assert values[0] > -1e-9 * values[-1]
 
 

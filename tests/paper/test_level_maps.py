@@ -22,7 +22,7 @@ from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import ReportRequest, run_report
-from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.matching import MapRequest
 from cagemap.tasks.requests.results import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 

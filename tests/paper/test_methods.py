@@ -20,7 +20,7 @@ from cagemap.paper import hfm, method
 from cagemap.paper.constraints import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
 from cagemap.paper.levels import search_levels
-from cagemap.paper.method import PaperConfig, orthonormal, paper_map
+from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.zoomout import Samples, ZoomOutSchedule
@@ -196,7 +196,7 @@ def test_orthonormal_is_the_nearest_isometry():
     """Singular values become 1, singular vectors stay (2.1.4)."""
     rng = np.random.default_rng(3)
     c = rng.standard_normal((6, 4))
-    q = orthonormal(c)
+    q = nearest_orthonormal(c)
     np.testing.assert_allclose(q.T @ q, np.eye(4), atol=1e-12)
     other, _ = np.linalg.qr(rng.standard_normal((6, 4)))
     assert np.linalg.norm(c - q) < np.linalg.norm(c - other)

@@ -14,7 +14,7 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
@@ -85,7 +85,7 @@ def _write_asset(path: Path, stretch: float, up: str = "Y", unit: float = 1.0) -
 def _part(path: Path) -> ControlMesh:
     """The body of an asset, as `--part mesh` takes it."""
     whole = read_usd(path)
-    return extract(whole, find_part(whole, "mesh").faces)
+    return extract_faces(whole, find_part(whole, "mesh").faces)
 
 
 def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

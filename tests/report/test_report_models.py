@@ -21,7 +21,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain
-from cagemap.operators.coarse_levels import refined
+from cagemap.operators.coarse_levels import build_levels
 from cagemap.pictures import Z_UP
 from cagemap.report import (
     CarriedData,
@@ -144,7 +144,7 @@ def identity_plain(level: int) -> MatchResult:
     """A dense mesh onto itself, taken as it is."""
     dense = refine(icosahedron(), level).finest
     mesh = ControlMesh.from_faces(dense.positions, dense.faces, name="scan.obj")
-    surfaces = [Surface(refined(mesh, 0, Plain()), BasisConfig(count=5)) for _ in range(2)]
+    surfaces = [Surface(build_levels(mesh, 0, Plain()), BasisConfig(count=5)) for _ in range(2)]
     base = identity_result(level)
     places = [surface.finest_triangles for surface in surfaces]
     point_map = PointMap.from_vertices(*places, np.arange(places[0].n))

@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, exact_basis, hierarchical_basis
-from cagemap.spectral.basis import clusters, new_directions
+from cagemap.spectral.basis import label_clusters, new_directions
 from cagemap.spectral.config import MIN_VERTICES, SOLVER, VERTICES_PER_FUNCTION
 from cagemap.subdivision import refine
 
@@ -90,7 +90,7 @@ def test_fixed_schedule_has_its_counts_and_completes_cut_clusters(schedule):
     assert basis.schedule == schedule
     for level in range(3):
         exact = exact_basis(operators, level, basis.size(level) + 4)
-        ends = np.flatnonzero(np.diff(clusters(exact.values)))  # last member of every cluster
+        ends = np.flatnonzero(np.diff(label_clusters(exact.values)))  # last member of every cluster
         whole = int(ends[ends < basis.size(level)].max()) + 1
         phi = basis.at(level)
         gram = basis.gram[: basis.size(level), : basis.size(level)]

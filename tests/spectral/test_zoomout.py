@@ -9,7 +9,7 @@ from cagemap.errors import ParameterError
 from cagemap.spectral.zoomout import (
     Samples,
     ZoomOutSchedule,
-    evenly_spaced,
+    evenly_spaced_vertices,
     fit_functional_map,
     nearest_coordinates,
     nearest_rows,
@@ -44,12 +44,12 @@ def test_zoomout_reaches_the_end_in_small_steps():
 
 
 def test_samples_spread_over_the_numbering():
-    chosen = evenly_spaced(10_000, 3000)
+    chosen = evenly_spaced_vertices(10_000, 3000)
     assert len(chosen) == 3000
     assert chosen[0] == 0
     assert chosen[-1] == 9999
     assert np.diff(chosen).max() <= 4
-    np.testing.assert_array_equal(evenly_spaced(50, 3000), np.arange(50))
+    np.testing.assert_array_equal(evenly_spaced_vertices(50, 3000), np.arange(50))
 
 
 def cosines(points, count=6):

@@ -18,7 +18,7 @@ from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import extract, in_one_piece, join_meshes, list_parts, numbers_on_part
+from cagemap.mesh.parts import extract_faces, in_one_piece, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.compute import OpenModels, PairFiles, PreviewCache, run_task
 from cagemap.studio.file_parts import select_part
@@ -118,10 +118,12 @@ def test_a_part_is_in_one_piece_where_its_mesh_is(numbers: list[int]) -> None:
     mesh = join_meshes([cube(), cube(), cube()])
     mesh = replace(mesh, face_materials=np.array(numbers), material_names=("a", "b", "c", "d"))
     parts = [part for part in list_parts(mesh) if part.kind == "material"]
-    one = [part for part in parts if len(list_parts(replace(extract(mesh, part.faces), face_materials=None))) == 1]
+    one = [
+        part for part in parts if len(list_parts(replace(extract_faces(mesh, part.faces), face_materials=None))) == 1
+    ]
     assert [part.name for part in in_one_piece(mesh, parts)] == [part.name for part in one]
     for part in parts:
-        taken = extract(mesh, part.faces)
+        taken = extract_faces(mesh, part.faces)
         number = numbers_on_part(taken, mesh)
         on = np.flatnonzero(number >= 0)
         np.testing.assert_array_equal(taken.positions[number[on]], mesh.positions[on])

@@ -15,7 +15,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, refine, triangles
 from cagemap.subdivision.face_varying import corner_triangles, interpolate_linearly
-from cagemap.subdivision.refinement import truncated
+from cagemap.subdivision.refinement import truncate_refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (
@@ -51,7 +51,7 @@ SHAPES = [cube, mixed, icosahedron]
 
 
 def refinements(shape: ControlMesh, level: int = 2) -> tuple[Refinement, Refinement]:
-    refined = truncated(refine(shape, level), level)
+    refined = truncate_refinement(refine(shape, level), level)
     return refined, refined
 
 

@@ -11,7 +11,7 @@ from examples.shapes import torus
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_canvas
 from cagemap.transfer.blend_shapes import _centre_images, carry_shape, prepare_shapes
@@ -52,7 +52,7 @@ def test_colours_come_back(crumpled: Level) -> None:
 def test_directions_come_back(crumpled: Level, space: str) -> None:
     transfer = prepare_transfer(crumpled, crumpled, identity_map(crumpled))
     rng = np.random.default_rng(1)
-    vectors = normalized(rng.standard_normal((SIZE * SIZE, 3)) + np.array([0.0, 0.0, 2.0])).reshape(SIZE, SIZE, 3)
+    vectors = normalize_rows(rng.standard_normal((SIZE * SIZE, 3)) + np.array([0.0, 0.0, 2.0])).reshape(SIZE, SIZE, 3)
     inside = covered(crumpled, SIZE)
     normals = np.rint((0.5 * vectors + 0.5) * 255).astype(np.uint8)
     baked = bake_normal_map(transfer, normals, size=SIZE, space=space)

@@ -24,7 +24,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from cagemap.wrap.fit import fit_net
-from cagemap.wrap.terms import counterpart
+from cagemap.wrap.terms import counterpart_mask
 
 from command_line import Run
 from example_result import identity_result
@@ -174,7 +174,7 @@ def pitted(lid: bool) -> tuple[PointMap, np.ndarray]:
 def test_what_lies_behind_a_squeezed_part_follows_where_nothing_else_is(lid: bool) -> None:
     """The back of a mouth bag on a face without one, and the palm behind a squeezed wrist."""
     point_map, within = pitted(lid)
-    follow = counterpart(point_map)
+    follow = counterpart_mask(point_map)
     if lid:
         assert (follow[within] == 0).all()
     else:

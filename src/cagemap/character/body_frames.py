@@ -13,7 +13,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import corner_sums, normalized
+from cagemap.surface.triangles import corner_sums, normalize_rows
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class SignedDistances:
         )
         corners = body.triangles[triangle]
         closest = np.einsum("nc,ncd->nd", barycentric, body.positions[corners])
-        body_normals = normalized(np.einsum("nc,ncd->nd", barycentric, body.vertex_normals[corners]))
+        body_normals = normalize_rows(np.einsum("nc,ncd->nd", barycentric, body.vertex_normals[corners]))
         side = np.einsum("nd,nd->n", points - closest, body_normals)
         return cls(np.copysign(distance, side), body_normals)
 
@@ -93,7 +93,7 @@ class BodyFrames:
     @kept
     def source_normals(self) -> FloatArray:
         """(n1, 3) unit normals of the source at the images."""
-        return normalized(self.point_map.images.interpolate(self.point_map.source.vertex_normals))
+        return normalize_rows(self.point_map.images.interpolate(self.point_map.source.vertex_normals))
 
     @kept
     def rotation(self) -> FloatArray:
@@ -119,7 +119,7 @@ class BodyFrames:
         for _ in range(self.config.smoothing_rounds):
             table = average @ table
         moments, covariance = table[:, :9].reshape(-1, 3, 3), table[:, 9:18].reshape(-1, 3, 3)
-        normals, target_normals = normalized(table[:, 18:21]), normalized(table[:, 21:24])
+        normals, target_normals = normalize_rows(table[:, 18:21]), normalize_rows(table[:, 21:24])
         # Edges give the tangential part only; the normal keeps its length.
         source_tangent, target_tangent = (
             np.eye(3) - unit[:, :, None] * unit[:, None] for unit in (normals, target_normals)

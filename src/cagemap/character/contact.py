@@ -12,7 +12,7 @@ from cagemap.character.body_frames import BodyFrames, SignedDistances, neighbor_
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized, row_lengths
+from cagemap.surface.triangles import normalize_rows, row_lengths
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Contact:
         """
         heights = _signed_distances(frames.point_map.source, points, normals, config).heights
         vertices = np.flatnonzero((heights > 0) & (heights < config.reach))
-        directions = normalized(np.einsum("nd,nde->ne", normals, frames_at_points))[vertices]
+        directions = normalize_rows(np.einsum("nd,nde->ne", normals, frames_at_points))[vertices]
         found_per_mesh = [_find_covered(frames, points, triangles, config) for triangles in meshes]
         body_vertices, corners, barycentric, gaps = (
             np.concatenate(arrays) for arrays in zip(*found_per_mesh, strict=True)

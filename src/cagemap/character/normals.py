@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import fan_triangles, normalized, vertex_normals
+from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 
 # Of a unit normal: corners of a vertex whose normals differ less share one normal.
 NORMAL_TOLERANCE = 1e-3
@@ -30,7 +30,7 @@ def move_vertices(part: Part, positions: FloatArray) -> Part:
     rotated = np.where(
         cosine > MIN_TURN_COSINE, cosine * part.normals + np.cross(axis, part.normals) + axis_part, new_normals
     )
-    return replace(part, mesh=part.mesh.with_positions(positions), normals=normalized(rotated))
+    return replace(part, mesh=part.mesh.with_positions(positions), normals=normalize_rows(rotated))
 
 
 def normal_groups(mesh: ControlMesh, normals: FloatArray) -> IndexArray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, nearest_rotations
 
 PassengerKind = Literal["cloth", "rigid", "similarity"]
 PASSENGER_KINDS: tuple[PassengerKind, ...] = ("cloth", "rigid", "similarity")
@@ -65,7 +65,7 @@ def find_pieces(
         Of all pieces.
     config : PieceConfig
     """
-    piece = components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
+    piece = label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
     count = int(piece.max()) + 1
     sizes = np.bincount(piece, minlength=count)
     centres = grouped_sums(piece, points, count) / sizes[:, None]
@@ -86,7 +86,7 @@ def find_pieces(
         radius[heads], radius[tails]
     )
     is_joined &= is_rigid[heads] & is_rigid[tails]
-    group = components(heads[is_joined], tails[is_joined], count)
+    group = label_components(heads[is_joined], tails[is_joined], count)
     group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
     group_rigid[group[is_rigid]] = True
     return Pieces(group[piece], group_rigid, kind != "rigid")

@@ -10,7 +10,7 @@ from cagemap.cli.console import say
 from cagemap.cli.progress import ConsoleStages
 from cagemap.cli.request_command import request_command, with_stages
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.match import MapRequest, MatchRequest, RunRequest, StudioRequest
+from cagemap.tasks.requests.matching import MapRequest, MatchRequest, RunRequest, StudioRequest
 from cagemap.tasks.requests.models import FaceRequest, FunctionsRequest, RigRequest
 from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
 

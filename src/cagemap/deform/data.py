@@ -18,11 +18,11 @@ from cagemap.deform.config import DataConfig
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.factorization import Factorization
-from cagemap.spectral.zoomout import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class SourceSamples:
     @classmethod
     def choose(cls, source: TriangleSurface, count: int, masks: Masks = WHOLE) -> SourceSamples:
         """Some vertices of a source, spread over its numbering."""
-        chosen = evenly_spaced(len(source.positions), count)
+        chosen = evenly_spaced_vertices(len(source.positions), count)
         planes, areas = source.vertex_normals[chosen], source.vertex_areas[chosen]
         outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
         shares = areas / areas.sum() * masks.of_source(source.n)[chosen]
@@ -90,7 +90,7 @@ def target_to_source(
     found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
     corners = found.corners
     closest = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
-    plane = normalized(found.interpolate(source.vertex_normals))
+    plane = normalize_rows(found.interpolate(source.vertex_normals))
     weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
     weights *= masks.of_target(len(areas)) * masks.at_source(found)
     if not beyond:
@@ -156,8 +156,8 @@ def source_to_clusters(
     points, planes = samples.points, samples.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
     nearest = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
-    between, facing = normalized(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
-    shares = samples.areas * np.clip(facing, 0.0, 1.0) * trusted(closest[nearest] - points, config.cluster_trip)
+    between, facing = normalize_rows(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
+    shares = samples.areas * np.clip(facing, 0.0, 1.0) * robust_weights(closest[nearest] - points, config.cluster_trip)
     shares *= masks.of_target(len(positions))[nearest]
     share = config.towards_point
     towards = (1.0 - share) * between[:, :, None] * between[:, None, :] + share * np.eye(3)
@@ -195,9 +195,9 @@ def round_trip_weights(
     trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
 ) -> FloatArray:
     """(m,) weights of source points by their round trips, less of those inside the target: it cannot grow into them."""
-    return trusted(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
+    return robust_weights(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
 
 
-def trusted(trips: FloatArray, scale: FloatArray | float) -> FloatArray:
+def robust_weights(trips: FloatArray, scale: FloatArray | float) -> FloatArray:
     """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of trips d (m, 3) by their scales s (Geman and McClure 1985)."""
     return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

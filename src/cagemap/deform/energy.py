@@ -13,7 +13,7 @@ from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ def transformed_normals(maps: FloatArray, normals: FloatArray) -> FloatArray:
 
 def deformed_normals(normals: FloatArray, maps: FloatArray) -> FloatArray:
     """(n, 3) unit normals of a deformed graph, from its normals (n, 3) at rest and its maps (n, 3, 3)."""
-    return normalized(transformed_normals(maps, normals))
+    return normalize_rows(transformed_normals(maps, normals))
 
 
 def energy_matrix(graph: ElasticGraph, smoothing: float) -> sparse.csr_array:

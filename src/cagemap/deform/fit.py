@@ -135,7 +135,7 @@ def fine_stage(problem: Problem, start: FloatArray) -> FloatArray:
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     """(k, 3) the clusters carried by held ones alone: a similarity, then the energy, which knows the twist of limbs."""
     graph, places, held = shape.rest.graph, shape.constraints.places, shape.constraints.anchors.corners[:, 0]
-    rotation, scale, shift = similarity(graph.positions[held], places)
+    rotation, scale, shift = fit_similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
     shape.constraints.anchors.hold(blocks, right, start, places, config.landmark_weight)
@@ -143,7 +143,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     return minimise(energy, VertexTerms(energy, blocks, right, constant=True), start, config.landmark_start)
 
 
-def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
     """Rotation R, scale s and shift t with s R p + t nearest to the images (Umeyama 1991); no reflection."""
     centre, image_centre = points.mean(axis=0), images.mean(axis=0)
     u, singular, vt = np.linalg.svd((images - image_centre).T @ (points - centre))
@@ -154,7 +154,7 @@ def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, floa
     return rotation, scale, image_centre - scale * rotation @ centre
 
 
-def with_cost(prepared: PreparedPair, positions: FloatArray) -> Placement:
+def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:
     """A placement of the mesh with its `vertex_costs`, the distances of source samples, and `stretch_costs` if open."""
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
     samples = prepared.source_samples

@@ -20,12 +20,12 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import GraphConfig
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, read_only
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import kept
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 # Vertices, far from each other, that distances along a surface are measured from.
 STATIONS = 60
@@ -73,7 +73,7 @@ class ElasticGraph:
     @kept
     def station_distances(self) -> FloatArray:
         """(s, n) distances along the edges from `STATIONS` vertices, far from each other, on no small piece."""
-        piece = components(self.heads, self.tails, self.n)
+        piece = label_components(self.heads, self.tails, self.n)
         sizes = np.bincount(piece, self.areas)
         rows, nearest = [], np.where(sizes >= min(MIN_PIECE_AREA, sizes.max()), np.inf, -1.0)[piece]
         for _ in range(min(STATIONS, self.n)):
@@ -164,7 +164,7 @@ def cluster_graph(
     k = int(cell.max()) + 1
     areas = np.bincount(cell, fine.areas, minlength=k)
     centres = grouped_sums(cell, fine.areas[:, None] * fine.positions, k) / areas[:, None]
-    normals = normalized(grouped_sums(cell, fine.areas[:, None] * fine.normals, k))
+    normals = normalize_rows(grouped_sums(cell, fine.areas[:, None] * fine.normals, k))
     distance = np.linalg.norm(fine.positions - centres[cell], axis=1)
     order = np.lexsort((distance, cell))
     vertices = order[np.searchsorted(cell[order], np.arange(k))]
@@ -233,7 +233,7 @@ def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig =
     Parts that only touch share cells of a grid; a tiny piece would be a stiff dot.
     """
     inside = cell[graph.heads] == cell[graph.tails]
-    piece = components(graph.heads[inside], graph.tails[inside], graph.n)
+    piece = label_components(graph.heads[inside], graph.tails[inside], graph.n)
     for _ in range(config.joining_rounds):
         k = int(piece.max()) + 1
         areas = np.bincount(piece, graph.areas, minlength=k)
@@ -250,5 +250,5 @@ def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig =
         order = np.lexsort((shared.data, shared.row))
         last = np.flatnonzero(np.diff(shared.row[order], append=k))
         small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
-        piece = components(small, joined, k)[piece]
+        piece = label_components(small, joined, k)[piece]
     return piece

@@ -15,16 +15,16 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.energy import deformed_normals
-from cagemap.deform.fit import coarse_fit, fine_fit, fine_stage, with_cost
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_stage
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement, distinct, mean_distance
+from cagemap.deform.placement import Placement, distinct_placements, mean_distance
 from cagemap.deform.problem import CoarseShape, Problem
 from cagemap.deform.refit import largest_limb_rotation
-from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced, nearest_coordinates, zoomout
+from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced_vertices, nearest_coordinates, zoomout
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a fit of their own.
 FEWEST_LANDMARKS = 3
@@ -39,7 +39,7 @@ def start_map(
     levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
-    candidates = np.union1d(evenly_spaced(n_searched, prepared.start.samples), held[1])
+    candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), held[1])
     of_curves = curve_vertices(problem)
 
     def samples(side: int, chosen: IndexArray, areas: FloatArray) -> Samples:
@@ -83,7 +83,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Calla
     prepared, shape = problem.prepared, shape or problem.shape
     config, surface = prepared.start, prepared.source_surface
     level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
-    vertices = evenly_spaced(surface.n, config.places)
+    vertices = evenly_spaced_vertices(surface.n, config.places)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
     sides = (
@@ -145,13 +145,13 @@ class AnchoredFits:
             return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), stages)
 
         if start is not None and len(vertices[0]) < FEWEST_LANDMARKS:
-            return cls(shape, (), tuple(refine(problem, both_stages(start))), agree=True)
+            return cls(shape, (), tuple(refine_placements(problem, both_stages(start))), agree=True)
         with ThreadPool(1) as aside:  # from the points alone, while the functional map is made
             blind = aside.submit(both_stages, None)
             first = both_stages(start_map(problem, shape, vertices) if start is None else start)
             soft, stiff_ones = zip(first, blind.result(), strict=True)
         # The costs of the coarse ones differ too little to choose by; a turned elbow shows on the mesh alone.
-        refined = tuple(refine(problem, stiff_ones))
+        refined = tuple(refine_placements(problem, stiff_ones))
         rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, elastic.search.limb_area)
         apart = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
         agree = apart <= elastic.search.doubtful and rotation <= elastic.search.limb_rotation
@@ -161,7 +161,7 @@ class AnchoredFits:
         """The same with what spectral upsampling makes of the first soft one, and with the best parts of all."""
         starts = spectral_starts(problem, self.shape)(self.soft[0])
         more = in_threads(lambda rough: coarse_fit(problem, rough, self.shape), starts)
-        refined = refine_best(problem, [*self.soft, *more], refined=self.refined)
+        refined = refine_cheapest(problem, [*self.soft, *more], refined=self.refined)
         return replace(self, refined=tuple(refined)).like(self.refined[0])
 
     def like(self, placed: Placement) -> AnchoredFits:
@@ -169,28 +169,28 @@ class AnchoredFits:
         return replace(self, refined=tuple(replace(one, name=placed.name, doubt=placed.doubt) for one in self.refined))
 
 
-def refine_best(
+def refine_cheapest(
     problem: Problem, coarse: Sequence[Placement], most: int | None = None, refined: Sequence[Placement] = ()
 ) -> list[Placement]:
     """The fine stage from the cheapest coarse placements that are apart, with refined ones and their `best_parts`."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
-    ranked, areas = cheapest_first(coarse), problem.shape.rest.graph.areas
+    ranked, areas = sort_by_cost(coarse), problem.shape.rest.graph.areas
     areas = areas if ranked[0].graph is None else ranked[0].graph.areas
     hopeful = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct(hopeful, areas, config.min_distance)[: most or config.max_refined]
-    found = cheapest_first([*refine(problem, kept), *refined])
+    kept = distinct_placements(hopeful, areas, config.min_distance)[: most or config.max_refined]
+    found = sort_by_cost([*refine_placements(problem, kept), *refined])
     mixed = best_parts(prepared.rest.graph, found, config)
     if mixed is None:
         return found
-    return cheapest_first([*found, with_cost(prepared, fine_stage(problem, mixed))])
+    return sort_by_cost([*found, evaluate_placement(prepared, fine_stage(problem, mixed))])
 
 
-def refine(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
+def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
     """The fine stage from coarse placements, by the cost of the mesh."""
-    return cheapest_first(in_threads(lambda one: with_cost(problem.prepared, fine_fit(problem, one)), coarse))
+    return sort_by_cost(in_threads(lambda one: evaluate_placement(problem.prepared, fine_fit(problem, one)), coarse))
 
 
-def cheapest_first(placements: Iterable[Placement]) -> list[Placement]:
+def sort_by_cost(placements: Iterable[Placement]) -> list[Placement]:
     """Placements sorted by cost, ascending."""
     return sorted(placements, key=lambda placed: placed.cost)
 
@@ -217,7 +217,7 @@ def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchC
 def _parts(graph: ElasticGraph, apart: NDArray[np.bool_], rings: int) -> tuple[IndexArray, FloatArray]:
     """Number (n,) of the connected piece that vertices are of, rings around it included, -1 elsewhere; share (n,)."""
     both = apart[graph.heads] & apart[graph.tails]
-    _, numbers = np.unique(components(graph.heads[both], graph.tails[both], graph.n)[apart], return_inverse=True)
+    _, numbers = np.unique(label_components(graph.heads[both], graph.tails[both], graph.n)[apart], return_inverse=True)
     part, share = np.full(graph.n, -1), apart.astype(np.float64)
     part[apart] = numbers
     for ring in range(rings):

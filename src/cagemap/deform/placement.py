@@ -46,7 +46,7 @@ class Placement:
         return extrapolate(self.graph, self.positions, self.maps, graph, config)
 
 
-def distinct(ranked: Sequence[Placement], areas: FloatArray, least: float) -> list[Placement]:
+def distinct_placements(ranked: Sequence[Placement], areas: FloatArray, least: float) -> list[Placement]:
     """Placements that are at a mean distance of at least ``least`` from every better one."""
     kept: list[Placement] = []
     for one in ranked:

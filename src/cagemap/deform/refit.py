@@ -17,7 +17,7 @@ import numpy as np
 
 from cagemap.deform.config import RefitConfig
 from cagemap.deform.energy import ElasticEnergy, VertexTerms, rotations
-from cagemap.deform.fit import coarse_fit, fine_fit, fine_stage, with_cost
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_stage
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import minimise
 from cagemap.deform.placement import Placement
@@ -27,7 +27,7 @@ from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 
 
-def finished(problem: Problem, placed: Placement) -> Placement:
+def finish_placement(problem: Problem, placed: Placement) -> Placement:
     """The placement refitted in the source's pose, and made inverse consistent where that costs hardly more.
 
     Not under masks: what is masked would be fitted back as well, and drag what is not with it.
@@ -36,8 +36,8 @@ def finished(problem: Problem, placed: Placement) -> Placement:
     if prepared.rest.masks.any:
         return placed
     if pose_difference(prepared.rest, placed.positions) > config.refit.difference:
-        posed = with_cost(prepared, fit_in_pose(problem, placed.positions))
-    both_ways = with_cost(prepared, inverse_consistent(problem, posed.positions))
+        posed = evaluate_placement(prepared, fit_in_pose(problem, placed.positions))
+    both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
     cheap = both_ways.cost <= config.search.as_cheap * posed.cost
     return replace(placed, final=(both_ways if cheap else posed).positions)
 
@@ -112,17 +112,17 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     """
     prepared, back = problem.prepared, problem.prepared.reversed
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
-    start, _ = inverse(mesh, positions, back.mesh, config.normal_weight)
+    start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
     posed = pose_difference(back.rest, start) > config.difference
     returned = fit_in_pose(problem.reversed, start, times=1) if posed else fine_stage(problem.reversed, start)
-    places, gaps = inverse(back.mesh, returned, mesh, config.normal_weight)
+    places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
     if graph.areas[gaps > config.far].sum() > config.max_far * graph.areas.sum():
         return positions
     trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
-    return positions + smoothed(graph, 0.5 * (places - positions), trust, config.smoothing)
+    return positions + smooth_shifts(graph, 0.5 * (places - positions), trust, config.smoothing)
 
 
-def inverse(
+def inverse_positions(
     mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface, normal_weight: float
 ) -> tuple[FloatArray, FloatArray]:
     """Places (n2, 3) of another mesh by the inverse of a deformation (n, 3) onto it, and distances (n2,) from that."""
@@ -131,7 +131,7 @@ def inverse(
     return np.einsum("mk,mkd->md", barycentric, mesh.positions[mesh.triangles[at]]), gaps
 
 
-def smoothed(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray, length: float) -> FloatArray:
+def smooth_shifts(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray, length: float) -> FloatArray:
     """(n, 3) shifts of a mesh smoothed over a length; where trust (n,) is 0 they follow their surroundings."""
     masses = graph.areas * np.maximum(trust, 1e-6)
     return graph.smoother(length, masses).solve(masses[:, None] * shifts)

@@ -23,14 +23,14 @@ from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
 from cagemap.jobs.job import Job
 from cagemap.jobs.plan import PairNames, Plan, Task, task_key
-from cagemap.maps.places import cage_points_of, located
+from cagemap.maps.places import cage_points_of, locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
 from cagemap.mesh.curves import on_cage_curve
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 # Of sqrt(area): points that both directions of a map place farther apart are reported.
 MAX_DIRECTION_DIFFERENCE = 0.01
@@ -56,7 +56,7 @@ class DirectedMap:
         if self.forward:
             start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
             images = start.interpolate(point_map.images.positions)
-            normals = normalized(start.interpolate(point_map.images.normals))
+            normals = normalize_rows(start.interpolate(point_map.images.normals))
             return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=MAP_NORMAL_WEIGHT)
         image_surface = TriangleSurface(point_map.images.positions, point_map.target.triangles, 1.0)
         points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
@@ -124,7 +124,7 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     point_sets = [on_cage(source_points, first.control), *curve_points]
     sizes = [len(points.corners) for points in point_sets]
     joined = CagePoints(np.vstack([p.corners for p in point_sets]), np.vstack([p.weights for p in point_sets]))
-    start = located(first, joined)
+    start = locate(first, joined)
     end = start
     for step in steps:
         end = step.map_points(end.positions, end.normals)

@@ -17,7 +17,7 @@ from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 # Weight of normals, beside positions at unit area, in closest point searches: as in the elastic fit, it separates the
 # sides of thin parts.
@@ -42,7 +42,7 @@ def compose_maps(maps: Sequence[PointMap]) -> PointMap:
     positions, normals = maps[-1].images.positions, maps[-1].images.normals
     for point_map in reversed(maps[:-1]):
         positions, normals = point_map.pull_back(positions), point_map.pull_back(normals)
-    images = SurfacePoints.nearest(maps[-1].source, positions, normalized(normals), normal_weight=MAP_NORMAL_WEIGHT)
+    images = SurfacePoints.nearest(maps[-1].source, positions, normalize_rows(normals), normal_weight=MAP_NORMAL_WEIGHT)
     return PointMap(maps[0].target, images)
 
 

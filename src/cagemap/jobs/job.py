@@ -40,7 +40,7 @@ from cagemap.files.ownership import is_own
 from cagemap.files.text import require_file
 from cagemap.jobs.job_checks import find_line, find_problems, parse_job, resolve_files
 from cagemap.jobs.job_schema import Asset, CarryRule, JobFile, OutputRule, PairRule, options_schema
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 
 # Of one message.
 MAX_LISTED_PROBLEMS = 50
@@ -135,7 +135,7 @@ def read_job(
         lines = sorted((find_line(text, key_path), message) for key_path, message in problems)
         listing = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
         more = f"\n  and {len(lines) - MAX_LISTED_PROBLEMS} more" if len(lines) > MAX_LISTED_PROBLEMS else ""
-        raise FormatError(f"{file}: {counted(len(lines), 'problem')}; nothing was started.\n{listing}{more}")
+        raise FormatError(f"{file}: {count_noun(len(lines), 'problem')}; nothing was started.\n{listing}{more}")
     return replace(_resolve_paths(file, parsed, kinds), output_options=output_options or {})
 
 

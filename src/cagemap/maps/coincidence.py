@@ -17,7 +17,7 @@ from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
-from cagemap.spectral.zoomout import evenly_spaced
+from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
@@ -100,13 +100,13 @@ _Samples = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
-    rows = evenly_spaced(surface.n, _MOST_SAMPLES)
+    rows = evenly_spaced_vertices(surface.n, _MOST_SAMPLES)
     areas = (1.0 if mask is None else mask[rows]) * surface.vertex_areas[rows]
     return surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas
 
 
 def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
-    rows = evenly_spaced(len(surface.triangles), _MOST_SAMPLES)
+    rows = evenly_spaced_vertices(len(surface.triangles), _MOST_SAMPLES)
     corners = surface.triangles[rows]
     areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * surface.areas[rows]
     return triangle_centres(surface.positions, corners) / surface.scale, surface.normals[rows], areas

@@ -14,10 +14,10 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.maps.coincidence import SAME
 from cagemap.maps.hypotheses.confidence import SURE, Confidence
-from cagemap.maps.hypotheses.search import found_readings, search
-from cagemap.maps.hypotheses.signs import SIGNS, jump_share, jumps, median_distortion, mirrored_gain
+from cagemap.maps.hypotheses.search import find_answers, search
+from cagemap.maps.hypotheses.signs import SIGNS, jump_lengths, jump_share, median_distortion, mirrored_gain
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import Pair, Progress, silent
+from cagemap.maps.pair import Pair, Progress, no_progress
 from cagemap.maps.places import curve_miss
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places, snap_landmarks
@@ -46,7 +46,7 @@ def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     if found is None:
         return None
     point_map = PointMap(target, found.images(source))
-    missed = _missed(point_map, pair)
+    missed = _largest_miss(point_map, pair)
     if missed > prepared.elastic.landmarks.confirmed or not _joint(point_map, masks):
         return None
     if missed > SAME:
@@ -76,7 +76,7 @@ def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
     return not pair.landmarks.curves and bool(np.abs(rest).max() < SAME)
 
 
-def _missed(point_map: PointMap, pair: Pair) -> float:
+def _largest_miss(point_map: PointMap, pair: Pair) -> float:
     """By how much a map misses the landmark or curve that it misses most."""
     misses = [curve_miss(curve, point_map).worst for curve in pair.landmarks.curves]
     return float(max([*landmark_errors(point_map, pair.landmarks), *misses], default=0.0))
@@ -91,7 +91,7 @@ def _joint(point_map: PointMap, masks: Masks) -> bool:
 
 
 def elastic_map(
-    problem: Problem, progress: Progress = silent, start: FloatArray | None = None
+    problem: Problem, progress: Progress = no_progress, start: FloatArray | None = None
 ) -> tuple[PointMap, list[Placement]]:
     """Point map T12 of the finest levels, and the placements that `search` found; the first is the map's own."""
     placements = search(problem, progress, start)
@@ -100,7 +100,7 @@ def elastic_map(
 
 
 @kinds_checked
-def fit(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> FloatArray:
+def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
     """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `search`.
 
     In the unit in which the source has area 1.
@@ -119,13 +119,13 @@ def hypothesis_map(
             places = rough.on(prepared.rest.graph, prepared.elastic.graph)
             preview(map_of_places(prepared, places, pair.landmarks))
 
-    readings = found_readings(problem, progress, show)
+    readings = find_answers(problem, progress, show)
     progress("closest points")
     found = map_of_places(prepared, readings[0].positions, pair.landmarks)
     shared, counts = SharedArea.of_fit(prepared, readings[0].positions), None
     if shared is not None:  # what has no counterpart says nothing about the map
         counts = shared.within(prepared.masks).of_target(found.target.n)
-    farthest, controls = jumps(prepared, found, counts), pair.target.control.n_vertices
+    farthest, controls = jump_lengths(prepared, found, counts), pair.target.control.n_vertices
     signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(found, counts)}
     confidence = Confidence.of(readings, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs

@@ -17,7 +17,7 @@ from cagemap.spectral.zoomout import (
     FIT_SAMPLES,
     Samples,
     ZoomOutSchedule,
-    evenly_spaced,
+    evenly_spaced_vertices,
     fit_functional_map,
     nearest_samples,
     zoomout,
@@ -32,7 +32,7 @@ TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 @kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
-    chosen = evenly_spaced(len(point_map.images), FIT_SAMPLES)
+    chosen = evenly_spaced_vertices(len(point_map.images), FIT_SAMPLES)
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
     at_vertices, at_corners = in_threads(
@@ -124,7 +124,7 @@ def _sides(
                 f"the functional map {shape} takes, got {theirs.shape}; pyFM's mesh1 is the source, mesh2 the "
                 "target"
             )
-        chosen = evenly_spaced(triangles.n, FIT_SAMPLES)
+        chosen = evenly_spaced_vertices(triangles.n, FIT_SAMPLES)
         rows = surface.basis.rows(surface.finest, surface.hierarchy.on_finest(level)[chosen])
         found.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
     return found
@@ -135,7 +135,7 @@ def _coefficients(basis: FloatArray, functions: FloatArray, areas: FloatArray) -
     return fit_functional_map(Samples(basis, areas, np.zeros((len(basis), 0))), functions, basis.shape[1])
 
 
-def checked(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
+def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
     """A point map of the finest levels, C12 (k1, k2), or source vertices (n,) of a level; refuses all else."""
     target, source = pair.target, pair.source
     if isinstance(given, PointMap):
@@ -166,23 +166,23 @@ def checked(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
 
 def functional_map_from(pair: Pair, given: MapLike) -> FloatArray:
     """C12 of a map in any form; of a point or vertex map on all functions of both bases."""
-    found = checked(pair, given)
+    found = check_map(pair, given)
     if isinstance(found, PointMap):
         return functional_map_of(pair.target, pair.source, found)
     if found.ndim == 2:
         return np.asarray(found, dtype=np.float64)
     levels = pair.target.hierarchy
     level = [len(one.positions) for one in levels.levels].index(len(found))
-    chosen = evenly_spaced(len(found), FIT_SAMPLES)
+    chosen = evenly_spaced_vertices(len(found), FIT_SAMPLES)
     target = _samples(pair.target, levels.on_finest(level)[chosen])
     return fit_functional_map(
         target, _samples(pair.source, found[chosen].astype(np.int64)).rows, pair.target.basis.count
     )
 
 
-def places_of(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
+def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
     """(q, 3) where a map in any form takes some finest target vertices (q,), at the source's unit area."""
-    found, places = checked(pair, given), pair.source.finest_triangles.positions
+    found, places = check_map(pair, given), pair.source.finest_triangles.positions
     if isinstance(found, PointMap):
         return found.images.at(vertices).positions
     if found.ndim == 1:
@@ -190,18 +190,18 @@ def places_of(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
         rows = levels.on_level([len(one.positions) for one in levels.levels].index(len(found)), vertices)
         if (rows >= 0).all():
             return np.asarray(places[found[rows].astype(np.int64)])
-    candidates = evenly_spaced(len(places), SOURCE_SAMPLES)
+    candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
     target, source = _samples(pair.target, vertices), _samples(pair.source, candidates)
     return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, found))]])
 
 
-def zoomed_out(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> FloatArray:
+def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> FloatArray:
     """C12 after ZoomOut from a map in any form, with the schedule's last number of functions."""
     sides = [(pair.target, TARGET_SAMPLES), (pair.source, SOURCE_SAMPLES)]
-    chosen = [evenly_spaced(len(surface.vertices), count) for surface, count in sides]
+    chosen = [evenly_spaced_vertices(len(surface.vertices), count) for surface, count in sides]
     target, source = in_threads(lambda side: _samples(*side), [(pair.target, chosen[0]), (pair.source, chosen[1])])
     places = pair.source.finest_triangles.positions[chosen[1]]
-    start = np.asarray(cKDTree(places).query(places_of(pair, given, chosen[0]))[1], dtype=np.int64)
+    start = np.asarray(cKDTree(places).query(image_positions(pair, given, chosen[0]))[1], dtype=np.int64)
     match = zoomout(target, source, start, schedule)
     k1, k2 = (min(schedule.last, surface.basis.count) for surface in (pair.target, pair.source))
     return fit_functional_map(target, source.rows[match][:, :k2], k1)

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.maps.places import CurvePair, curve_pairs, located
+from cagemap.maps.places import CurvePair, curve_pairs, locate
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.spectral.surface import Progress as Progress
-from cagemap.spectral.surface import silent as silent
+from cagemap.spectral.surface import no_progress as no_progress
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -175,5 +175,5 @@ def vertices_at(points: SurfacePoints) -> IndexArray:
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:
     """Landmarks of control meshes as points, and their curves as curves, of the finest surfaces."""
     sides = (target, landmarks.target_points), (source, landmarks.source_points)
-    on_target, on_source = in_threads(lambda side: located(*side), sides)
+    on_target, on_source = in_threads(lambda side: locate(*side), sides)
     return PointPairs(on_target, on_source, curve_pairs(target, source, landmarks.curves))

@@ -19,7 +19,7 @@ from cagemap.subdivision import Refinement
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 # Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
 LANDMARK_NORMAL_WEIGHT = 0.01
@@ -33,7 +33,7 @@ CURVE_VERTICES = 15_000
 STRAIGHT_PIECES = 8
 
 
-def located(surface: Surface, points: CagePoints) -> SurfacePoints:
+def locate(surface: Surface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on the finest surface, see `on_surface`."""
     return on_surface(surface.finest_triangles, points)
 
@@ -50,7 +50,7 @@ def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
     if not len(between):
         return found
     some = points.at(between)
-    places, normals = some.of(finest.positions), normalized(some.of(finest.vertex_normals))
+    places, normals = some.of(finest.positions), normalize_rows(some.of(finest.vertex_normals))
     aim = places
     for step in range(LANDMARK_STEPS):
         # The nearer the aim is to its side of a thin part, the less normals have to tell the sides apart.
@@ -62,7 +62,7 @@ def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
 
 
 def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
-    """The inverse of `located`, corrected step by step; the nearest points of all steps are kept."""
+    """The inverse of `locate`, corrected step by step; the nearest points of all steps are kept."""
     finest = surface.finest_triangles
     triangles, _ = cage_triangles(surface.control)
     cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
@@ -71,16 +71,16 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
     for _ in range(INVERSE_STEPS):
         near = SurfacePoints.nearest(cage, aims, points.normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
         tried = CagePoints(near.corners, near.barycentric)
-        missed = points.positions - located(surface, tried).positions
+        missed = points.positions - locate(surface, tried).positions
         distance = np.linalg.norm(missed, axis=1)
         better = distance < least
-        best = tried if best is None else _chosen(better, tried, best)
+        best = tried if best is None else _better_points(better, tried, best)
         least, aims = np.minimum(distance, least), near.positions + missed
     assert best is not None
     return best
 
 
-def _chosen(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
+def _better_points(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
     """Points of one set where it is better, of the other elsewhere."""
     return CagePoints(
         np.where(better[:, None], one.corners, other.corners), np.where(better[:, None], one.weights, other.weights)

@@ -17,11 +17,11 @@ from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import ThreadPool, in_threads, parts
+from cagemap.numerics.threads import ThreadPool, in_threads, row_slices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import CACHED, corner_sums, normalized, row_lengths, triangle_normals
+from cagemap.surface.triangles import CACHED, corner_sums, normalize_rows, row_lengths, triangle_normals
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): a landmark farther off than this is named
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
@@ -101,7 +101,7 @@ def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[n
 
     A triangle's image compares with the sum of the source's normals at its three corners.
     """
-    return upside_down(images.positions, images.normals, triangles)
+    return inverted_triangles(images.positions, images.normals, triangles)
 
 
 def _source_normals(images: SurfacePoints) -> FloatArray:
@@ -115,7 +115,7 @@ def _source_normals(images: SurfacePoints) -> FloatArray:
     return normals
 
 
-def upside_down(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
+def inverted_triangles(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
     """(t,) which triangles (t, 3) between positions (n, 3) face away from the sum of the normals (n, 3) there."""
     flipped = np.empty(len(triangles), dtype=np.bool_)
 
@@ -124,7 +124,7 @@ def upside_down(positions: FloatArray, normals: FloatArray, triangles: IndexArra
         expected = sum(normals.take(corners[:, k], axis=0) for k in range(3))
         flipped[part] = np.einsum("td,td->t", triangle_normals(positions, corners), expected) < 0
 
-    in_threads(fill, parts(len(triangles), CACHED))
+    in_threads(fill, row_slices(len(triangles), CACHED))
     return flipped
 
 
@@ -159,7 +159,7 @@ def covered_share(
     cover the curved surface under them, and triangles stretched over a gap do not.
     """
     points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)
-    normals = normalized(points.interpolate(source.vertex_normals))
+    normals = normalize_rows(points.interpolate(source.vertex_normals))
     reach = 0.5 * np.minimum(longest_edges(target, triangles), longest_edges(image, triangles))
     found, barycentric, distance = closest_points(
         build_tree(image, triangles), points.positions, normals, minimum_cosine=0.0, within=reach.max() + ON_SURFACE
@@ -231,12 +231,12 @@ def measure_quality(
 
     def on_triangles(part: slice) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
         these = target.triangles[part]
-        return upside_down(image, normals, these), *stretches(target.positions, image, these)
+        return inverted_triangles(image, normals, these), *stretches(target.positions, image, these)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, target.positions, image, asked, point_map.source, masks=masks)
-        found = in_threads(on_triangles, parts(len(target.triangles), CACHED))
+        found = in_threads(on_triangles, row_slices(len(target.triangles), CACHED))
         flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)

@@ -23,7 +23,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
-from cagemap.subdivision.refinement import truncated
+from cagemap.subdivision.refinement import truncate_refinement
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class MatchResult:
         found = known[level]
         assert found.points is not None
         sides = zip((self.target, self.source), found.levels, strict=True)
-        target, source = (Surface(truncated(side.refinement, on), side.config) for side, on in sides)
+        target, source = (Surface(truncate_refinement(side.refinement, on), side.config) for side, on in sides)
         point_map = PointMap.from_arrays(
             target.finest_triangles, source.finest_triangles, found.points.triangle,
             found.points.barycentric,

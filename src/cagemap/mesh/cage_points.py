@@ -140,7 +140,7 @@ def shared_names(
     """
     sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
     for side, names, _ in sides:
-        again = [names[i] for i in repeats(np.array(names, dtype=object))]
+        again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
         if again:
             raise InvalidLandmarksError(
                 f"{side} {what}: expected every name once, got these again: {first_few(again)}. Rename them."
@@ -153,6 +153,6 @@ def shared_names(
     return tuple(name for name in target if name in sides[1][2]), notes
 
 
-def repeats(values: NDArray[Any]) -> IndexArray:
+def find_repeats(values: NDArray[Any]) -> IndexArray:
     """Places whose value occurred before."""
     return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])

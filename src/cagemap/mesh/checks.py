@@ -24,7 +24,7 @@ from cagemap.mesh.faces import (
     with_openings_closed,
 )
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import MeshProblem, MeshReport, counted, first_few, listed, problem_at
+from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun, first_few, list_problems, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -138,12 +138,13 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
     """
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
-        count = counted(len(problems), "problem")
+        count = count_noun(len(problems), "problem")
         one_piece = "" if SEVERAL in allowed else " of one piece"
         repaired = not isinstance(mesh.scheme, Plain) and any(problem.kind in REPAIRED for problem in problems)
         remedy = "\nOr use `plain_mesh`, which repairs the mesh and takes it without subdivision." if repaired else ""
         raise InvalidMeshError(
-            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed(problems)}"
+            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:"
+            f"{list_problems(problems)}"
             f"{remedy}"
         )
 
@@ -286,7 +287,7 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
         left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
-            f"`weld_mesh` {tolerance:g} leaves {counted(left, 'piece')}. {'Or match' if left == 1 else 'Then match'}"
+            f"`weld_mesh` {tolerance:g} leaves {count_noun(left, 'piece')}. {'Or match' if left == 1 else 'Then match'}"
         )
     return MeshProblem(
         SEVERAL,

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import depth_first_order
 
 from cagemap.errors import InvalidLandmarksError
-from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, repeats, shared_names
+from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, find_repeats, on_cage, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import mesh_topology
@@ -160,7 +160,7 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
         return []  # edges of large meshes take long to list
     faults = []
     names = list(curves.names)
-    again = [names[i] for i in repeats(np.array(names, dtype=object))]
+    again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
     if again:
         faults.append(f"expected every name of a curve once, got these again: {first_few(again)}. Rename them.")
     for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):
@@ -191,7 +191,7 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
         )
     vertices = points.vertices
     at_vertices = np.flatnonzero(vertices >= 0)
-    again = at_vertices[repeats((of * mesh.n_vertices + vertices)[at_vertices])]
+    again = at_vertices[find_repeats((of * mesh.n_vertices + vertices)[at_vertices])]
     if len(again):
         listed = first_few(f"{names[of[i]]} ({vertices[i]})" for i in again)
         faults.append(f"expected every {side} vertex once in a curve, got these again: {listed}.")

@@ -14,11 +14,11 @@ import numpy as np
 from cagemap.errors import DirectionError, InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints as CagePoints
 from cagemap.mesh.cage_points import NamedPoints as NamedPoints
+from cagemap.mesh.cage_points import find_repeats, shared_names
 from cagemap.mesh.cage_points import on_cage as on_cage
-from cagemap.mesh.cage_points import repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.curves import Curves, curve_faults, paired_curves
-from cagemap.mesh.mesh_report import first_few, listed
+from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 
 Renumbering = Callable[[IndexArray], IndexArray]
@@ -158,7 +158,7 @@ class Landmarks:
         )
 
 
-def paired(
+def pair_by_name(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[Landmarks, tuple[str, ...]]:
     """Pair points and curves of two meshes by name; also notes on names of one side only.
@@ -199,7 +199,7 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
         )
     faults = []
     names = np.array(landmarks.names, dtype=object)
-    repeated = repeats(names)
+    repeated = find_repeats(names)
     if len(repeated):
         faults.append(f"expected every name once, got these again: {first_few(names[repeated])}. Rename them.")
     sides = (("target", landmarks.target_points, target), ("source", landmarks.source_points, source))
@@ -211,7 +211,7 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
         others = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
         others = "" if made_for == (target.name, source.name) else others
         raise InvalidLandmarksError(
-            f"landmarks for target {target.name} and source {source.name}{others}:{listed(faults)}"
+            f"landmarks for target {target.name} and source {source.name}{others}:{list_problems(faults)}"
         )
 
 
@@ -226,7 +226,7 @@ def _side_faults(side: str, points: CagePoints, names: np.ndarray, mesh: Control
         )
     vertices = points.vertices
     at_vertices = np.flatnonzero(vertices >= 0)
-    repeated = at_vertices[repeats(vertices[at_vertices])]
+    repeated = at_vertices[find_repeats(vertices[at_vertices])]
     if len(repeated):
         pairs = first_few(f"{names[i]} ({vertices[i]})" for i in repeated)
         faults.append(f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one of each.")

@@ -17,7 +17,7 @@ def first_few(values: Iterable[object]) -> str:
     return ", ".join(items[:LISTED]) + more
 
 
-def counted(count: int, what: str) -> str:
+def count_noun(count: int, what: str) -> str:
     """Write a count and its noun, which is given in the singular: "1 face", "2 sharp vertices"."""
     plural = f"{what[:-2]}ices" if what.endswith("vertex") else f"{what}s"
     return f"{count} {what if count == 1 else plural}"
@@ -43,7 +43,7 @@ def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> Mesh
     return MeshProblem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
 
 
-def listed(problems: Iterable[object]) -> str:
+def list_problems(problems: Iterable[object]) -> str:
     """Problems, each on a line of its own."""
     return "".join(f"\n  - {problem}" for problem in problems)
 
@@ -99,24 +99,26 @@ class MeshReport:
     def _faces_by_size(self) -> str:
         if not self.face_sizes:
             return ""
-        parts = [counted(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)]
+        parts = [
+            count_noun(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)
+        ]
         large = [(size, count) for size, count in self.face_sizes if size > 4]
         small = sum(count for size, count in self.face_sizes if size < 3)
         if large:
-            parts.append(f"{counted(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
+            parts.append(f"{count_noun(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
         if small:
             parts.append(f"{small} of fewer than 3 corners")
         return f"  ({', '.join(parts)})"
 
     def _loops(self) -> str:
         if self.boundary_loops is None:
-            return "-" if self.boundary_edges is None else f"-  ({counted(self.boundary_edges, 'boundary edge')})"
+            return "-" if self.boundary_edges is None else f"-  ({count_noun(self.boundary_edges, 'boundary edge')})"
         lengths = sorted((len(loop) for loop in self.boundary_loops), reverse=True)
         return f"{len(lengths)}  (of {first_few(lengths)} edges)" if lengths else "0  (closed)"
 
     def _sharp(self) -> str:
         words = ("creased edge", "sharp vertex", "hole")
-        return ", ".join(counted(count, word) for count, word in zip(self.sharp, words, strict=True) if count)
+        return ", ".join(count_noun(count, word) for count, word in zip(self.sharp, words, strict=True) if count)
 
     def _components(self) -> str:
         sizes = self.component_sizes

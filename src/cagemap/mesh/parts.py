@@ -114,7 +114,7 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
     return [*(part for part in kept if part.kind == "object"), one, *(p for p in kept if p.kind != "object")]
 
 
-def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
+def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     """Return some faces as a mesh of their own, without unused vertices and UVs.
 
     ``file_vertices`` and ``file_faces`` of the result say which they were.
@@ -157,7 +157,7 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
-    """(n,) number of every vertex of a mesh on a part that `extract` took of it, -1 where there is none."""
+    """(n,) number of every vertex of a mesh on a part that `extract_faces` took of it, -1 where there is none."""
     assert part.file_vertices is not None
     own = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(own.max()) + 1, -1, dtype=np.int64)

@@ -16,8 +16,8 @@ from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_probl
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, keep_faces, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import counted
-from cagemap.mesh.parts import extract
+from cagemap.mesh.mesh_report import count_noun
+from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import (
@@ -60,20 +60,20 @@ class Repairs(Brief):
     def sentences(self) -> tuple[str, ...]:
         """What a user is to know."""
         said = {
-            f"{counted(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
+            f"{count_noun(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
             "faces of different sizes are split into triangles": self.split_faces,
-            f"{counted(self.dropped_faces, 'face')} left out: copies, holes, or with a repeated vertex": (
+            f"{count_noun(self.dropped_faces, 'face')} left out: copies, holes, or with a repeated vertex": (
                 self.dropped_faces
             ),
-            f"{counted(self.fins, 'face')} left out at edges of more than two faces": self.fins,
-            f"{counted(self.cut_vertices, 'vertex')} split where parts only touch": self.cut_vertices,
-            f"{counted(self.turned_faces, 'face')} turned round": self.turned_faces,
-            f"{counted(self.pieces, 'smaller piece')} set aside ({counted(self.pieces_vertices, 'vertex')}, "
+            f"{count_noun(self.fins, 'face')} left out at edges of more than two faces": self.fins,
+            f"{count_noun(self.cut_vertices, 'vertex')} split where parts only touch": self.cut_vertices,
+            f"{count_noun(self.turned_faces, 'face')} turned round": self.turned_faces,
+            f"{count_noun(self.pieces, 'smaller piece')} set aside ({count_noun(self.pieces_vertices, 'vertex')}, "
             f"{100 * self.pieces_share:.1f} % of the area): nothing is matched or transferred there. "
             f"{self._pieces_remedy()}": self.pieces,
-            f"{counted(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
-            f"{counted(self.slivers, 'face')} without area kept": self.slivers,
-            f"{counted(self.openings, 'opening')} left open": self.openings,
+            f"{count_noun(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
+            f"{count_noun(self.slivers, 'face')} without area kept": self.slivers,
+            f"{count_noun(self.openings, 'opening')} left open": self.openings,
         }
         return tuple(sentence for sentence, count in said.items() if count)
 
@@ -81,7 +81,7 @@ class Repairs(Brief):
         """What a user of `cagemap rig` is to know: it carries smaller pieces along with the body."""
         if not self.pieces:
             return self.sentences()
-        pieces = f"{counted(self.pieces, 'smaller piece')} ({counted(self.pieces_vertices, 'vertex')})"
+        pieces = f"{count_noun(self.pieces, 'smaller piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
         return (f"{pieces} not matched: `cagemap rig` carries them along", *replace(self, pieces=0).sentences())
 
     def _pieces_remedy(self) -> str:
@@ -176,7 +176,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
         loose_vertices=int(mesh.n_vertices - used_vertices(mesh).sum()),
     )
     changed = bool(repairs.summary())
-    ready = extract(work, np.arange(work.n_faces)) if changed else work
+    ready = extract_faces(work, np.arange(work.n_faces)) if changed else work
     sliver = zero_area_problem(ready, np.arange(ready.n_faces))
     repairs = replace(repairs, slivers=0 if sliver is None else len(sliver.elements), openings=len(_loops(ready)))
     vertices, own_faces = ready.file_vertices, ready.file_faces

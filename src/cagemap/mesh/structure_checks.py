@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.mesh_report import MeshProblem, listed, problem_at
+from cagemap.mesh.mesh_report import MeshProblem, list_problems, problem_at
 from cagemap.numerics.arrays import FloatArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
@@ -25,7 +25,7 @@ def require_structure(mesh: ControlMesh) -> None:
     """Raise InvalidMeshError where the arrays describe no mesh."""
     broken = structure_problems(mesh)
     if broken:
-        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{listed(broken)}")
+        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{list_problems(broken)}")
 
 
 def _problem(found: str, remedy: str = _EXPORT) -> MeshProblem:

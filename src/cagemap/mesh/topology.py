@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray, components
+from cagemap.numerics.arrays import IndexArray, label_components
 from cagemap.numerics.threads import kept
 
 IntArray: TypeAlias = NDArray[np.int32]
@@ -172,7 +172,7 @@ def corner_fans(topology: Topology) -> IndexArray:
     head_mate = np.where(parallel, following[second], second)
     rows = np.concatenate([first, following[first]])
     columns = np.concatenate([tail_mate, head_mate])
-    return components(rows, columns, topology.n_corners)
+    return label_components(rows, columns, topology.n_corners)
 
 
 def boundary_loops(topology: Topology, fans: IndexArray) -> tuple[IndexArray, ...] | None:
@@ -217,12 +217,12 @@ def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
     fans, (first, second) = corner_fans(topology), adjacent_corners(topology)
     loops = boundary_loops(topology, fans) if len(topology.boundary_corners) else ()
     euler = int(fans.max(initial=-1)) + 1 - topology.n_edges + mesh.n_faces
-    joined = components(topology.faces[first], topology.faces[second], mesh.n_faces)
+    joined = label_components(topology.faces[first], topology.faces[second], mesh.n_faces)
     pieces = int(joined.max(initial=-1)) + 1
     return (2 * pieces - euler - len(loops or ())) // 2
 
 
-def cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
+def label_cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
     """(m,) labels of faces by the nearest of vertices that lie about so far apart, along edges.
 
     The vertices are the first ones in the cubes of a lattice, moved by a share of their side.
@@ -245,7 +245,7 @@ def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
 
 def face_pieces(mesh: ControlMesh, nodes: IndexArray, count: int) -> IndexArray:
     """(m,) label of the piece of every face; faces are of one piece where corners have the same node (c,)."""
-    return components(nodes, nodes[mesh.next_corners], count)[nodes[mesh.face_offsets[:-1]]]
+    return label_components(nodes, nodes[mesh.next_corners], count)[nodes[mesh.face_offsets[:-1]]]
 
 
 def face_components(mesh: ControlMesh) -> IndexArray:
@@ -273,7 +273,7 @@ def turned_faces(topology: Topology) -> NDArray[np.bool_] | None:
     agree = topology.vertices[first] != topology.vertices[second]
     f, g, m = topology.faces[first], topology.faces[second], topology.n_faces
     other = np.where(agree, 0, m)
-    labels = components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
+    labels = label_components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
     upright, turned = labels[:m], labels[m:]
     if np.any(upright == turned):
         return None

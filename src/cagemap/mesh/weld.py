@@ -11,11 +11,11 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import counted
-from cagemap.mesh.parts import extract, renumbered_copies
+from cagemap.mesh.mesh_report import count_noun
+from cagemap.mesh.parts import extract_faces, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums, offsets_of, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, offsets_of, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.
@@ -47,7 +47,7 @@ class Welded:
     notes: tuple[str, ...]
 
 
-def unwelded(mesh: ControlMesh) -> Welded:
+def keep_unwelded(mesh: ControlMesh) -> Welded:
     """The mesh as it is."""
     return Welded(mesh, np.arange(mesh.n_vertices), 0.0, ())
 
@@ -94,7 +94,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
     if not len(joined):
         note = f"{mesh.name}: no border vertices {_within(used)} to weld"
-        return replace(unwelded(mesh), tolerance=used, notes=(note,))
+        return replace(keep_unwelded(mesh), tolerance=used, notes=(note,))
     colors, color_notes = _mean_colors(mesh, first)
     work = _relabelled(replace(mesh, vertex_colors=colors), first)
     work, collapsed = _without_repeats(work)
@@ -102,7 +102,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
         raise InvalidMeshError(
             f"{mesh.name}: expected faces after welding vertices {_within(used)}, got none. Give a smaller tolerance."
         )
-    ready = extract(work, np.arange(work.n_faces))
+    ready = extract_faces(work, np.arange(work.n_faces))
     kept = np.unique(work.face_indices)
     number = np.full(mesh.n_vertices, -1, dtype=np.int64)
     number[kept] = np.arange(len(kept))
@@ -183,7 +183,7 @@ def _within(tolerance: float) -> str:
 
 
 def _pieces(mesh: ControlMesh) -> str:
-    return counted(int(face_components(mesh).max()) + 1, "piece")
+    return count_noun(int(face_components(mesh).max()) + 1, "piece")
 
 
 def coincident_vertices(
@@ -206,7 +206,7 @@ def coincident_vertices(
     pairs = np.concatenate(links)
     if not len(pairs):
         return np.arange(mesh.n_vertices)
-    labels = components(pairs[:, 0], pairs[:, 1], mesh.n_vertices)
+    labels = label_components(pairs[:, 0], pairs[:, 1], mesh.n_vertices)
     return np.unique(labels, return_index=True)[1][labels].astype(np.int64)
 
 

@@ -80,7 +80,7 @@ def read_only(array: Array) -> Array:
     return view
 
 
-def components(heads: NDArray[np.integer], tails: NDArray[np.integer], count: int) -> IndexArray:
+def label_components(heads: NDArray[np.integer], tails: NDArray[np.integer], count: int) -> IndexArray:
     """(count,) number of the connected component of every node, in the order of their lowest nodes."""
     edges = sparse.coo_array((np.ones(len(heads), dtype=np.int8), (heads, tails)), shape=(count, count))
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)

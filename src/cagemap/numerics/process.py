@@ -42,7 +42,7 @@ def _leave() -> None:
         gc.freeze()
 
 
-def library(module: str, purpose: str) -> Any:
+def import_library(module: str, purpose: str) -> Any:
     """Import a module that has no wheel for every platform; ``purpose`` needs it, such as "pictures"."""
     try:
         return import_module(module)

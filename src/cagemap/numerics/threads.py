@@ -186,6 +186,6 @@ else:
                 return known[name]
 
 
-def parts(count: int, size: int) -> list[slice]:
+def row_slices(count: int, size: int) -> list[slice]:
     """Slices of ``size`` that cover ``count`` rows, for threads or for a core's cache."""
     return [slice(start, min(count, start + size)) for start in range(0, count, size)]

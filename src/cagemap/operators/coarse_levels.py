@@ -19,11 +19,11 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.operators.laplacian import stiffness
 from cagemap.subdivision import Level, Refinement, default_scheme, level_triangles, refine
 from cagemap.surface.closest_points import closest_among
-from cagemap.surface.triangles import normalized, triangle_neighbors, triangle_normals
+from cagemap.surface.triangles import normalize_rows, triangle_neighbors, triangle_normals
 
 # Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
 SIZES = (1500, 6000, 24_000)
@@ -57,13 +57,17 @@ class Simplified(NamedTuple):
     triangles: IndexArray
 
 
-def refined(control: ControlMesh, level: int, scheme: Scheme | None = None) -> Refinement:
+def build_levels(control: ControlMesh, level: int, scheme: Scheme | None = None) -> Refinement:
     """Levels of a mesh by ``level`` steps of subdivision, or coarse levels of a plain mesh (``level`` 0)."""
     scheme = default_scheme(control) if scheme is None else scheme
-    return coarsened(refine(control, level, scheme)) if isinstance(scheme, Plain) else refine(control, level, scheme)
+    return (
+        build_coarse_levels(refine(control, level, scheme))
+        if isinstance(scheme, Plain)
+        else refine(control, level, scheme)
+    )
 
 
-def coarsened(plain: Refinement) -> Refinement:
+def build_coarse_levels(plain: Refinement) -> Refinement:
     """Coarse levels of a plain mesh (a Refinement without steps), which becomes the finest level.
 
     The mesh keeps its numbers. Vertex i of a coarse level is vertex i of every finer coarse level, and vertex
@@ -77,7 +81,7 @@ def coarsened(plain: Refinement) -> Refinement:
         )
     surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[Simplified]()
     for size in reversed([size for size in SIZES if size <= MAX_SHARE * control.n_vertices]):
-        step = simplified(*surfaces[-1], size)
+        step = simplify_mesh(*surfaces[-1], size)
         if not MIN_LEVEL_VERTICES <= len(step.kept) <= MAX_SHARE * len(step.cluster):
             break
         steps.append(step)
@@ -98,7 +102,7 @@ def coarsened(plain: Refinement) -> Refinement:
     return Refinement(control, plain.scheme, tuple(matrices), (*levels, dense), coarse)
 
 
-def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
+def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
     """A mesh of about ``count`` vertices by edge collapses of least quadric error.
 
     A coarse vertex is moved to the nearest vertex of its cluster, so that it is a vertex of all finer levels. Edges are
@@ -119,7 +123,7 @@ def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> Simp
     by_cluster = np.lexsort((distance, cluster))
     found, first = np.unique(cluster[by_cluster], return_index=True)
     kept = by_cluster[first]
-    flipped = delaunay(positions[kept], np.searchsorted(found, coarse))
+    flipped = flip_to_delaunay(positions[kept], np.searchsorted(found, coarse))
     return Simplified(kept, np.searchsorted(found, cluster), flipped)
 
 
@@ -140,16 +144,16 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
         found, weights[part] = closest_among(corners, ranges[step.cluster[part]], around, positions[part])
         vertices[part] = step.triangles[found]
 
-    in_threads(locate, parts(len(positions), LOCATE_BLOCK))
+    in_threads(locate, row_slices(len(positions), LOCATE_BLOCK))
     # Vertices of both meshes: exact.
     vertices[step.kept], weights[step.kept] = np.arange(len(step.kept))[:, None], [1.0, 0.0, 0.0]
     rows = 3 * np.arange(len(positions) + 1)
     matrix = sparse.csr_array((weights.ravel(), vertices.ravel(), rows), shape=(len(positions), len(step.kept)))
     matrix.sum_duplicates()
-    return sparse.csr_array(smoothing(positions, triangles) @ matrix)
+    return sparse.csr_array(smoothing_matrix(positions, triangles) @ matrix)
 
 
-def smoothing(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
+def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
     """(n, n) damped Jacobi step ``1 - omega D^-1 W`` without negative weights.
 
     Smoothed aggregation (Vanek et al. 1996): prolonged functions have less energy after it, and eigenvalues of coarse
@@ -164,7 +168,7 @@ def smoothing(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array(np.where(total > 0, 1.0 - DAMPING, 1.0)) + share[:, None] * neighbours)
 
 
-def delaunay(positions: FloatArray, triangles: IndexArray) -> IndexArray:
+def flip_to_delaunay(positions: FloatArray, triangles: IndexArray) -> IndexArray:
     """Triangles (t, 3) after flips of edges with negative cotangent weights, where the surface is nearly flat.
 
     Vertices (n, 3) and the boundary stay. A graph's energy needs positive weights.
@@ -193,7 +197,7 @@ def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, 
     # Both triangles have the same orientation.
     oriented = triangles[second, (other + 1) % 3] == right
     cotangents = _cotangent(positions, apex, left, right) + _cotangent(positions, top, left, right)
-    normals = normalized(triangle_normals(positions, triangles))
+    normals = normalize_rows(triangle_normals(positions, triangles))
     flat = np.einsum("ed,ed->e", normals[first], normals[second]) > MIN_NORMAL_COSINE
     count = len(positions)
     known = pair_keys(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), count)

@@ -29,7 +29,7 @@ def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
 
     Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
     """
-    return gathered(face_terms(positions, faces)[0], faces, len(positions))
+    return assemble_stiffness(face_terms(positions, faces)[0], faces, len(positions))
 
 
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
@@ -40,7 +40,7 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
     return face_terms(positions, faces)[1]
 
 
-def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
+def assemble_stiffness(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
     """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`)."""
     size = faces.shape[1]
     pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS

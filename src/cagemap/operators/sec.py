@@ -14,7 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.operators.laplacian import Laplacian, MeanTriangulation, gathered
+from cagemap.operators.laplacian import Laplacian, MeanTriangulation, assemble_stiffness
 from cagemap.subdivision import Refinement
 
 
@@ -79,7 +79,9 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     weights, areas = laplacian.face_terms(finest.positions, faces)
     area = float(areas.sum())
     # W + i M: one product restricts both, so that they keep one pattern.
-    both = sparse.csr_array(gathered(weights, faces, len(finest.positions)) + sparse.diags_array(1j * areas / area))
+    both = sparse.csr_array(
+        assemble_stiffness(weights, faces, len(finest.positions)) + sparse.diags_array(1j * areas / area)
+    )
     masses, stiffnesses = [sparse.csr_array(sparse.diags_array(areas / area))], [_with_values(both, both.data.real)]
     for subdivision in reversed(refinement.matrices):
         both = sparse.csr_array(subdivision.T @ (both @ subdivision))

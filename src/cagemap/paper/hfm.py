@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import MapLike
-from cagemap.maps.pair import LevelPair, Pair, Progress, silent
+from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.maps.result import LevelMap
@@ -33,7 +33,7 @@ from cagemap.spectral.zoomout import (
     Embedding,
     Samples,
     ZoomOutSchedule,
-    evenly_spaced,
+    evenly_spaced_vertices,
     fit_functional_map,
     nearest_rows,
 )
@@ -84,7 +84,7 @@ class Displacement:
 def hfm_map(
     pair: Pair,
     config: HfmConfig = HfmConfig(),
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     constraints: Constraints | None = None,
     start: MapLike | None = None,
@@ -109,7 +109,7 @@ def hfm_map(
         functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
     else:
         functional_map = start_map(pair, start, (first, first))
-    functional_map, displacement = zoomed_out(pair, levels, functional_map, config)
+    functional_map, displacement = zoomout_all_bands(pair, levels, functional_map, config)
     maps = []
     for finer in [levels, *ladder(pair, levels)]:
         progress(f"point map, levels {finer[0]} and {finer[1]}")
@@ -119,7 +119,7 @@ def hfm_map(
     return tuple(maps), points
 
 
-def zoomed_out(
+def zoomout_all_bands(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, config: HfmConfig
 ) -> tuple[FloatArray, Displacement]:
     """C12 of all bands and the displacement of the target: ZoomOut from C12 of the first ones, in both directions."""
@@ -157,7 +157,7 @@ class LevelSamples:
     @classmethod
     def of(cls, surface: Surface, level: int) -> LevelSamples:
         """Evenly spaced vertices of a level."""
-        vertices = evenly_spaced(surface.triangles(level).n, ZOOMOUT_SAMPLES)
+        vertices = evenly_spaced_vertices(surface.triangles(level).n, ZOOMOUT_SAMPLES)
         areas = surface.operators.areas(level)[vertices]
         rows = functions_at(surface, level, surface.basis.count)[vertices]
         return cls(surface, level, vertices, rows, areas / areas.sum())

@@ -5,14 +5,21 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.maps.functional_maps import MapLike, checked, functional_map_from
+from cagemap.maps.functional_maps import MapLike, check_map, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.paper.search import Rows, blocks, nearest_candidates, spectral_rows, strongest_parents, vertex_to_point
+from cagemap.paper.search import (
+    Rows,
+    nearest_candidates,
+    spectral_rows,
+    strongest_parents,
+    vertex_blocks,
+    vertex_to_point,
+)
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import Samples, evenly_spaced, fit_functional_map, nearest_rows
+from cagemap.spectral.zoomout import Samples, evenly_spaced_vertices, fit_functional_map, nearest_rows
 
 # The search levels have this many functions on both sides, where the bases do.
 ENOUGH_FUNCTIONS = 50
@@ -52,16 +59,16 @@ def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coar
     else:
         children = pair.source.hierarchy.matrices[coarse.levels[1]]
     rows = _both_rows(pair, functional_map, levels)
-    return nearest_candidates(*rows, blocks(pair.target, levels[0]), parents, children, coarse.match)
+    return nearest_candidates(*rows, vertex_blocks(pair.target, levels[0]), parents, children, coarse.match)
 
 
-def refit(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, int] | None = None) -> FloatArray:
+def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, int] | None = None) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a match (n,) of two levels, on a sample of its vertices (paper, 2.1.2).
 
     ``sizes`` are basis functions (k1, k2) of both sides; default: those of the levels.
     """
     k1, k2 = basis_sizes(pair, levels) if sizes is None else sizes
-    chosen = evenly_spaced(len(match), SAMPLE_VERTICES)
+    chosen = evenly_spaced_vertices(len(match), SAMPLE_VERTICES)
     rows = spectral_rows(pair.target, levels[0], k1)(chosen).astype(np.float64)
     values = spectral_rows(pair.source, levels[1], k2)(match[chosen]).astype(np.float64)
     operators = pair.target.operators
@@ -80,18 +87,18 @@ def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
     ParameterError
         If the start is no map of the pair.
     """
-    given = checked(pair, start)
+    given = check_map(pair, start)
     if isinstance(given, PointMap) or given.ndim == 2:
         return functional_map_from(pair, given)
     level = [len(one.positions) for one in pair.target.hierarchy.levels].index(len(given))
-    return refit(pair, (level, pair.source.finest), given.astype(np.int64), sizes)
+    return refit_map(pair, (level, pair.source.finest), given.astype(np.int64), sizes)
 
 
 def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
     rows = _both_rows(pair, matched.functional_map, matched.levels)
     target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
-    found = vertex_to_point(*rows, blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
+    found = vertex_to_point(*rows, vertex_blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
     return PointMap.from_arrays(target, source, *found)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import MapLike
-from cagemap.maps.pair import LevelPair, Pair, Progress, silent
+from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -21,7 +21,7 @@ from cagemap.paper.levels import (
     basis_sizes,
     ladder,
     recover_points,
-    refit,
+    refit_map,
     search_full,
     search_level,
     start_map,
@@ -45,7 +45,7 @@ class PaperConfig(Brief):
 def paper_map(
     pair: Pair,
     config: PaperConfig = PaperConfig(),
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     constraints: Constraints | None = None,
     start: MapLike | None = None,
@@ -95,7 +95,7 @@ def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, star
         functional_map = start_map(pair, start, sizes)[: sizes[0], : sizes[1]]
         if functional_map.shape != sizes:
             functional_map = extend_functional_map(functional_map, wanted, config.weights)
-    return _alternated(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
+    return _alternate(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
 
 
 def _next_level(
@@ -105,21 +105,21 @@ def _next_level(
     functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
     if sizes != functional_map.shape:
         functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
-    return _alternated(pair, levels, functional_map, config.rounds, lambda c: search_level(pair, c, levels, coarse))
+    return _alternate(pair, levels, functional_map, config.rounds, lambda c: search_level(pair, c, levels, coarse))
 
 
-def _alternated(
+def _alternate(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, rounds: int, search: Callable[[FloatArray], IndexArray]
 ) -> LevelMap:
     """P and orthonormal C in turn, from C (2.1.4)."""
     match = search(functional_map)
     for _ in range(rounds):
-        functional_map = orthonormal(refit(pair, levels, match))
+        functional_map = nearest_orthonormal(refit_map(pair, levels, match))
         match = search(functional_map)
     return LevelMap(levels, functional_map, match)
 
 
-def orthonormal(functional_map: FloatArray) -> FloatArray:
+def nearest_orthonormal(functional_map: FloatArray) -> FloatArray:
     """The matrix with orthonormal rows or columns that is nearest to C (2.1.4), from its singular vectors."""
     left, _, right = np.linalg.svd(functional_map, full_matrices=False)
     return np.asarray(left @ right)

@@ -14,7 +14,7 @@ from scipy import sparse
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
 
@@ -47,14 +47,14 @@ def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
     return basis.rows(basis.last_level, surface.hierarchy.vertices_on(basis.last_level, level))[:, :functions]
 
 
-def blocks(surface: Surface, level: int) -> list[IndexArray]:
+def vertex_blocks(surface: Surface, level: int) -> list[IndexArray]:
     """Vertices of a level in blocks that are coherent on the surface: ordered by control face."""
     mesh = surface.hierarchy.levels[level]
     control_face = np.zeros(mesh.n_vertices, dtype=np.int64)
     if mesh.faces is not None:
         control_face[mesh.faces] = mesh.face_parents[:, None]
     order = np.argsort(control_face, kind="stable")
-    return [order[part] for part in parts(len(order), TARGET_BLOCK)]
+    return [order[part] for part in row_slices(len(order), TARGET_BLOCK)]
 
 
 def strongest_parents(subdivision: sparse.csr_array) -> sparse.csr_array:

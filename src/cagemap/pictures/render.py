@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.process import library
+from cagemap.numerics.process import import_library
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.colors import to_display, to_linear
@@ -84,9 +84,11 @@ class Model:
     @kept
     def scene(self) -> Any:
         """Embree's tree of the positions in a unit box; Embree computes in single precision."""
-        scene = library("embreex.rtcore_scene", "pictures").EmbreeScene()
+        scene = import_library("embreex.rtcore_scene", "pictures").EmbreeScene()
         unit = ((self.positions - self.centre) / self.scale).astype(np.float32)
-        library("embreex.mesh_construction", "pictures").TriangleMesh(scene, unit, self.triangles.astype(np.int32))
+        import_library("embreex.mesh_construction", "pictures").TriangleMesh(
+            scene, unit, self.triangles.astype(np.int32)
+        )
         return scene
 
     @kept

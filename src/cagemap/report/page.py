@@ -20,7 +20,7 @@ from cagemap.files.result.manifest import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
 from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
@@ -245,7 +245,7 @@ def _figure_section(result: MatchResult, ratings: list[Rating]) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
-        counted(len(result.landmarks), "landmark"),
+        count_noun(len(result.landmarks), "landmark"),
     ]
     items = "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips)
     return f'<ul class="chips">{items}</ul>{_rating_cards(ratings)}'

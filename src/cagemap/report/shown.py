@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.operators.coarse_levels import simplified
+from cagemap.operators.coarse_levels import simplify_mesh
 from cagemap.report.viewpoints import Viewpoints
 from cagemap.spectral import Surface
 from cagemap.surface.closest_points import build_tree, closest_points
@@ -72,7 +72,7 @@ def display_surface(surface: Surface, turn: FloatArray, max_vertices: int = MAX_
         uvs = None if textured.uvs is None else textured.corner_uvs()[rows]
         parents = textured.face_parents[textured.triangle_faces][rows]
     else:
-        coarse = simplified(positions, surface.finest_triangles.triangles, max_vertices)
+        coarse = simplify_mesh(positions, surface.finest_triangles.triangles, max_vertices)
         vertices, triangles = coarse.kept, coarse.triangles
     upright = positions[vertices] @ turn
     centre = (upright.min(0) + upright.max(0)) / 2

@@ -12,7 +12,7 @@ from scipy import linalg, sparse
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import ROWS, parts
+from cagemap.numerics.threads import ROWS, row_slices
 from cagemap.operators import Operators, lumped_areas
 from cagemap.spectral.config import SOLVER, BasisConfig
 from cagemap.spectral.eigenpairs import band_pairs, count_below, residual_norms
@@ -129,7 +129,7 @@ class HierarchicalBasis:
     def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
         """Vertices and rows of Phi~^level, some at a time, for levels whose dense matrix would be too large."""
         self._check_level(level)
-        for part in parts(self.refinement.levels[level].n_vertices, ROWS):
+        for part in row_slices(self.refinement.levels[level].n_vertices, ROWS):
             yield part, self.rows(level, np.arange(part.start, part.stop))
 
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
@@ -284,7 +284,7 @@ def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: 
     )
 
 
-def clusters(values: FloatArray) -> IndexArray:
+def label_clusters(values: FloatArray) -> IndexArray:
     """(m,) number of the cluster of nearly equal eigenvalues that each of an ascending list belongs to."""
     steps = np.diff(values) > SOLVER.cluster * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
     return np.concatenate([[0], np.cumsum(steps)])
@@ -306,7 +306,7 @@ def new_directions(
     inside = linalg.solve_triangular(linalg.cholesky(gram, lower=True), overlap, lower=True)
     rotation = np.eye(m)
     share = np.sum(inside**2, axis=0)
-    labels = clusters(values)
+    labels = label_clusters(values)
     for label in np.flatnonzero(np.bincount(labels) > 1):
         members = np.flatnonzero(labels == label)
         squares, axes = linalg.eigh(inside[:, members].T @ inside[:, members])

@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.factorization import Factorization, Precision, factor
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import ROWS, in_threads, parts
+from cagemap.numerics.threads import ROWS, in_threads, row_slices
 from cagemap.operators import Operators
 from cagemap.spectral.config import SOLVER
 
@@ -323,7 +323,7 @@ def shift_invert_lanczos(
 
 def _products(basis: Block, block: Block) -> Block:
     """(m, b) Q^T X of blocks with the same rows, some rows in each thread; one sum, whatever the threads."""
-    shares = in_threads(lambda part: basis[part].T @ block[part], parts(len(block), ROWS))
+    shares = in_threads(lambda part: basis[part].T @ block[part], row_slices(len(block), ROWS))
     return np.asarray(sum(shares[1:], shares[0]))
 
 
@@ -333,9 +333,9 @@ def _subtract(block: Block, basis: Block, coefficients: Block) -> None:
     def subtract(part: slice) -> None:
         block[part] -= basis[part] @ coefficients
 
-    in_threads(subtract, parts(len(block), ROWS))
+    in_threads(subtract, row_slices(len(block), ROWS))
 
 
 def _combined(basis: Block, coefficients: Block) -> Block:
     """(n, b) Q C, some rows in each thread."""
-    return np.vstack(in_threads(lambda part: basis[part] @ coefficients, parts(len(basis), ROWS)))
+    return np.vstack(in_threads(lambda part: basis[part] @ coefficients, row_slices(len(basis), ROWS)))

@@ -12,7 +12,7 @@ from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import ROWS, in_threads, one_blas_thread, parts
+from cagemap.numerics.threads import ROWS, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.config import SOLVER
 from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
@@ -97,10 +97,10 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         if iteration == MAX_ITERATIONS:
             break
         shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
-        for part in parts(k, COLUMNS):
+        for part in row_slices(k, COLUMNS):
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
         _orthonormalise(vectors, areas)
-        for part in parts(k, COLUMNS):
+        for part in row_slices(k, COLUMNS):
             some = vectors[:, part]
             values[part] = np.einsum("ij,ij->j", some, multiply(weights, some))
     raise SolverError(
@@ -113,7 +113,7 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
 
     Inverse iteration has amplified the lower ones in each.
     """
-    rows = parts(len(vectors), ROWS)
+    rows = row_slices(len(vectors), ROWS)
     shares = in_threads(lambda part: vectors[part].T @ (areas[part, None] * vectors[part]), rows)
     turn = linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0]))))
 
@@ -130,7 +130,7 @@ def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatA
         some = vectors[:, part]
         return float(residual_norms(values[part], multiply(weights, some), areas[:, None] * some, areas).max())
 
-    return max(worst(part) for part in parts(len(values), COLUMNS))
+    return max(worst(part) for part in row_slices(len(values), COLUMNS))
 
 
 @kinds_checked

@@ -18,7 +18,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
-from cagemap.operators.coarse_levels import coarsened
+from cagemap.operators.coarse_levels import build_coarse_levels
 from cagemap.operators.laplacian import named_laplacian
 from cagemap.spectral.basis import HierarchicalBasis, hierarchical_basis
 from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
@@ -61,7 +61,7 @@ class Surface:
 
         Everything below that takes the number of a level counts these.
         """
-        return coarsened(self.refinement) if self.refinement.is_plain else self.refinement
+        return build_coarse_levels(self.refinement) if self.refinement.is_plain else self.refinement
 
     @kept
     def operators(self) -> Operators:
@@ -172,7 +172,7 @@ DEFAULT_VERTICES = 200_000
 METHODS = ("elastic", "hfm", "paper")
 
 
-def silent(stage: str) -> None:
+def no_progress(stage: str) -> None:
     """Report no progress."""
 
 
@@ -222,7 +222,7 @@ def prepare_surface(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Surface:
     """Refine a control mesh and compute its operators and its basis (paper, sections 2.2 and 4).
 
@@ -254,7 +254,7 @@ def prepare_checked(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Surface:
     """`prepare_surface` of a control mesh that was found valid already."""
     scheme = default_scheme(control)
@@ -282,7 +282,7 @@ def prepare_surfaces(
     config: BasisConfig | tuple[BasisConfig, BasisConfig] = MAP_BASIS,
     *,
     prepare: Callable[..., Surface] = prepare_surface,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> tuple[Surface, Surface]:
     """Prepare both surfaces at the same time, each in a thread of its own.
 

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import in_threads, row_slices
 
 Embedding = NDArray[np.float32]
 
@@ -110,11 +110,11 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
         scores -= half_norms
         nearest[part] = np.argmax(scores, axis=1)
 
-    in_threads(one_block, parts(len(queries), QUERY_BLOCK))
+    in_threads(one_block, row_slices(len(queries), QUERY_BLOCK))
     return nearest
 
 
-def evenly_spaced(n: int, count: int) -> IndexArray:
+def evenly_spaced_vertices(n: int, count: int) -> IndexArray:
     """Vertices at equal steps of the numbering; all of them if there are no more than ``count``.
 
     Vertices of a refined mesh are stored coherently within each of their kinds: equal steps are dense where the mesh

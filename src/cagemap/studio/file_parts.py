@@ -13,7 +13,7 @@ from cagemap.mesh.parts import (
     KINDS,
     Part,
     connected_parts,
-    extract,
+    extract_faces,
     find_part,
     in_one_piece,
     list_parts,
@@ -120,7 +120,7 @@ def select_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Selected
     if part is None:
         return SelectedPart(mesh, np.arange(mesh.n_vertices), np.zeros(0, dtype=np.int64), choices)
     # With the scheme of the whole file, even if all faces of the part are triangles.
-    part_mesh = extract(replace(mesh, scheme=default_scheme(mesh)), part.faces)
+    part_mesh = extract_faces(replace(mesh, scheme=default_scheme(mesh)), part.faces)
     if part_mesh.object_schemes:
         raise ParameterError(
             f"{mesh.name}, {part.title}: expected a part that is subdivided in one way, got several. Choose one of its "
@@ -134,7 +134,7 @@ def other_parts_surface(mesh: ControlMesh, faces: IndexArray, level: int) -> Oth
     """Surface of faces that are not open, subdivided if possible; None without faces."""
     if not len(faces):
         return None
-    others = extract(replace(mesh, object_schemes=()), faces)
+    others = extract_faces(replace(mesh, object_schemes=()), faces)
     while level > 0 and others.n_vertices * 4**level > _MAX_GREY_VERTICES:
         level -= 1
     positions, triangles = others.positions, cage_triangles(others)[0]

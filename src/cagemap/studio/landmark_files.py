@@ -18,7 +18,7 @@ from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.curves import CageCurves, Curves
-from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, paired
+from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, pair_by_name
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
 from cagemap.studio.places import cage_places, cage_points
@@ -51,7 +51,7 @@ def load_landmarks(
     if source_points is None:
         landmarks, notes = read_landmarks(path, files.target, files.source)
     else:
-        landmarks, notes = paired(read_points(path, target), read_points(source_points, source), target, source)
+        landmarks, notes = pair_by_name(read_points(path, target), read_points(source_points, source), target, source)
     check_landmarks(landmarks, target, source)
     used, unused = split_by_part(landmarks, scene)
     if unused is not None and len(unused):

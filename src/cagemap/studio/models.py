@@ -21,7 +21,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.udim import udim_origin
-from cagemap.mesh.weld import Welded, unwelded, weld_mesh, weld_tolerance
+from cagemap.mesh.weld import Welded, keep_unwelded, weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures import UP_AXES, Y_UP
 from cagemap.pipeline import choose_level
@@ -142,7 +142,7 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     if scheme is not None:
         file_mesh = replace(with_options(file_mesh, scheme), object_schemes=())
     tolerance = weld_tolerance(file_mesh)
-    welded = unwelded(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
+    welded = keep_unwelded(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
     model = _open_welded(welded, file_mesh, scheme, part, vertices, rotation)
     return replace(model, notes=(*welded.notes, *model.notes), weld=None if tolerance is None else f"{tolerance:g}")
 

@@ -12,7 +12,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place
 from cagemap.studio.shape import Hit, Shape, line_hits
 from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 # Iterations of `nearest_place`, and the change of direction that ends them.
 _MAX_ITERATIONS = 10
@@ -35,7 +35,7 @@ def nearest_place(shape: Shape, position: FloatArray, normal: FloatArray | None 
     if normal is None:
         nearest = SurfacePoints.nearest(shape.surface, point[None])
         point, normal = nearest.positions[0], shape.surface.normals[nearest.triangle[0]]
-    direction = normalized(np.asarray(normal, dtype=np.float64))
+    direction = normalize_rows(np.asarray(normal, dtype=np.float64))
     start = SurfacePoints.nearest(cage, point[None], direction[None], normal_weight=LANDMARK_NORMAL_WEIGHT)
     candidates = [CagePoints(start.corners, start.barycentric)]
     for _ in range(_MAX_ITERATIONS):
@@ -45,7 +45,7 @@ def nearest_place(shape: Shape, position: FloatArray, normal: FloatArray | None 
             break
         hit = facing[np.argmin(np.abs(distances[facing]))]
         candidates.append(CagePoints(cage.triangles[triangles[hit]][None], weights[hit][None]))
-        before, direction = direction, normalized(candidates[-1].of(shape.surface.vertex_normals)[0])
+        before, direction = direction, normalize_rows(candidates[-1].of(shape.surface.vertex_normals)[0])
         if np.linalg.norm(direction - before) < _DIRECTION_TOLERANCE:
             break
     points = CagePoints(

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
 from cagemap.mesh.topology import BoolArray, Topology, topology_of
-from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.subdivision.matrices import (
     RowFiller,
     put_boundary_rows,
@@ -183,7 +183,7 @@ def _tangents_of_sides(
     forward, backward = topology.edge_corners[~cut].T
     heads = np.concatenate([forward, topology.following[forward]])
     tails = np.concatenate([topology.following[backward], backward])
-    labels, vertices = np.unique(components(heads, tails, topology.n_corners), return_inverse=True)
+    labels, vertices = np.unique(label_components(heads, tails, topology.n_corners), return_inverse=True)
     cut_apart = topology_of(vertices, len(labels), topology.faces, topology.following, topology.previous)
     owners = np.empty(len(labels), dtype=np.int64)
     owners[cut_apart.vertices] = topology.vertices

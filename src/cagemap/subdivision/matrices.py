@@ -9,7 +9,7 @@ from scipy.sparse import coo_array, csr_array, diags_array, vstack
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, IntArray, Topology
 from cagemap.numerics.arrays import FloatArray
-from cagemap.subdivision.sharpness import MeshState, sharpened
+from cagemap.subdivision.sharpness import MeshState, sharpen_matrix
 
 
 class RowFiller:
@@ -171,4 +171,4 @@ def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
         matrix = regular_matrix(topology, scheme, state.corner)
     else:
         matrix = polygon_matrix(topology, scheme, state.corner)
-    return matrix if state.sharpness is None else sharpened(matrix, topology, state.sharpness, state.follows)
+    return matrix if state.sharpness is None else sharpen_matrix(matrix, topology, state.sharpness, state.follows)

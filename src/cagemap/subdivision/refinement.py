@@ -404,7 +404,7 @@ def _finest_colors(refinement: Refinement) -> FloatArray | None:
     return np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0)
 
 
-def truncated(refinement: Refinement, level: int) -> Refinement:
+def truncate_refinement(refinement: Refinement, level: int) -> Refinement:
     """The levels from 0 to this one; polygons of level 0, if it is the last, are split into fans."""
     found, control = refinement.up_to(level), refinement.control
     last = found.levels[-1]

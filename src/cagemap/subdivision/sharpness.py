@@ -146,7 +146,7 @@ def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
     return np.asarray(np.where(sharpness > 0, CORNER, rule), dtype=np.int64)
 
 
-def sharpened(
+def sharpen_matrix(
     matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
 ) -> csr_array:
     """S (n_fine, n) of one step with creases and corners, from the S that has them on the boundary only."""

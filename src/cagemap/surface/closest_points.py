@@ -14,8 +14,8 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.threads import in_threads, parts
-from cagemap.surface.triangles import CACHED, normalized, triangle_areas, triangle_centres, triangle_normals
+from cagemap.numerics.threads import in_threads, row_slices
+from cagemap.surface.triangles import CACHED, normalize_rows, triangle_areas, triangle_centres, triangle_normals
 
 _LEAF_SIZE = 8  # triangles
 _STACK_SIZE = 64  # nodes
@@ -55,9 +55,9 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     ordered, normals = triangles.take(order, axis=0), np.empty((len(order), 3))
 
     def fill(part: slice) -> None:
-        normals[part] = normalized(triangle_normals(positions, ordered[part]))
+        normals[part] = normalize_rows(triangle_normals(positions, ordered[part]))
 
-    in_threads(fill, parts(len(order), CACHED))
+    in_threads(fill, row_slices(len(order), CACHED))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
     boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
     _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
@@ -107,7 +107,7 @@ def closest_points(
         )
 
     # Chunks do not depend on the number of threads: which of equally close points is found depends on the start.
-    in_threads(search, [sequence[part] for part in parts(len(sequence), _CHUNK)])
+    in_threads(search, [sequence[part] for part in row_slices(len(sequence), _CHUNK)])
     triangle = np.where(found >= 0, tree.order[found], -1)
     return triangle, barycentric, np.sqrt(squared)
 
@@ -124,7 +124,7 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
         extents[part] = np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs))
         means[part] = np.column_stack([run.mean(axis=0) for run in runs])
 
-    in_threads(fill, parts(leaves, CACHED // _LEAF_SIZE))
+    in_threads(fill, row_slices(leaves, CACHED // _LEAF_SIZE))
     sizes = triangle_areas(positions, triangles)
     if extents.mean() > _MAX_RUN_EXTENT * np.sqrt(2.0 * sizes).mean():
         return np.argsort(_morton_codes(triangle_centres(positions, triangles)), kind="stable")
@@ -155,7 +155,7 @@ def _morton_codes(points: FloatArray) -> IndexArray:
     low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
     scale = 2**21 / max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
     codes = np.zeros(len(points), dtype=np.uint64)
-    for part in parts(len(points), CACHED):
+    for part in row_slices(len(points), CACHED):
         for axis in range(3):
             cells = np.minimum((points[part, axis] - low[axis]) * scale, 2**21 - 1).astype(np.uint64)
             for shift, mask in zip(_SHIFTS, _MASKS, strict=True):

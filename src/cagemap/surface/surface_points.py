@@ -10,7 +10,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, read_only, real_numbers, whole_numbers
-from cagemap.numerics.threads import in_threads, kept, parts
+from cagemap.numerics.threads import in_threads, kept, row_slices
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import CACHED
@@ -197,7 +197,7 @@ class SurfacePoints:
             for k in (1, 2):
                 found[part] += weights[:, k] * values.take(corners[:, k], axis=0)
 
-        in_threads(fill, parts(len(self), CACHED))
+        in_threads(fill, row_slices(len(self), CACHED))
         return found
 
     def matrix(self) -> sparse.csr_array:

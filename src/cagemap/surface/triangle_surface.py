@@ -13,7 +13,7 @@ from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import TriangleTree, build_tree
 from cagemap.surface.triangles import (
     corner_sums,
-    normalized,
+    normalize_rows,
     surface_area,
     triangle_areas,
     triangle_neighbors,
@@ -88,7 +88,7 @@ class TriangleSurface:
     @kept
     def normals(self) -> FloatArray:
         """(t, 3) unit normals of the triangles, zero where degenerate."""
-        return read_only(normalized(triangle_normals(self.positions, self.triangles)))
+        return read_only(normalize_rows(triangle_normals(self.positions, self.triangles)))
 
     @kept
     def vertex_normals(self) -> FloatArray:

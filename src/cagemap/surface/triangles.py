@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.threads import parts
+from cagemap.numerics.threads import row_slices
 
 CACHED = 16_384  # triangles or points whose arrays fit into a core's cache
 
@@ -18,7 +18,7 @@ def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
         a, b, c = (positions[triangles[:, k]] for k in range(3))
         return 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     areas = np.empty(len(triangles))
-    for part in parts(len(triangles), CACHED):
+    for part in row_slices(len(triangles), CACHED):
         areas[part] = 0.5 * row_lengths(triangle_normals(positions, triangles[part]))
     return areas
 
@@ -49,7 +49,7 @@ def surface_area(positions: FloatArray, faces: IndexArray) -> float:
         return float(triangle_areas(positions, faces).sum())
     areas, total = np.empty(len(faces)), 0.0
     for split in (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3):
-        for part in parts(len(faces), CACHED):
+        for part in row_slices(len(faces), CACHED):
             areas[part] = triangle_areas(positions, faces[part][:, split])
         total += float(areas.sum())
     return 0.5 * total
@@ -72,7 +72,7 @@ def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray
 
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
-    return normalized(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
+    return normalize_rows(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
 
 
 def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
@@ -87,7 +87,7 @@ def row_lengths(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))
 
 
-def normalized(vectors: FloatArray) -> FloatArray:
+def normalize_rows(vectors: FloatArray) -> FloatArray:
     """Rows scaled to unit length; zero rows stay zero."""
     lengths = row_lengths(vectors)[..., None]
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)

@@ -26,7 +26,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skin import carry_skin
-from cagemap.wrap.terms import counterpart
+from cagemap.wrap.terms import counterpart_mask
 
 # A control vertex below this trust takes its weights from those around it.
 _TRUSTED = 0.1
@@ -134,7 +134,7 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
 def trusted_vertices(result: MatchResult) -> NDArray[np.bool_]:
     """(n1,) whether a target control vertex takes its skinning weights from its image."""
     count = result.target.control.n_vertices
-    found = counterpart(result.point_map)[:count] >= 0.5
+    found = counterpart_mask(result.point_map)[:count] >= 0.5
     return np.asarray((result.trust[:count] >= _TRUSTED) & found)
 
 

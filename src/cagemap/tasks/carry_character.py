@@ -19,7 +19,7 @@ from cagemap.character.values import Animation, Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, numbers_on_part
+from cagemap.mesh.parts import extract_faces, numbers_on_part
 from cagemap.mesh.plain import PlainMesh
 from cagemap.mesh.weld import Welded
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -182,7 +182,7 @@ def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
     kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
     if kept.all():
         return None
-    taken = extract(mesh, np.flatnonzero(~kept))
+    taken = extract_faces(mesh, np.flatnonzero(~kept))
     number = numbers_on_part(taken, mesh)
     rows = np.zeros(taken.n_vertices, dtype=np.int64)
     rows[number[number >= 0]] = np.flatnonzero(number >= 0)

@@ -20,7 +20,7 @@ from cagemap.jobs.costs import (
     worker_memory,
 )
 from cagemap.jobs.farm import farm_steps, numbered_tasks
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.pipeline import choose_level
 from cagemap.spectral.surface import DEFAULT_VERTICES
 from cagemap.subdivision.refinement import default_scheme, vertex_counts
@@ -72,7 +72,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
     minutes = (total / used + STARTUP_SECONDS * bool(missing)) / 60
     return "\n".join(
         [
-            f"{len(plan.tasks)} tasks for {counted(len(plan.pairs), 'pair')}, {len(missing)} to do",
+            f"{len(plan.tasks)} tasks for {count_noun(len(plan.pairs), 'pair')}, {len(missing)} to do",
             *lines,
             f"  {farm_steps(plan)[-1].last} page",
             *(f"  {text}" for text in plan.omitted_outputs),

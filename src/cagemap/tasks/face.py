@@ -19,7 +19,7 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.mesh.cage_points import on_cage
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract, numbers_on_part
+from cagemap.mesh.parts import extract_faces, numbers_on_part
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
@@ -110,7 +110,7 @@ def _cut(body: Part, vertices: IndexArray) -> Part:
     faces = np.flatnonzero(np.logical_and.reduceat(inside[body.mesh.face_indices], body.mesh.face_offsets[:-1]))
     if len(faces) == 0:
         raise ParameterError(f"part {body.name!r}: its neck and head joints move no whole face. Give the head alone.")
-    return Part(body.name, replace(extract(body.mesh, faces), name=body.mesh.name))
+    return Part(body.name, replace(extract_faces(body.mesh, faces), name=body.mesh.name))
 
 
 def _landmarks(request: FaceRequest, head: Part) -> Landmarks:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from cagemap.files.values.attributes import Attributes
 from cagemap.files.values.part_numbering import FileRows, to_file
-from cagemap.tasks.requests.match import MapRequest, MatchRequest
+from cagemap.tasks.requests.matching import MapRequest, MatchRequest
 from cagemap.tasks.requests.results import TransferRequest, WrapRequest, base_of
 
 # Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.

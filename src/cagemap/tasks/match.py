@@ -24,7 +24,7 @@ from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import prepared
 from cagemap.files.usd.space import unit_notes
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks, check_landmarks, paired
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.weld import Welded
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
 from cagemap.spectral import BasisConfig
@@ -44,7 +44,7 @@ from cagemap.tasks.method import (
     with_parameters,
 )
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.match import MatchRequest as MatchRequest
+from cagemap.tasks.requests.matching import MatchRequest as MatchRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
@@ -187,7 +187,7 @@ def _read_points_or_pairs(
     """Landmarks of a pair file, or of a file for each mesh, or none; and notes."""
     points = request.target_points, request.source_points
     if points[0] is not None and points[1] is not None and request.landmarks is None:
-        return paired(read_points(points[0], target), read_points(points[1], source), target, source)
+        return pair_by_name(read_points(points[0], target), read_points(points[1], source), target, source)
     if points != (None, None):
         raise ParameterError(
             "--target-points and --source-points: expected both, and no --landmarks beside them; landmarks are pairs "

@@ -11,12 +11,12 @@ from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, Renumbering, check_landmarks
-from cagemap.mesh.mesh_report import counted, first_few
+from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import (
     Part,
     connected_parts,
     connected_pieces,
-    extract,
+    extract_faces,
     find_part,
     material_pieces,
     numbers_on_part,
@@ -25,7 +25,7 @@ from cagemap.mesh.parts import (
 from cagemap.mesh.plain import PlainMesh, plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
-from cagemap.mesh.weld import Welded, unwelded
+from cagemap.mesh.weld import Welded, keep_unwelded
 from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import default_scheme
 
@@ -134,7 +134,7 @@ def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumberi
     """A part as a mesh, and what numbers the whole's vertices have on it."""
     if part is None or len(part.faces) == mesh.n_faces:
         return mesh, lambda vertices: vertices
-    taken = extract(mesh, part.faces)
+    taken = extract_faces(mesh, part.faces)
     return taken, numbers_on_part(taken, mesh).__getitem__
 
 
@@ -165,11 +165,13 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
     if counts[0] == counts[1]:
         return []
     (one, a), (other, b) = zip((mesh.name for mesh in meshes), counts, strict=True)
-    return [f"{one} has {counted(a, 'handle')}, {other} {b}: no map is one to one, this one tears or folds somewhere"]
+    return [
+        f"{one} has {count_noun(a, 'handle')}, {other} {b}: no map is one to one, this one tears or folds somewhere"
+    ]
 
 
 def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:
     """A cage as it is, or a plain mesh repaired, once checked; both have ``mesh``, ``vertex_of`` and ``notes``."""
-    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else unwelded(mesh)
+    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else keep_unwelded(mesh)
     require_valid(ready.mesh)
     return ready

@@ -17,7 +17,7 @@ from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
-from cagemap.mesh.mesh_report import MeshProblem, MeshReport, counted
+from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.quads import join_quads
@@ -133,7 +133,7 @@ def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
     if len(found) < 2:
         return ""
     width = max(len(part.title) for part in found[:MOST_PARTS])
-    lines = [f"    {part.title:<{width}}  {counted(len(part.faces), 'face')}" for part in found[:MOST_PARTS]]
+    lines = [f"    {part.title:<{width}}  {count_noun(len(part.faces), 'face')}" for part in found[:MOST_PARTS]]
     if len(found) > MOST_PARTS:
         lines.append(f"    and {len(found) - MOST_PARTS} more")
     return "\n".join(["\n  parts, for --part:", *lines])

@@ -36,7 +36,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
@@ -318,10 +318,10 @@ def _summary(request: RigRequest, character: Character) -> str:
     body, *others = character.parts
     lines = [f"wrote {request.output}: {request.body.name} like {request.like.name}"]
     if character.rig is not None:
-        tracks = f", {counted(len(character.animations), 'animation')}" if character.animations else ""
-        lines.append(f"  {counted(len(character.rig.names), 'joint')}{tracks}")
-    shapes = f", {counted(len(body.shapes), 'shape')}" if body.shapes else ""
-    lines.append(f"  body: {counted(body.mesh.n_vertices, 'vertex')}{shapes}")
+        tracks = f", {count_noun(len(character.animations), 'animation')}" if character.animations else ""
+        lines.append(f"  {count_noun(len(character.rig.names), 'joint')}{tracks}")
+    shapes = f", {count_noun(len(body.shapes), 'shape')}" if body.shapes else ""
+    lines.append(f"  body: {count_noun(body.mesh.n_vertices, 'vertex')}{shapes}")
     if others:
         lines.append(f"  with it: {', '.join(part.name for part in others)}")
     if request.report is not None:

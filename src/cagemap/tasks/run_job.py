@@ -39,7 +39,7 @@ from cagemap.jobs.page import PairRow
 from cagemap.jobs.plan import STATE_FOLDER
 from cagemap.jobs.run import execute, kept_outcome
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
@@ -51,7 +51,7 @@ from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import SIDES, side_bases, side_levels
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN, run_request
-from cagemap.tasks.requests.match import MapRequest, RunRequest
+from cagemap.tasks.requests.matching import MapRequest, RunRequest
 
 
 class Ticker:
@@ -243,7 +243,7 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
     failures = [f"  {o.name}: {o.state}: {o.message}" for o in outcomes.values() if not o.usable]
     return "\n".join(
         [
-            f"{counted(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
+            f"{count_noun(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
             *failures,
             *(f"  {note}" for note in notes),
             *([] if page is None else [f"Open {page} in a browser."]),

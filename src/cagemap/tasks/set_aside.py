@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.fit import similarity
+from cagemap.deform.fit import fit_similarity
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_centres, keep_faces
-from cagemap.numerics.arrays import FloatArray, IndexArray, components
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles
@@ -55,7 +55,7 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
     faces = np.flatnonzero(np.maximum.reduceat(vertex_of[target.face_indices], target.face_offsets[:-1]) < 0)
     corners = np.flatnonzero(np.isin(target.corner_faces, faces))
     rest = keep_faces(target, faces)
-    pieces = components(rest.face_indices, rest.face_indices[rest.next_corners], target.n_vertices)[vertices]
+    pieces = label_components(rest.face_indices, rest.face_indices[rest.next_corners], target.n_vertices)[vertices]
     places, turns = _laid(bodies, target.positions[vertices], pieces)
     moved = target.positions.copy()
     moved[vertices] = places
@@ -103,7 +103,7 @@ def _laid(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[Fl
     order = np.argsort(pieces, kind="stable")
     for piece in np.split(order, np.flatnonzero(np.diff(pieces[order])) + 1):
         near = np.unique(around[piece])
-        rotation, scale, shift = similarity(target.positions[near], images[near])
+        rotation, scale, shift = fit_similarity(target.positions[near], images[near])
         places[piece] = (scale * points[piece] @ rotation.T + shift) / source.scale
         turns[piece] = rotation * (source.scale / (scale * target.scale))
     return places, turns

@@ -81,9 +81,9 @@ AUTO = "auto"
 
 def weld_asked(control: ControlMesh, word: str | None) -> Welded:
     """The mesh welded as ``--weld`` says, ``auto`` or a tolerance; as it is where nothing is asked for."""
-    from cagemap.mesh.weld import unwelded, weld_mesh
+    from cagemap.mesh.weld import keep_unwelded, weld_mesh
 
-    return unwelded(control) if word is None else weld_mesh(control, _tolerance(word))
+    return keep_unwelded(control) if word is None else weld_mesh(control, _tolerance(word))
 
 
 def _tolerance(word: str) -> float | None:

@@ -33,7 +33,7 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.match import MapRequest
+from cagemap.tasks.requests.matching import MapRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.requests.results import TransferRequest, WrapRequest
 from cagemap.tasks.transfer import carry_one

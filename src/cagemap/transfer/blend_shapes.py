@@ -26,7 +26,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.subdivision.face_varying import interpolate_linearly
-from cagemap.surface.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals
+from cagemap.surface.triangles import corner_sums, normalize_rows, triangle_areas, triangle_normals, vertex_normals
 from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
 
 # About this many vertices of the target sample a shape.
@@ -78,7 +78,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
     given = point_map.source
     deforming, found = _deforming(point_map, triangles, images)
-    across = normalized(triangle_normals(given.positions, deforming[found]))
+    across = normalize_rows(triangle_normals(given.positions, deforming[found]))
     rotations = _rotations(gradient, places, images, triangles, across)
     around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
     samples = target.rows(slice(count), target.n_levels, 0)

@@ -19,11 +19,11 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import parts
+from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalized, triangle_areas
+from cagemap.surface.triangles import normalize_rows, triangle_areas
 from cagemap.transfer.baking import (
     BakeOptions,
     Canvas,
@@ -145,8 +145,8 @@ def bake_detail_normals(
 
     def normals_at(samples: TexelSamples) -> FloatArray:
         hits, weights = _weighted_hits(transfer, detail, samples)
-        smooth = normalized(hits.foot.interpolate(detail.surface.vertex_normals))
-        return normalized(weights[:, None] * smooth + (1.0 - weights[:, None]) * hits.normals)
+        smooth = normalize_rows(hits.foot.interpolate(detail.surface.vertex_normals))
+        return normalize_rows(weights[:, None] * smooth + (1.0 - weights[:, None]) * hits.normals)
 
     check_space(space)
     canvas = make_canvas(transfer, size, options)
@@ -202,7 +202,7 @@ def bake_detail_vectors(
     targets = SurfaceTargets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
     make_lookups_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), targets)
     pixels = vectors if kept == single else np.empty(vectors.shape, dtype=kept)
-    for rows in parts(len(vectors), _ROWS):
+    for rows in row_slices(len(vectors), _ROWS):
         pixels[rows] = to_dtype(encode(vectors[rows]), kept)
     return Displacement(pixels, middle, scale)
 
@@ -341,7 +341,7 @@ def _normal_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) -> N
     source = transfer.point_map.source
     corners = source.triangles[samples.triangle]
     points = np.einsum("sc,scd->sd", samples.barycentric, source.positions[corners])
-    normals = normalized(np.einsum("sc,scd->sd", samples.barycentric, source.vertex_normals[corners]))
+    normals = normalize_rows(np.einsum("sc,scd->sd", samples.barycentric, source.vertex_normals[corners]))
     return intersect_normals(detail.surface, points, normals)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import parts
+from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
@@ -140,7 +140,7 @@ def grey(pixels: Pixels) -> Pixels:
     if pixels.ndim < 3 or pixels.shape[2] < 3:
         return pixels if pixels.ndim < 3 else pixels[:, :, :1]
     one, spread, largest = unit(pixels.dtype), 0.0, 0.0
-    for rows in parts(len(pixels), _ROWS):
+    for rows in row_slices(len(pixels), _ROWS):
         colors = pixels[rows, :, :3].astype(np.float64)
         spread = max(spread, float(np.nanmax(np.ptp(colors, axis=2), initial=0.0)) / one)
         largest = max(largest, float(np.nanmax(np.abs(colors), initial=0.0)) / one)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
@@ -103,7 +103,7 @@ def _covered(layout: Layout) -> NDArray[np.bool_]:
         for band in range(bands.start, bands.stop):
             covered[band * layout.band_rows : (band + 1) * layout.band_rows] = rasterize_band(layout, band) >= 0
 
-    in_threads(fill, parts(len(layout.band_triangles), 1))
+    in_threads(fill, row_slices(len(layout.band_triangles), 1))
     return covered
 
 
@@ -149,5 +149,5 @@ def texel_spans(
         along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
         found[part] = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
 
-    in_threads(plan, parts(len(source), _PLANNED_AT_ONCE))
+    in_threads(plan, row_slices(len(source), _PLANNED_AT_ONCE))
     return found

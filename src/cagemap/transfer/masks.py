@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import parts
+from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, to_dtype, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
@@ -103,7 +103,7 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
             f"{baked.dtype}, as what is baked, got {base.shape[0]} x {base.shape[1]} of {base.shape[2]}, {base.dtype}"
         )
     result = base.copy()
-    for rows in parts(len(base), _ROWS):
+    for rows in row_slices(len(base), _ROWS):
         below = base[rows].astype(np.float64)
         mixed = to_dtype(below + weight[rows] * (baked[rows].astype(np.float64) - below), baked.dtype)
         result[rows] = np.where(weight[rows] > 0, mixed, base[rows])

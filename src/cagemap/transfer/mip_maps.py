@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.texture import Pixels, SmoothTile, Texture, channel_range, look_up
 
@@ -138,7 +138,7 @@ def _filtered(
         result[rows] = np.rint(found) if result.dtype.kind == "u" else found
         covered[rows] = mean[..., -1]
 
-    in_threads(fill, parts(len(result), _ROWS))
+    in_threads(fill, row_slices(len(result), _ROWS))
     return result, covered
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.process import library
+from cagemap.numerics.process import import_library
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.textured_surface import plane_basis
@@ -82,10 +82,10 @@ def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
     """
     if rays < 1:
         raise ParameterError(f"occlusion: expected 1 ray or more, got {rays}")
-    scene = library("embreex.rtcore_scene", "ambient occlusion").EmbreeScene()
+    scene = import_library("embreex.rtcore_scene", "ambient occlusion").EmbreeScene()
     middle = surface.positions.mean(axis=0)
     places = surface.positions - middle
-    meshes = library("embreex.mesh_construction", "ambient occlusion")
+    meshes = import_library("embreex.mesh_construction", "ambient occlusion")
     meshes.TriangleMesh(scene, places.astype(np.float32), surface.triangles.astype(np.int32))
     normals = surface.vertex_normals
     sky = _sky(rays)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, grouped_sums
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components
 from cagemap.subdivision import Level, triangles
-from cagemap.surface.triangles import normalized, vertex_normals
+from cagemap.surface.triangles import normalize_rows, vertex_normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
     (u1, v1), (u2, v2) = (uvs[uv_triangles[:, k]].T - uvs[uv_triangles[:, 0]].T for k in (1, 2))
     area = u1 * v2 - u2 * v1
     signs = np.where(area < 0, -1.0, 1.0)
-    along = normalized(signs[:, None] * (v2[:, None] * (b - a) - v1[:, None] * (c - a)))
+    along = normalize_rows(signs[:, None] * (v2[:, None] * (b - a) - v1[:, None] * (c - a)))
     groups = _groups(triangles, uvs, uv_triangles, area < 0)
     sums = np.zeros((int(groups.max()) + 1, 3))
     own = np.zeros((len(sums), 3))
@@ -104,7 +104,7 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
         angle = np.arccos(np.clip(np.einsum("td,td->t", first, second), -1.0, 1.0))
         weighted = np.where(area != 0, angle, 0.0)[:, None] * in_plane
         sums += grouped_sums(groups[:, k], weighted, len(sums))
-    tangents = normalized(sums)
+    tangents = normalize_rows(sums)
     lost = np.linalg.norm(tangents, axis=1) < 0.5
     tangents[lost] = _any_tangent(own[lost])
     return TangentFrames(normals, triangles, tangents, groups, signs)
@@ -133,23 +133,23 @@ def _groups(
     opposite = corner.ravel()[one] != corner.ravel()[two]
     pairs = [(one, np.where(opposite, ends[1], two)), (ends[0], np.where(opposite, two, ends[1]))]
     heads, tails = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
-    return components(heads, tails, corner.size).reshape(-1, 3)
+    return label_components(heads, tails, corner.size).reshape(-1, 3)
 
 
 def _projected(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Vectors (k, 3) laid into the planes of unit normals, at unit length."""
-    return normalized(vectors - np.einsum("kd,kd->k", vectors, normals)[:, None] * normals)
+    return normalize_rows(vectors - np.einsum("kd,kd->k", vectors, normals)[:, None] * normals)
 
 
 def _any_tangent(normals: FloatArray) -> FloatArray:
     """(k, 3) some unit vectors perpendicular to unit normals."""
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)] if len(normals) else np.zeros((0, 3))
-    return normalized(np.cross(normals, axis))
+    return normalize_rows(np.cross(normals, axis))
 
 
 def plane_basis(normals: FloatArray, along: FloatArray) -> FloatArray:
     """(k, 3, 2) orthonormal bases of the planes across normals, the first vector towards ``along``."""
-    unit = normalized(normals)
+    unit = normalize_rows(normals)
     first = _projected(along, unit)
     flat = np.linalg.norm(first, axis=1) < 0.5
     first[flat] = _any_tangent(unit[flat])

@@ -17,8 +17,8 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.numerics.arrays import FloatArray, IndexArray, components
-from cagemap.numerics.process import library
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
+from cagemap.numerics.process import import_library
 from cagemap.subdivision import refine
 from cagemap.transfer.packing import pack_islands
 
@@ -61,7 +61,7 @@ def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
     positions = _smooth_positions(control.with_positions((control.positions - low) / size))
     flat, corner_uvs = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
     # Islands are what polygons join.
-    islands = components(corner_uvs, corner_uvs[control.next_corners], len(flat))
+    islands = label_components(corner_uvs, corner_uvs[control.next_corners], len(flat))
     uvs = _equalize(control, positions, flat, corner_uvs, islands)
     edges = np.column_stack([corner_uvs, corner_uvs[control.next_corners]])
     return control.with_uvs(pack_islands(uvs, edges, islands, padding), corner_uvs)
@@ -86,7 +86,7 @@ def _smooth_positions(control: ControlMesh) -> FloatArray:
 
 def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     """Cut a triangle mesh into flat charts, in the mesh's own length unit, none mirrored."""
-    xatlas = library("xatlas", "UV layouts (`unwrap`)")
+    xatlas = import_library("xatlas", "UV layouts (`unwrap`)")
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions.astype(np.float32), triangles.astype(np.uint32))
     charting, packing = xatlas.ChartOptions(), xatlas.PackOptions()

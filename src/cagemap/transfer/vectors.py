@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import normalized, vertex_normals
+from cagemap.surface.triangles import normalize_rows, vertex_normals
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
@@ -83,7 +83,7 @@ def normal_encoder(
     flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
 
     def encode(vectors: FloatArray) -> FloatArray:
-        vectors = flip * normalized(vectors)
+        vectors = flip * normalize_rows(vectors)
         return np.asarray((vectors if signed and dtype.kind == "f" else 0.5 * vectors + 0.5) * unit(dtype))
 
     return encode
@@ -250,9 +250,9 @@ def _rotated_to_target(
     length = np.where(length > 0, length, 1.0)
     sine, cosine = sine / length, cosine / length
     x, y = np.einsum("sab,sa->sb", two, vectors).T
-    height = np.einsum("sd,sd->s", normalized(n2), vectors)
+    height = np.einsum("sd,sd->s", normalize_rows(n2), vectors)
     rotated = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
-    return np.asarray(np.einsum("sab,sb->sa", one, rotated) + height[:, None] * normalized(n1))
+    return np.asarray(np.einsum("sab,sb->sa", one, rotated) + height[:, None] * normalize_rows(n1))
 
 
 def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:

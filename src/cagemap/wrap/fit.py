@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
 from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
-from cagemap.deform.fit import similarity
+from cagemap.deform.fit import fit_similarity
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Energy, minimise
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, nearest_rotations
 from cagemap.wrap.config import NetConfig, WrapConfig
 from cagemap.wrap.net import ControlNet
 from cagemap.wrap.terms import NetTerms, Samples
@@ -28,12 +28,12 @@ from cagemap.wrap.terms import NetTerms, Samples
 Adjust = Callable[[FloatArray], FloatArray]
 
 
-def unchanged(positions: FloatArray) -> FloatArray:
+def keep_positions(positions: FloatArray) -> FloatArray:
     """No symmetry to keep."""
     return positions
 
 
-def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjust = unchanged) -> FloatArray:
+def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjust = keep_positions) -> FloatArray:
     """(n_l, 3) fitted points of a net, at unit area of the source; ``adjust`` keeps a symmetry after every round."""
     free = free_points(samples, config)
     pieces = detached_pieces(net.graph, free)
@@ -46,9 +46,9 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
     positions = moved_locally(
         net, samples, config, free, np.ones(net.graph.n), positions, moving, config.net.carrying_rounds
     )
-    positions = adjust(carried(net.graph, pieces, positions, config.net))
-    positions = rounds(energy, terms, positions, config.rounds, adjust)
-    return adjust(carried(net.graph, pieces, positions, config.net)) if pieces else positions
+    positions = adjust(carry_detached_pieces(net.graph, pieces, positions, config.net))
+    positions = run_rounds(energy, terms, positions, config.rounds, adjust)
+    return adjust(carry_detached_pieces(net.graph, pieces, positions, config.net)) if pieces else positions
 
 
 def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
@@ -60,7 +60,7 @@ def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
 
 def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
     """Connected pieces of a graph that lie in points (k,) as a whole."""
-    piece = components(graph.heads, graph.tails, graph.n)
+    piece = label_components(graph.heads, graph.tails, graph.n)
     sizes = np.bincount(piece)
     whole = np.bincount(piece[points], minlength=len(sizes)) == sizes
     order = np.argsort(piece, kind="stable")
@@ -75,7 +75,9 @@ def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
     return pieces
 
 
-def carried(graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatArray, config: NetConfig) -> FloatArray:
+def carry_detached_pieces(
+    graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatArray, config: NetConfig
+) -> FloatArray:
     """(n, 3) positions with every detached piece moved as the points nearest to it at rest: by a similarity."""
     if not pieces:
         return positions
@@ -85,13 +87,13 @@ def carried(graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatA
     for own in pieces:
         _, nearest = tree.query(rest[own].mean(axis=0), k=min(config.nearest_points, len(attached)))
         near = attached[np.atleast_1d(nearest)]
-        rotation, scale, shift = similarity(rest[near], positions[near])
+        rotation, scale, shift = fit_similarity(rest[near], positions[near])
         moved[own] = scale * rest[own] @ rotation.T + shift
     return moved
 
 
-def rounds(
-    energy: Energy, terms: NetTerms, positions: FloatArray, count: int, adjust: Adjust = unchanged
+def run_rounds(
+    energy: Energy, terms: NetTerms, positions: FloatArray, count: int, adjust: Adjust = keep_positions
 ) -> FloatArray:
     """(n, 3) positions after so many rounds, adjusted after each; what does not move is as it was."""
     if not count:
@@ -158,5 +160,5 @@ def moved_locally(
     else:
         energy = ElasticEnergy.build(graph, config.net.smoothing, admissible)
     moved = positions.copy()
-    moved[part] = rounds(energy, terms, positions[part], count)
+    moved[part] = run_rounds(energy, terms, positions[part], count)
     return moved

@@ -13,13 +13,21 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.wrap.config import MendConfig, WrapConfig
-from cagemap.wrap.fit import Adjust, carried, detached_pieces, free_points, moved_locally, unchanged, whole_pieces
+from cagemap.wrap.fit import (
+    Adjust,
+    carry_detached_pieces,
+    detached_pieces,
+    free_points,
+    keep_positions,
+    moved_locally,
+    whole_pieces,
+)
 from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
 from cagemap.wrap.terms import Samples
 
 
 def mend(
-    net: ControlNet, samples: Samples, config: WrapConfig, positions: FloatArray, adjust: Adjust = unchanged
+    net: ControlNet, samples: Samples, config: WrapConfig, positions: FloatArray, adjust: Adjust = keep_positions
 ) -> FloatArray:
     """(n_l, 3) a fitted net whose faces do not fold and are not much thinner than at rest, as far as that can be had.
 
@@ -55,12 +63,15 @@ def mend(
             samples = replace(samples, weights=weights)
             pieces = detached_pieces(graph, free_points(samples, config))
             if sum(map(len, pieces)) > len(detached):
-                positions, detached = adjust(carried(graph, pieces, positions, config.net)), np.concatenate(pieces)
+                positions, detached = (
+                    adjust(carry_detached_pieces(graph, pieces, positions, config.net)),
+                    np.concatenate(pieces),
+                )
         similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
         moved = partial(moved_locally, net, samples, config, similar, stiffness)
         moving = np.setdiff1d(graph.rings(corners, rings), detached)
         again = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
-        flat = _laid_flat(graph, positions, np.intersect1d(again, moving))
+        flat = _lay_flat(graph, positions, np.intersect1d(again, moving))
         positions = moved(flat, moving, 1, fixed=many)
         near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
         # What is carried along has further to go.
@@ -87,11 +98,11 @@ def _without_folds(
         flat = np.setdiff1d(np.union1d(flat, corners), detached)
         if not count or graph.areas[flat].sum() > config.max_flat:
             break
-        positions = adjust(_laid_flat(graph, positions, flat))
+        positions = adjust(_lay_flat(graph, positions, flat))
     return best
 
 
-def _laid_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> FloatArray:
+def _lay_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> FloatArray:
     """(n, 3) a net in which points (m,) are the means of their neighbours, which unfolds a patch (Tutte 1963)."""
     flat = np.setdiff1d(flat, np.concatenate([flat[:0], *whole_pieces(graph, flat)]))
     if not len(flat):

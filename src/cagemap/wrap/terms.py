@@ -23,7 +23,7 @@ from cagemap.deform.config import Stage
 from cagemap.deform.energy import ElasticEnergy
 from cagemap.deform.graph import ElasticGraph
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.relax import patches
+from cagemap.maps.projection.relax import label_patches
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.operators.laplacian import vertex_areas
@@ -168,7 +168,7 @@ class SampleTerms:
         return moved
 
 
-def counterpart(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
+def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
     """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or lays it over others."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
@@ -178,17 +178,20 @@ def counterpart(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatAr
         sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
     ratio = np.divide(sums[:, 1], sums[:, 0], out=np.ones(target.n), where=sums[:, 0] > 0)
     found = np.clip((ratio - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
-    found[_hollow(point_map, found >= 0.5, config)] = 0.0
+    found[_hollow_parts(point_map, found >= 0.5, config)] = 0.0
     return found
 
 
-def _hollow(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
+def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
     """(n1,) squeezed parts with what lies behind them, where that is laid over images of the rest; ``whole`` is not."""
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():
         return nowhere
-    part, piece = patches(target.triangles, whole), patches(target.triangles, np.ones(target.n, dtype=np.bool_))
+    part, piece = (
+        label_patches(target.triangles, whole),
+        label_patches(target.triangles, np.ones(target.n, dtype=np.bool_)),
+    )
     areas = np.bincount(part, np.where(whole, target.vertex_areas, 0.0))
     largest = np.zeros(int(piece.max()) + 1)
     np.maximum.at(largest, piece, areas[part])
@@ -200,6 +203,6 @@ def _hollow(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) ->
         part, minlength=len(areas)
     )
     laid_over = behind & near[part]
-    hollow = patches(target.triangles, ~whole | laid_over)
+    hollow = label_patches(target.triangles, ~whole | laid_over)
     share = np.bincount(hollow, np.where(laid_over, target.vertex_areas, 0.0))
     return np.asarray(share[hollow] >= config.min_area)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.deform.fit import similarity
+from cagemap.deform.fit import fit_similarity
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
@@ -20,10 +20,10 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.detail import Detail, detail_over, own_transfer
 from cagemap.wrap.config import WrapConfig
-from cagemap.wrap.fit import fit_net, unchanged
+from cagemap.wrap.fit import fit_net, keep_positions
 from cagemap.wrap.mend import mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
-from cagemap.wrap.terms import Samples, counterpart
+from cagemap.wrap.terms import Samples, counterpart_mask
 
 # What is said of a plain target.
 NO_CAGE = (
@@ -113,11 +113,11 @@ def wrap(
             f"{point_map.target.n}: are target and source exchanged, or of other levels?"
         )
     with ThreadPool(1) as pool:
-        found = pool.submit(counterpart, point_map, config.net)
+        found = pool.submit(counterpart_mask, point_map, config.net)
         net = control_net(target, config.level, point_map.target.scale, config.net)
         weights = found.result() * _follow(target, follow)
     samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config.net)
-    adjust = unchanged if symmetry is None else partial(symmetrized, symmetry)
+    adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
     follows = weights >= config.net.followed
     if not follows.any():
         raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
@@ -126,7 +126,7 @@ def wrap(
     def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:
         positions = mend(net, samples, config, fit_net(net, samples, config, adjust), adjust)
         closest = closest_points(source.tree, net.surface(positions), guess=point_map.triangle)
-        return residual_of(closest[2], follows), positions, closest
+        return measure_residual(closest[2], follows), positions, closest
 
     first = fitted(config)
     if first[0].p99 > config.max_distance and config.anchor > 0:
@@ -146,16 +146,16 @@ def wrap(
         closest=PointMap.from_arrays(point_map.target, source, triangle, barycentric),
         distance=distance,
         follow=weights,
-        residual=residual_of(distance),
+        residual=measure_residual(distance),
         followed=followed,
-        from_source=residual_of(back),
+        from_source=measure_residual(back),
         left_out=float(point_map.target.areas @ (~follows)[triangles].mean(axis=1)),
         folded=np.flatnonzero(folded),
         aspect=float(aspects[0] / aspects[1]),
     )
 
 
-def residual_of(distance: FloatArray, counted: NDArray[np.bool_] | None = None) -> Residual:
+def measure_residual(distance: FloatArray, counted: NDArray[np.bool_] | None = None) -> Residual:
     """Figures of distances (n,), of all of them or those that are counted."""
     vertices = np.arange(len(distance)) if counted is None else np.flatnonzero(counted)
     among = distance[vertices]
@@ -164,12 +164,12 @@ def residual_of(distance: FloatArray, counted: NDArray[np.bool_] | None = None) 
     )
 
 
-def symmetrized(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
+def symmetrize(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
     """(n, 3) a net made mirror symmetric: the mean of it and its mirror image, about the plane that suits it best."""
     # The best rigid motion of the image, with one axis turned over, is the reflection about that plane.
     flip = np.array([-1.0, 1.0, 1.0])
     image = positions[symmetry] * flip
-    rotation, _, _ = similarity(image, positions)
+    rotation, _, _ = fit_similarity(image, positions)
     centred = image - image.mean(axis=0)
     return 0.5 * (positions + centred @ rotation.T + positions.mean(axis=0))
 

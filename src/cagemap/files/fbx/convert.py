@@ -21,7 +21,7 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry
 from cagemap.files.gltf.nodes import decomposed, invertible, transform
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
 
 Note = Callable[[str], None]
@@ -78,7 +78,7 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):
         note(f"the FBX library says: {get(warning, 'description')} ({get(warning, 'count')} times)")
-    left = [counted(len(found), what) for name, what in _LEFT_OUT.items() if (found := items(scene, name))]
+    left = [count_noun(len(found), what) for name, what in _LEFT_OUT.items() if (found := items(scene, name))]
     if left:
         note(f"left out: {', '.join(left)}")
     return _Scene(scene, path, note).glb()

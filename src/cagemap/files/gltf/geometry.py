@@ -16,7 +16,7 @@ from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_f
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import fan_triangles, normalized, vertex_normals
+from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 
 
 def mesh_entry(
@@ -46,7 +46,7 @@ def mesh_entry(
     corners, corner_faces = fan_triangles(mesh.face_offsets, corners_from(mesh.face_offsets, starts))
     triangles, vertices = numbers[corners], mesh.face_indices[first]
     smooth = vertex_normals(mesh.positions, mesh.face_indices[corners])[vertices]
-    stated = smooth if normals is None else normalized(normals[first])
+    stated = smooth if normals is None else normalize_rows(normals[first])
     written = np.where(np.any(stated != 0.0, axis=1, keepdims=True), stated, smooth)
     written[~written.any(axis=1)] = [0.0, 0.0, 1.0]
     attributes = {

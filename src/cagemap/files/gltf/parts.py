@@ -27,11 +27,11 @@ from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import merged_corners
-from cagemap.mesh.parts import extract
+from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.plain import turn_faces
 from cagemap.mesh.weld import weld_mesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import normalized
+from cagemap.surface.triangles import normalize_rows
 
 _log = logging.getLogger(__name__)
 
@@ -179,7 +179,7 @@ def turned_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
     """Normals (n, 3) of a surface whose points are multiplied, as rows, by (3, 3) or (n, 3, 3)."""
     cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
     signs = np.sign(np.linalg.det(linear))[..., None, None]
-    return normalized(np.einsum("na,...ab->nb" if linear.ndim == 2 else "na,nab->nb", normals, signs * cofactors))
+    return normalize_rows(np.einsum("na,...ab->nb" if linear.ndim == 2 else "na,nab->nb", normals, signs * cofactors))
 
 
 def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
@@ -194,7 +194,7 @@ def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -
     welded = weld_mesh(_with_stored(given), offsets=offsets)
     mesh = welded.mesh
     if mesh.file_vertices is None:
-        mesh = extract(mesh, np.arange(mesh.n_faces))
+        mesh = extract_faces(mesh, np.arange(mesh.n_faces))
     kept = mesh.file_vertices
     assert kept is not None
     mesh, stored = _without_stored(mesh)

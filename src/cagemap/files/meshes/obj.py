@@ -18,7 +18,7 @@ from cagemap.files.meshes.obj_tags import parse_tags
 from cagemap.files.text import at_line, decoded, is_number, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
-from cagemap.mesh.mesh_report import counted, first_few
+from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _log = logging.getLogger(__name__)
@@ -140,7 +140,7 @@ def _read_numbers(statements: _Statements, row: int, keyword: str, required: int
     except ValueError:
         values = []
     if len(values) < required:
-        expected = f"'{keyword}' and at least {counted(required, 'number')}"
+        expected = f"'{keyword}' and at least {count_noun(required, 'number')}"
         raise statements.fail(row, expected, "The file may be cut short; export it again.")
     return values + [0.0] * (kept - len(values))
 

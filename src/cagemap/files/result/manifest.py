@@ -34,7 +34,7 @@ from cagemap.files.schema import (
 )
 from cagemap.files.text import read_text
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence
-from cagemap.maps.hypotheses.signs import findings
+from cagemap.maps.hypotheses.signs import describe_signs
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
@@ -248,7 +248,7 @@ def stored_confidence(
         )
         for i, reading in enumerate(record.readings)
     )
-    doubtful = record.verdict == SURE and (record.signs is None or findings(record.signs))
+    doubtful = record.verdict == SURE and (record.signs is None or describe_signs(record.signs))
     verdict = LOOK if doubtful else record.verdict
     return Confidence(verdict, readings, record.signs or {}, record.deciding, record.file_vertex, record.part)
 

@@ -31,10 +31,10 @@ from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
 from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.operators import Operators
-from cagemap.operators.coarse_levels import refined
+from cagemap.operators.coarse_levels import build_levels
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
-from cagemap.spectral.surface import Progress, silent
+from cagemap.spectral.surface import Progress, no_progress
 from cagemap.subdivision import Refinement, Scheme, default_scheme
 from cagemap.subdivision.refinement import vertex_counts
 
@@ -103,7 +103,7 @@ def prepared(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     prepare: Prepare = prepare_surface,
 ) -> Surface:
     """A prepared surface from a folder of stored ones, or prepared now and stored there.
@@ -147,7 +147,7 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
     if not header.bands <= header.operators <= header.level + 1:
         raise FormatError(f"{path}: has bands or operators of more levels than there are. {_REMEDY}")
     # Levels of a subdivision have sizes that are known before it is refined, those below a plain mesh have not.
-    below = refined(control, 0, scheme) if isinstance(scheme, Plain) else None
+    below = build_levels(control, 0, scheme) if isinstance(scheme, Plain) else None
     if below is not None and below.n_levels != header.level:
         raise FormatError(f"{path}: its plain mesh has {below.n_levels} coarse levels, not {header.level}. {_REMEDY}")
     counts = vertex_counts(control, scheme) if below is None else (mesh.n_vertices for mesh in below.levels)
@@ -157,7 +157,7 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
     for level in range(header.operators):
         check_offsets(path, f"indptr_{level}", checked[f"indptr_{level}"], sizes[f"z{level}"], _REMEDY)
     try:
-        refinement = refined(control, header.level, scheme) if below is None else below
+        refinement = build_levels(control, header.level, scheme) if below is None else below
         operators = _operators(checked, refinement.up_to(header.operators - 1), header.scale)
         bands = tuple(checked[f"band_{level}"] for level in range(header.bands))
         basis = HierarchicalBasis(refinement, operators, bands, *(checked[name] for name in _BASIS_ARRAYS))

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
-from cagemap.maps.hypotheses.signs import TIE, findings
+from cagemap.maps.hypotheses.signs import TIE, describe_signs
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
 # Names of answers that landmarks decide.
@@ -44,7 +44,7 @@ class Confidence:
         if len(readings) > 1:
             best, other = (reading.positions[:control_vertices] for reading in readings[:2])
             deciding = int(np.argmax(((best - other) ** 2).sum(axis=1)))
-        verdict = SURE if not findings(signs) else TWO if signs["runner_up"] > TIE else LOOK
+        verdict = SURE if not describe_signs(signs) else TWO if signs["runner_up"] > TIE else LOOK
         return cls(verdict, readings, signs, deciding)
 
     @property
@@ -75,7 +75,7 @@ class Confidence:
                 f"two answers: {answer}, but the alignment {others[0].name} fits as well (`answer=1`). A landmark at "
                 f"target vertex {vertex} decides"
             )
-        why = next(iter(findings(self.signs)), NOT_JUDGED)
+        why = next(iter(describe_signs(self.signs)), NOT_JUDGED)
         hint = f", first at target vertex {vertex}" if self.deciding is not None else ""
         return f"look at it: {answer}, but {why}. Add landmarks{hint}"
 
@@ -107,7 +107,7 @@ def cost_signs(readings: tuple[Placement, ...]) -> dict[str, float]:
     return {"cost": cost, "turned": cost if best.doubt > 1.0 else 0.0, "runner_up": runner_up}
 
 
-def at_finest(confidence: Confidence, prepared: PreparedPair) -> Confidence:
+def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
     """Answers for all vertices of a plain target, from those of a level; the deciding vertex also as in its file."""
     target, numbers = prepared.target, prepared.target.control.file_vertices
     if numbers is not None and confidence.deciding is not None:

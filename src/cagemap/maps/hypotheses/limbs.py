@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.data import SourceSamples
-from cagemap.deform.fit import coarse_fit, fine_fit, with_cost
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import CoarseShape, Problem
@@ -71,7 +71,7 @@ class Tips:
         return np.column_stack([np.flatnonzero(mutual), there[mutual]])
 
 
-def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
+def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     """Refit from a placement with the tips held in the coarse stage; the placement itself where it is much cheaper.
 
     The fine stage holds landmarks only: tips that are no counterparts slip away.
@@ -85,7 +85,7 @@ def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     leading = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
     with thread_limit(1):
         led = coarse_fit(stiff, placed.positions[shape.vertices], shape, leading)
-    again = replace(with_cost(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
+    again = replace(evaluate_placement(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
     return again if again.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
 
 
@@ -161,7 +161,7 @@ def limb_measures(
     return unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part)
 
 
-def assignments(
+def rank_assignments(
     target: LimbMeasures, source: LimbMeasures, config: SearchConfig = SearchConfig()
 ) -> list[tuple[IndexArray, IndexArray]]:
     """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
@@ -170,7 +170,7 @@ def assignments(
     """
     (between, girths), (source_between, source_girths) = target, source
     if len(girths) > len(source_girths):
-        return [(i, j) for j, i in assignments(source, target, config)]
+        return [(i, j) for j, i in rank_assignments(source, target, config)]
     count, landmarks = len(girths), len(between) - len(girths)
     to = np.array(list(permutations(range(len(source_girths)), count)))
     ends = np.hstack([np.tile(np.arange(landmarks), (len(to), 1)), landmarks + to])
@@ -209,5 +209,5 @@ def assigned_limbs(problem: Problem) -> list[Assignment]:
         Assignment(
             (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])), tips.places[j]
         )
-        for i, j in assignments(target, source, config)
+        for i, j in rank_assignments(target, source, config)
     ]

@@ -68,7 +68,7 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placemen
     starts = []
     for matrix in axis_rotations():
         turned = points @ matrix.T
-        starts += [Placement(_boxed(turned, source_points, stretched)) for stretched in (False, True)]
+        starts += [Placement(_fit_to_box(turned, source_points, stretched)) for stretched in (False, True)]
     centre, frame = _principal_frame(points)
     source_centre, source_frame = _principal_frame(source_points)
     for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
@@ -78,7 +78,7 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placemen
     return starts
 
 
-def _boxed(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:
+def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:
     """Points moved and scaled so that their bounding box agrees with the source's."""
     low, high = points.min(axis=0), points.max(axis=0)
     source_low, source_high = source_points.min(axis=0), source_points.max(axis=0)

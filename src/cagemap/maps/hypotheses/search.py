@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from cagemap.deform.fit import coarse_fit, with_cost
+from cagemap.deform.fit import coarse_fit, evaluate_placement
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
     AnchoredFits,
-    cheapest_first,
-    refine_best,
+    refine_cheapest,
+    sort_by_cost,
     spectral_starts,
     start_map,
 )
-from cagemap.deform.placement import Placement, distinct
+from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
-from cagemap.deform.refit import common_rotation, finished
-from cagemap.maps.hypotheses.limbs import Assignment, Tips, assigned_limbs, led_by_tips
+from cagemap.deform.refit import common_rotation, finish_placement
+from cagemap.maps.hypotheses.limbs import Assignment, Tips, assigned_limbs, refit_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -28,7 +28,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_name,
 )
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Progress, silent
+from cagemap.maps.pair import Progress, no_progress
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 
@@ -45,7 +45,7 @@ def least_cost(prepared: PreparedPair) -> float:
     surface = target.triangles(target.hierarchy.coarsest_level(prepared.elastic.source_vertices))
     on_itself = replace(prepared, rest=own, source_surface=surface)
     counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), prepared.source_samples.areas.sum()
-    return float(min(counts)) * with_cost(on_itself, rest.graph.positions).cost
+    return float(min(counts)) * evaluate_placement(on_itself, rest.graph.positions).cost
 
 
 def rough_problem(problem: Problem) -> Problem:
@@ -82,8 +82,8 @@ def rough_fits(
     starts = [*filed, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
     n_filed = len(filed) + AS_FILED_STARTS
     # What is distinct among the first starts is the beginning of what is distinct among all.
-    apart = distinct(starts if rigid else starts[:n_filed], graph.areas, config.alike)
-    n_first = len(distinct(starts[:n_filed], graph.areas, config.alike))
+    apart = distinct_placements(starts if rigid else starts[:n_filed], graph.areas, config.alike)
+    n_first = len(distinct_placements(starts[:n_filed], graph.areas, config.alike))
     own = sorted(fit_rigid(apart[:n_first]), key=lambda one: one.rank)
     show(own[0])
     led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[: config.max_assigned]
@@ -94,13 +94,13 @@ def rough_fits(
     show(min((*(one for _, one in led), *own), key=lambda one: one.rank))
     as_filed = [one for one in own if one.name == AS_FILED][:1]
     if not led:
-        kept = distinct(own, graph.areas, config.different)[: config.max_coarse]
-        return [], distinct([*kept, *as_filed], graph.areas, config.different)
+        kept = distinct_placements(own, graph.areas, config.different)[: config.max_coarse]
+        return [], distinct_placements([*kept, *as_filed], graph.areas, config.different)
     likely = [one for one in led if one[1].rank <= most * led[0][1].rank]
     return likely, [*(one for _, one in likely), *as_filed]
 
 
-def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
+def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
     """The fine stage from rough placements, and their spectral upsampling, that end apart; the best of each."""
     if not rough:
         return []
@@ -110,17 +110,17 @@ def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placemen
     def improve(one: Placement) -> list[Placement]:
         with thread_limit(1):
             own = coarse_fit(problem, one.on(graph, problem.prepared.elastic.graph))
-            coarse = cheapest_first([own, *(coarse_fit(problem, start) for start in starts(own))])
+            coarse = sort_by_cost([own, *(coarse_fit(problem, start) for start in starts(own))])
         return [replace(placed, name=one.name, doubt=one.doubt) for placed in coarse]
 
     improved = sorted(in_threads(improve, rough), key=lambda coarse: coarse[0].rank)
-    apart = distinct([coarse[0] for coarse in improved], graph.areas, config.different)
+    apart = distinct_placements([coarse[0] for coarse in improved], graph.areas, config.different)
     most = config.hopeless * improved[0][0].rank
     hopeful = [coarse for coarse in improved if coarse[0] in apart and coarse[0].rank <= most]
     as_filed = [coarse for coarse in hopeful[config.max_finished :] if coarse[0].name == AS_FILED]
 
     def finish(coarse: list[Placement]) -> Placement:
-        found = refine_best(problem, coarse, None if coarse is improved[0] else 1)[0]
+        found = refine_cheapest(problem, coarse, None if coarse is improved[0] else 1)[0]
         return replace(found, name=coarse[0].name, doubt=coarse[0].doubt)
 
     return in_threads(finish, [*hopeful[: config.max_finished], *as_filed[:1]])
@@ -128,7 +128,7 @@ def released_fits(problem: Problem, rough: Sequence[Placement]) -> list[Placemen
 
 def search(
     problem: Problem,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     start: FloatArray | None = None,
     show: Callable[[Placement], None] = lambda _: None,
 ) -> list[Placement]:
@@ -151,7 +151,7 @@ def search(
         assigned, released = rough_fits(problem, not decided, show)
         progress("rough alignment")
         fits += [AnchoredFits.of(problem, one.shape(problem), one.vertices).like(rough) for one, rough in assigned]
-        found = released_fits(problem, released)
+        found = fit_released(problem, released)
     progress("elastic alignment")
     if fits:
         first, *others = sorted(fits, key=lambda one: one.refined[0].rank)
@@ -167,24 +167,24 @@ def search(
     cheapest = min(placed.cost for placed in ranked)
     if cheapest > config.of_one_kind:
         tips, most = Tips.of(problem), problem.prepared.elastic.search.max_cost * cheapest
-        tried = [placed for placed in distinct(ranked, areas, config.different) if placed.cost <= most]
+        tried = [placed for placed in distinct_placements(ranked, areas, config.different) if placed.cost <= most]
 
         def led(placed: Placement) -> Placement:
-            return led_by_tips(problem, tips, placed) if placed in tried else placed
+            return refit_to_tips(problem, tips, placed) if placed in tried else placed
 
         ranked = best_first(in_threads(led, ranked))
     elif not decided:
         return ranked
-    return [finished(problem, ranked[0]), *ranked[1:]]
+    return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
 
-def found_readings(
+def find_answers(
     problem: Problem, progress: Progress, show: Callable[[Placement], None] = lambda _: None
 ) -> tuple[Placement, ...]:
     """Different alignments of the target with the source, best first, by `search`."""
     prepared, answers = problem.prepared, dict[str, Placement]()
     different = prepared.elastic.search.different
-    for placed in distinct(search(problem, progress, show=show), prepared.rest.graph.areas, different):
+    for placed in distinct_placements(search(problem, progress, show=show), prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.constraints import Constraints
 from cagemap.deform.fit import coarse_fit
-from cagemap.deform.placement import Placement, distinct
+from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.maps.hypotheses.search import rough_problem
@@ -71,7 +71,7 @@ JUMPING = "the map jumps between parts that only touch"
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
-def findings(signs: Mapping[str, float]) -> list[str]:
+def describe_signs(signs: Mapping[str, float]) -> list[str]:
     """What a user should know of the signs that are beyond their bounds."""
     beyond = [(sign, signs[name]) for name, sign in SIGNS.items() if signs.get(name, 0.0) > sign.bound]
     return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
@@ -85,7 +85,7 @@ def median_distortion(found: PointMap, counts: FloatArray | None = None) -> floa
     return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
 
-def jumps(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
+def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
     """(n,) how far a map jumps at the vertices of the level that is deformed, of sqrt(area); 0 where it does not.
 
     It jumps where neighbours on one surface are far from each other along the other: no cost sees that at a contact.
@@ -115,8 +115,8 @@ def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
 
 
 def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> tuple[str, ...]:
-    """A warning if the map is discontinuous on more of the area than the bound allows; see `jumps`."""
-    farthest = jumps(prepared, found, counts)
+    """A warning if the map is discontinuous on more of the area than the bound allows; see `jump_lengths`."""
+    farthest = jump_lengths(prepared, found, counts)
     share = jump_share(prepared, farthest)
     if share <= SIGNS["jumps"].bound:
         return ()
@@ -176,7 +176,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
                 return coarse_fit(onto, start, shape).cost
 
         nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
-        tried = distinct(nearest, graph.areas, config.alike)[: config.mirrored_starts]
+        tried = distinct_placements(nearest, graph.areas, config.alike)[: config.mirrored_starts]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
     given = least(source, constraints, positions[rough.shape.vertices])

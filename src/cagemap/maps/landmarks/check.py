@@ -34,7 +34,7 @@ from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.topology import cells, handle_count
+from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 
@@ -149,7 +149,7 @@ def checked_map(
     if accused is None:
         accused, notes = {}, [CONTRADICTION]
     left_out, trusted = set(accused), problem
-    if left_out and grown_together(pair, config):
+    if left_out and has_merged_parts(pair, config):
         left_out, notes = set(), [kept_note(accused, names, GROWN)]
     if left_out:
         progress("map without doubtful landmarks")
@@ -159,7 +159,7 @@ def checked_map(
         if costs[0] < max(slip[evidence] for evidence in accused.values()) * costs[1]:
             left_out, trusted, notes = set(), problem, [kept_note(accused, names, NO_BETTER)]
     current, ends = elastic_map(trusted, progress)
-    confirmed = {i for i in left_out if miss(pair, current, i)[0] < config.confirmed}
+    confirmed = {i for i in left_out if landmark_miss(pair, current, i)[0] < config.confirmed}
     if confirmed:
         left_out -= confirmed
         trusted = problem.without(left_out)
@@ -195,7 +195,7 @@ def coarse_map_cost(problem: Problem) -> float:
     return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
 
 
-def grown_together(pair: Pair, config: LandmarkConfig) -> bool:
+def has_merged_parts(pair: Pair, config: LandmarkConfig) -> bool:
     """Whether one surface has handles that the other lacks, as where a scan joins a hand to the hip that it touches.
 
     Distances along it are too short there. Small handles, of noise, do not count.
@@ -209,7 +209,7 @@ def grown_together(pair: Pair, config: LandmarkConfig) -> bool:
 def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
     """Handles that no cell holds by itself, in that of some lattices whose cells hold most."""
     size = 0.5 * config.min_distance * float(np.sqrt(face_areas(mesh).sum()))
-    return handle_count(mesh) - max(handle_count(mesh, cells(mesh, size, offset)) for offset in OFFSETS)
+    return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
 
 
 def kept_note(accused: dict[int, str], names: Sequence[str], why: str) -> str:
@@ -256,9 +256,9 @@ def checked_changes(
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
-    if wrong and grown_together(pair, config):
+    if wrong and has_merged_parts(pair, config):
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
-    found = [i for i in sorted(wrong) if miss(pair, before, i)[0] >= config.confirmed]
+    found = [i for i in sorted(wrong) if landmark_miss(pair, before, i)[0] >= config.confirmed]
     new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in found)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
@@ -275,10 +275,12 @@ def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evid
     """A pair that a map was made without, and where that map puts it."""
     at_vertex, near = vertices_at(pair.landmarks.source), pair.source_landmarks
     given = int(np.where(at_vertex < 0, near, at_vertex)[place])
-    return LandmarkSuspect(names[place], place, *miss(pair, found, place), source_vertex=given, evidence=evidence)
+    return LandmarkSuspect(
+        names[place], place, *landmark_miss(pair, found, place), source_vertex=given, evidence=evidence
+    )
 
 
-def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
+def landmark_miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
     """How far from its source place a map puts a landmark, of sqrt(area), and the control vertex nearest to there."""
     only = pair.landmarks.only([landmark])
     place = only.target.interpolate(point_map.images.positions)

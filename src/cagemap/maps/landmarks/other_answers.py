@@ -12,10 +12,10 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, cost_signs
-from cagemap.maps.hypotheses.search import found_readings
+from cagemap.maps.hypotheses.search import find_answers
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
-from cagemap.maps.pair import PointPairs, Progress, silent
+from cagemap.maps.pair import PointPairs, Progress, no_progress
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -37,14 +37,14 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
 
 
 def mirrored_readings(
-    problem: Problem, given: Placement, check: LandmarkCheck, progress: Progress = silent
+    problem: Problem, given: Placement, check: LandmarkCheck, progress: Progress = no_progress
 ) -> tuple[Confidence | None, LandmarkCheck]:
     """Two answers for landmarks that seem mirrored: as given, and with those exchanged that shapes alone suggest.
 
     None where shapes put too few landmarks near others, or landmarks cost nothing: the check loses its note then.
     """
     prepared, pair = problem.prepared, problem.pair
-    best = found_readings(problem.without(range(len(pair.landmarks))), progress)[0]
+    best = find_answers(problem.without(range(len(pair.landmarks))), progress)[0]
     config = prepared.elastic.landmarks
     if given.cost < config.mirrored_cost * best.cost:
         return None, replace(check, notes=tuple(note for note in check.notes if note != MIRRORED_NOTE))

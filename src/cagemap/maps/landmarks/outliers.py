@@ -18,8 +18,8 @@ import numpy as np
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import parts
-from cagemap.surface.triangles import normalized
+from cagemap.numerics.threads import row_slices
+from cagemap.surface.triangles import normalize_rows
 
 # Terms of sums over triples of landmarks that are held at a time.
 MOST_TERMS = 4_000_000
@@ -108,7 +108,7 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
     while len(trusted) >= config.fewest_judged and len(wrong) <= most:
-        misplaced = worst_placed(target, source, trusted, at_once)
+        misplaced = worst_placed_pairs(target, source, trusted, at_once)
         if not misplaced:
             break
         wrong.extend(misplaced)
@@ -116,14 +116,16 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
     return np.array(wrong, dtype=np.int64)
 
 
-def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
+def worst_placed_pairs(
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int
+) -> list[int]:
     """Up to so many trusted pairs whose given place fits much worse than the best one, worst first."""
     (gain, node, distance), config = place_by_distances(target, source, trusted), target.config
     gain = np.where(distance >= config.min_distance, gain, 0.0)
     found: list[int] = []
     while len(found) < count:
         worst = int(np.argmax(gain))
-        if gain[worst] > 0.0 and farther_out(target, source, trusted, worst, int(node[worst]), distance[worst]):
+        if gain[worst] > 0.0 and lies_farther_out(target, source, trusted, worst, int(node[worst]), distance[worst]):
             gain[worst] = 0.0
             continue
         others = trusted[trusted != worst]
@@ -134,7 +136,7 @@ def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: 
     return found
 
 
-def farther_out(
+def lies_farther_out(
     target: LandmarkDistances,
     source: LandmarkDistances,
     trusted: IndexArray,
@@ -192,7 +194,7 @@ def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray, most: f
     """(p, p) ``sum_k w_ik min(|wanted_ik - found_jk|, most)`` for landmarks i at the vertices of j."""
     p = len(wanted)
     total = np.empty((p, p))
-    for rows in parts(p, max(1, MOST_TERMS // max(p * p, 1))):
+    for rows in row_slices(p, max(1, MOST_TERMS // max(p * p, 1))):
         ratios = np.abs(wanted[rows, None] - found[None])
         total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, most))
     return total
@@ -240,7 +242,7 @@ def exchanged_sides(
     for place in asked[gains[asked] > 0.0]:
         both = int(place) // p, int(place) % p
         given = agreement_around(both, target, source, near, config.flat)
-        exchanged = agreement_around(both, target, _exchanged(source, both), near, config.flat)
+        exchanged = agreement_around(both, target, _exchange_places(source, both), near, config.flat)
         if given < config.side_disagreed and exchanged > config.side_agreed and exchanged - given > most:
             best, most = both, exchanged - given
     return best
@@ -270,17 +272,17 @@ def _changed_squared(positions: FloatArray, others: FloatArray, short: float) ->
 
 def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark i."""
-    units = normalized(positions - positions[i])
+    units = normalize_rows(positions - positions[i])
     return np.asarray(np.cross(normals[i], units) @ units.T)
 
 
 def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark j."""
-    units = normalized(positions[None] - positions[:, None])
+    units = normalize_rows(positions[None] - positions[:, None])
     return np.asarray(np.einsum("id,ikd->ik", np.cross(normals, units[:, j]), units))
 
 
-def _exchanged(marks: Marks, places: tuple[int, int]) -> Marks:
+def _exchange_places(marks: Marks, places: tuple[int, int]) -> Marks:
     """Marks with those at two places exchanged."""
     order: IndexArray = np.arange(len(marks[0]))
     order[list(places)] = places[::-1]

@@ -21,7 +21,7 @@ from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
-from cagemap.numerics.threads import kept, parts
+from cagemap.numerics.threads import kept, row_slices
 
 # Landmarks whose blocks of H are worked out at once.
 LANDMARKS_AT_ONCE = 32
@@ -58,7 +58,7 @@ class ReducedEnergy:
         """(p, 3, 3) diagonal blocks of H."""
         count = len(self.load) // 3
         blocks = np.empty((count, 3, 3))
-        for part in parts(count, LANDMARKS_AT_ONCE):
+        for part in row_slices(count, LANDMARKS_AT_ONCE):
             rows = slice(3 * part.start, 3 * part.stop)
             coupling = self.coupling[:, rows]
             found = self.own[rows, rows].toarray() - coupling.T @ self.others.solve(coupling.toarray())

@@ -18,7 +18,14 @@ from scipy.spatial import Delaunay
 
 from cagemap.deform.config import ProjectionConfig
 from cagemap.errors import SolverError
-from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
+from cagemap.maps.projection.relax import (
+    BoolArray,
+    convex_rows,
+    flipped_rings,
+    label_patches,
+    neighbour_means,
+    touched_triangles,
+)
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor_general
@@ -57,7 +64,7 @@ def flatten_folded_parts(
     """
     for part in folded_parts(target, flipped, config):
         for growth in config.growths:
-            found = _flattened(images, part, growth, target, held, config)
+            found = _flatten_part(images, part, growth, target, held, config)
             if found is None:
                 continue
             chosen, new = found
@@ -81,14 +88,16 @@ def folded_parts(
     if not config.min_part <= areas.sum() <= config.max_folded:
         return []
     n = target.n
-    part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * config.part_distance * np.sqrt(n))), n))
+    part = label_patches(
+        triangles, flipped_rings(triangles, flipped, max(1, round(0.5 * config.part_distance * np.sqrt(n))), n)
+    )
     share = np.bincount(part[triangles[flipped, 0]], areas)
     vertices = np.unique(triangles[flipped])
     large = np.flatnonzero(share >= config.min_part)
     return [vertices[part[vertices] == k] for k in large[np.argsort(-share[large])]]
 
 
-def _flattened(
+def _flatten_part(
     images: SurfacePoints,
     part: IndexArray,
     growth: float,
@@ -120,12 +129,12 @@ def _flattened(
     plane = flat_disc(below)
     before = np.einsum("nk,nkd->nd", now.barycentric, plane[below.triangles[at]])
     try:
-        after = combined(convex_weights(before, disc), before, disc.inside)
+        after = combine_points(convex_weights(before, disc), before, disc.inside)
     except SolverError:  # points of the map coincide to rounding
         return None
     fixed = disc.inside & np.isin(disc.vertices, held)
     chosen = np.flatnonzero(fixed)
-    moved = moved_to(after, disc.rim, chosen, before[fixed], config.disc_steps) if len(chosen) else after
+    moved = move_points(after, disc.rim, chosen, before[fixed], config.disc_steps) if len(chosen) else after
     if moved is None:
         return None
     free = disc.inside & ~fixed
@@ -139,7 +148,7 @@ def flat_disc(disc: Disc) -> FloatArray:
     angles = 2.0 * np.pi * np.arange(len(disc.rim)) / len(disc.rim)
     plane = np.zeros((len(disc.vertices), 2))
     plane[disc.rim] = np.column_stack([np.cos(angles), np.sin(angles)])
-    return combined(neighbour_means(disc.triangles, disc.inside), plane, disc.inside)
+    return combine_points(neighbour_means(disc.triangles, disc.inside), plane, disc.inside)
 
 
 def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
@@ -164,13 +173,13 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
     # All angles may be positive and still go around twice.
     upright &= np.abs(whole - 2.0 * np.pi) < 1e-3
     upright |= ~inside
-    patch = patches(triangles, upright)
+    patch = label_patches(triangles, upright)
     kept = upright & np.isin(patch, patch[~inside])
     row, value = np.concatenate(rows), np.concatenate(weights)
     return convex_rows(row, np.concatenate(columns), np.where(kept[row] & np.isfinite(value), value, 1.0), inside)
 
 
-def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
+def combine_points(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
     """(n, 2) places where every vertex inside is the combination (v, n) of all, and the others stay; or SolverError."""
     if not inside.any():  # a disc so small that all its vertices are on the rim
         return places
@@ -181,7 +190,7 @@ def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -
     return result
 
 
-def moved_to(
+def move_points(
     places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: FloatArray, steps: int
 ) -> FloatArray | None:
     """Places (n, 2) after some of them moved to their goals, the others with them, one-to-one; the rim stays.
@@ -234,14 +243,14 @@ def _disc_in(
     ball: BoolArray, triangles: IndexArray, seeds: IndexArray, max_share: float, *, whole: bool = False
 ) -> Disc | None:
     """The disc of triangles with one corner, or all, in that part of a ball that is connected with the seeds."""
-    patch = patches(triangles, ball)
+    patch = label_patches(triangles, ball)
     inside = ball & np.isin(patch, patch[seeds])
 
     def disc(inside: BoolArray) -> Disc | None:
         chosen = inside[triangles].all(axis=1) if whole else touched_triangles(triangles, inside)
         return _disc(triangles, np.flatnonzero(chosen), max_share * len(inside))
 
-    return disc(inside) or disc(_filled(triangles, inside))
+    return disc(inside) or disc(_fill_holes(triangles, inside))
 
 
 def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:
@@ -260,11 +269,11 @@ def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Dis
     return Disc(vertices, chosen, corners, rim) if len(rim) == border.nnz else None
 
 
-def _filled(triangles: IndexArray, inside: BoolArray) -> BoolArray:
+def _fill_holes(triangles: IndexArray, inside: BoolArray) -> BoolArray:
     """Vertices inside and those that they surround: all that is not connected with most of the others."""
     if inside.all():
         return inside
-    patch = patches(triangles, ~inside)
+    patch = label_patches(triangles, ~inside)
     return np.asarray(patch != np.bincount(patch[~inside]).argmax())
 
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.deform.config import ProjectionConfig
-from cagemap.maps.quality import flipped_triangles, upside_down
-from cagemap.numerics.arrays import FloatArray, IndexArray, components, read_only
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.maps.quality import flipped_triangles, inverted_triangles
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, read_only
+from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import CACHED, normalized
+from cagemap.surface.triangles import CACHED, normalize_rows
 
 BoolArray = NDArray[np.bool_]
 
@@ -40,7 +40,7 @@ def relax_folds(
     if not flipped.any():
         return images, flipped
     # Only vertices within the largest number of rings can change: continue with the triangles around them, renumbered.
-    inner = around(triangles, flipped, config.rings[-1], len(images))
+    inner = flipped_rings(triangles, flipped, config.rings[-1], len(images))
     region = touched_triangles(triangles, inner)
     vertices, local_triangles = _renumbered(triangles[region], len(images))
     # Folds may spread while they are relaxed. Vertices at the border stay: some of their triangles are not here.
@@ -50,15 +50,15 @@ def relax_folds(
     places = np.hstack([local.positions, local.normals])
     for ring in config.rings:
         before = folded.sum()
-        inside = around(local_triangles, folded, ring, len(vertices)) & movable
+        inside = flipped_rings(local_triangles, folded, ring, len(vertices)) & movable
         moved = np.flatnonzero(inside)
         new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight, config.sweeps)
         tried = places.copy()
         tried[moved] = np.hstack([new.positions, new.normals])
         touched = touched_triangles(local_triangles, inside)
         positions, normals = np.ascontiguousarray(tried[:, :3]), np.ascontiguousarray(tried[:, 3:])
-        still = upside_down(positions, normals, local_triangles[touched])
-        kept = _improved(local_triangles[touched], inside, folded[touched], still)
+        still = inverted_triangles(positions, normals, local_triangles[touched])
+        kept = _improved_patches(local_triangles[touched], inside, folded[touched], still)
         # A triangle's moved corners belong to one patch: all of them are kept, or none.
         settled = touched_triangles(local_triangles[touched], kept)
         folded[touched] = np.where(settled, still, folded[touched])
@@ -90,13 +90,13 @@ def _relaxed(
     own, moved = means[vertices], places.copy()
     for _ in range(sweeps):
         averaged = own @ moved
-        averaged[:, 3:] = normalized(averaged[:, 3:])
+        averaged[:, 3:] = normalize_rows(averaged[:, 3:])
         moved[vertices] = averaged
     positions, normals = moved[vertices, :3], moved[vertices, 3:]
     return SurfacePoints.nearest(surface, positions, normals, normal_weight=normal_weight, guess=guess)
 
 
-def around(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
+def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
     """(n,) which vertices are those of flipped triangles and of some rings around them."""
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
@@ -124,13 +124,13 @@ def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
         first, second, third = (inside.take(corner) for corner in triangles[part].T)
         touched[part] = first | second | third
 
-    in_threads(fill, parts(len(triangles), CACHED))
+    in_threads(fill, row_slices(len(triangles), CACHED))
     return touched
 
 
-def _improved(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
+def _improved_patches(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
     """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
-    patch = patches(near, inside)
+    patch = label_patches(near, inside)
     # The inside corners of a triangle are neighbours, so that any of them names its patch.
     corner = np.argmax(inside[near], axis=1)
     patch_of = patch[near[np.arange(len(near)), corner]]
@@ -138,13 +138,13 @@ def _improved(near: IndexArray, inside: BoolArray, before: BoolArray, after: Boo
     return np.asarray(inside & (gain[patch] > 0))
 
 
-def patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
+def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
     near = triangles[touched_triangles(triangles, inside)]
     heads, tails = near.T.ravel(), near[:, [1, 2, 0]].T.ravel()
     joined = inside[heads] & inside[tails]
-    return components(heads[joined], tails[joined], n)
+    return label_components(heads[joined], tails[joined], n)
 
 
 def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:

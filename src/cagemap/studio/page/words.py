@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from cagemap.mesh.mesh_report import counted
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
@@ -56,7 +56,7 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     percent = 100 * float((preview_map.trust < DOUBTFUL_TRUST).mean())
     doubts = f"{percent:.0f} % doubtful" if percent >= 0.5 else "no doubtful places"
     if landmarks:
-        return f"{counted(len(landmarks), 'landmark')} met, {doubts}"
+        return f"{count_noun(len(landmarks), 'landmark')} met, {doubts}"
     if not map_state.confidence:
         return doubts.capitalize()
     confidence = next((text for key, text in _VERDICTS.items() if key in map_state.confidence), "Sure")

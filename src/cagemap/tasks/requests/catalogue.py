@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.matching import MatchRequest
 from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
 from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
 
