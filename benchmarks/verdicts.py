@@ -21,7 +21,7 @@ def verdict(result: MatchResult) -> dict:
     if said is None:
         jumps = any(warning.startswith(JUMPING) for warning in result.quality.warnings)
         return {"said": LOOK if jumps else "", "signs": {}, "names": []}
-    names = [reading.name for reading in said.readings]
+    names = [reading.name for reading in said.answers]
     return {"said": said.verdict, "signs": dict(said.signs), "names": names}
 
 

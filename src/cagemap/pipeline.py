@@ -20,7 +20,7 @@ from cagemap.maps.elastic import elastic_map, hypothesis_map, known_map
 from cagemap.maps.hypotheses.confidence import prolong_answers
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
-from cagemap.maps.landmarks.other_answers import mirrored_readings, turned_limbs
+from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limbs
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
@@ -238,16 +238,16 @@ def match_pair(
                 known = hypothesis_map(problem, progress, preview)
             if known is not None:
                 point_map, confidence = known
-                ends = list(confidence.readings)
+                placements = list(confidence.answers)
             elif config.check_landmarks:
-                point_map, check, ends = checked_map(problem, landmarks.names, progress)
-                confidence = turned_limbs(ends, prepared)
+                point_map, check, placements = checked_map(problem, landmarks.names, progress)
+                confidence = turned_limbs(placements, prepared)
                 if MIRRORED_NOTE in check.notes:
-                    mirrored, check = mirrored_readings(problem, ends[0], check, progress)
+                    mirrored, check = mirrored_answers(problem, placements[0], check, progress)
                     confidence = mirrored or confidence
             else:
-                point_map, ends = elastic_map(problem, progress)
-        shared = SharedArea.of_fit(prepared, ends[0].answer)
+                point_map, placements = elastic_map(problem, progress)
+        shared = SharedArea.of_fit(prepared, placements[0].answer)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
     found = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
@@ -310,24 +310,22 @@ def update_match(
 def other_answer(
     before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = no_progress
 ) -> MatchResult:
-    """Another of the answers ``before.confidence.readings`` in place of the first, which is 0.
+    """Another of the answers ``before.confidence.answers`` in place of the first, which is 0.
 
     Raises
     ------
     ParameterError
         If there is no such answer, or only the match itself knew it.
     """
-    readings = () if before.confidence is None else before.confidence.readings
-    if not 0 <= index < len(readings):
-        found = (
-            f"one of the {len(readings)} that the match found, from 0" if readings else "0: the match found no other"
-        )
+    answers = () if before.confidence is None else before.confidence.answers
+    if not 0 <= index < len(answers):
+        found = f"one of the {len(answers)} that the match found, from 0" if answers else "0: the match found no other"
         raise ParameterError(f"answer {index}: expected {found}")
     config, landmarks = replace(config, masks=before.masks, answer=0), before.landmarks
     prepared = before.prepared or prepare_pair(before.target, before.source, config)
-    if readings[index].exchange:
-        return match_pair(prepared, landmarks.exchanged(readings[index].exchange), config, progress=progress)
-    if len(readings[index].positions) < prepared.mesh.n:
+    if answers[index].exchange:
+        return match_pair(prepared, landmarks.exchanged(answers[index].exchange), config, progress=progress)
+    if len(answers[index].positions) < prepared.mesh.n:
         raise ParameterError(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
@@ -336,9 +334,9 @@ def other_answer(
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            places = readings[index].positions[prepared.vertices]
+            places = answers[index].positions[prepared.vertices]
             point_map = map_of_places(prepared, places, met)
-        shared = SharedArea.of_fit(prepared, readings[index].positions)
+        shared = SharedArea.of_fit(prepared, answers[index].positions)
         judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress, shared)
     return replace(judged, confidence=before.confidence)
 

@@ -236,14 +236,14 @@ def test_hashes_depend_on_content_only(tmp_path: Path) -> None:
 
 def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: Path) -> None:
     places = result.point_map.images.positions
-    readings = (
+    answers = (
         Placement(places, 1e-4, name="as given"),
         Placement(places, 2e-4, name="mirrored", exchange=((0, 2), (2, 0))),
     )
-    unsure = Confidence(TWO, readings)
+    unsure = Confidence(TWO, answers)
     write_result(tmp_path / "R", replace(result, confidence=unsure))
     back = read_result(tmp_path / "R").confidence
-    assert [reading.exchange for reading in back.readings] == [(), ((0, 2), (2, 0))]
+    assert [reading.exchange for reading in back.answers] == [(), ((0, 2), (2, 0))]
 
 
 def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:

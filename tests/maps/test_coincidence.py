@@ -73,7 +73,7 @@ def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
     assert found.prepared.mesh.n < len(found.point_map.triangle)
     assert is_identity(found)
     np.testing.assert_allclose(
-        found.confidence.readings[0].positions[:5], found.point_map.images.positions[:5], atol=0.05
+        found.confidence.answers[0].positions[:5], found.point_map.images.positions[:5], atol=0.05
     )
     write_result(tmp_path / "RESULT", found)
     assert is_identity(read_result(tmp_path / "RESULT"))

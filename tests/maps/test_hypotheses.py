@@ -63,7 +63,7 @@ def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
     result = matched(twin.with_positions(twin.positions @ turn.T))
     assert result.confidence.verdict == SURE, result.confidence.summary()
     assert errors(result).mean() < 0.02
-    assert result.confidence.readings[0].name == rotation_name(turn)
+    assert result.confidence.answers[0].name == rotation_name(turn)
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alik
     # Elsewhere: surfaces that lie on each other are known at once.
     longer = prepare_surface(control.with_positions(centred * (1.4003, 0.8, 1.0) + 5.0), 2)
     result = match(box, longer)
-    assert result.confidence.readings[0].name == AS_FILED
+    assert result.confidence.answers[0].name == AS_FILED
     assert errors(result).max() < 1e-3
 
 

@@ -247,11 +247,11 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     monkeypatch.setattr(other_answers, "found_readings", lambda problem, progress: (other,))
     known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
-    doubt, kept = other_answers.mirrored_readings(Problem(prepared, points), dear, known)
+    doubt, kept = other_answers.mirrored_answers(Problem(prepared, points), dear, known)
     assert (doubt.verdict, kept) == (TWO, known)
-    assert [reading.cost for reading in doubt.readings] == [dear.cost, other.cost]
+    assert [reading.cost for reading in doubt.answers] == [dear.cost, other.cost]
     assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
-    none, kept = other_answers.mirrored_readings(Problem(prepared, points), cheap, known)
+    none, kept = other_answers.mirrored_answers(Problem(prepared, points), cheap, known)
     assert none is None
     assert kept.notes == ("another note",)
 

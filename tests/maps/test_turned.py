@@ -30,7 +30,7 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
     assert turned_share(prepared.mesh, places, turned) > bound
     best, cheap, dear = Placement(places, 1e-4), Placement(turned, 1.1e-4), Placement(turned, 1.3e-4)
     doubt = turned_limbs((best, cheap), prepared)
-    assert (doubt.verdict, doubt.readings[0].name) == (LOOK, AS_GIVEN)
+    assert (doubt.verdict, doubt.answers[0].name) == (LOOK, AS_GIVEN)
     control = slice(prepared.target.control.n_vertices)
     assert doubt.deciding == np.linalg.norm(turned - places, axis=1)[control].argmax()
     assert f"target vertex {doubt.deciding}" in doubt.message
@@ -46,4 +46,4 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
     moved = Placement(places, 1e-4, final=turned)
     assert turned_limbs((moved, slid), prepared) is None
     known = turned_limbs((moved, cheap), prepared)
-    np.testing.assert_array_equal(known.readings[0].positions, turned)
+    np.testing.assert_array_equal(known.answers[0].positions, turned)

@@ -221,13 +221,13 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers(scan: Surface) -> None:
     prepared = prepare_pair(surface, surface)
     known = Placement(prepared.mesh.positions, 1e-4, name="as the files stand")
     assert len(known.positions) < mesh.n_vertices
-    told = prolong_answers(Confidence("sure", (known,)), prepared).readings[0]
+    told = prolong_answers(Confidence("sure", (known,)), prepared).answers[0]
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(told.positions[prepared.vertices], known.positions)
     whole = replace(prepared, levels=(surface.finest, prepared.levels[1]))
     known = replace(known, positions=read_only(surface.finest_triangles.positions))
-    told = prolong_answers(Confidence("sure", (known,)), whole).readings[0]
+    told = prolong_answers(Confidence("sure", (known,)), whole).answers[0]
     np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)
 
 

@@ -89,12 +89,12 @@ def test_an_update_of_what_was_read_is_that_of_the_match(
 def test_without_landmarks_other_answers_are_read(matched: MatchResult, tmp_path: Path) -> None:
     count = matched.target.control.n_vertices
     places = matched.point_map.images.positions
-    readings = tuple(Placement(places + i, 2e-3 + i, name=name) for i, name in enumerate(("as it lies", "turned")))
-    confidence = Confidence.of(readings, count)
+    answers = tuple(Placement(places + i, 2e-3 + i, name=name) for i, name in enumerate(("as it lies", "turned")))
+    confidence = Confidence.of(answers, count)
     cagemap.write_result(tmp_path / "R", replace(matched, confidence=confidence))
     read = cagemap.read_result(tmp_path / "R")
     assert read.confidence.message == confidence.message
-    np.testing.assert_allclose(read.confidence.readings[1].positions, places[:count] + 1)
+    np.testing.assert_allclose(read.confidence.answers[1].positions, places[:count] + 1)
     with pytest.raises(ParameterError, match="match again"):
         other_answer(read, 1)
 

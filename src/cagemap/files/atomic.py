@@ -101,8 +101,8 @@ def atomic_path(
     points to is written and the link stays.
     FormatError: see `require_replaceable`; also if the disk is full, or ``verify`` says no.
 
-    ``owned``: whether an existing file may be replaced without ``force``. ``verify``: whether the temporary file holds
-    all that was to be written. For libraries that report no full disk.
+    ``owned``: whether an existing file may be replaced without ``force``.
+    ``verify``: whether the temporary file holds all that was to be written. For libraries that report no full disk.
     """
     check = partial(require_replaceable, final, force=force, owned=owned)
     check()
@@ -153,8 +153,8 @@ def atomic_folder(
     A folder that is not there appears whole. In one that is there files are replaced one by one, in the order of
     ``names``, and all others are left alone.
 
-    ``names``: the files that the block writes; the last one says that the others are there. ``force``, ``owned``: see
-    `atomic_path`.
+    ``names``: the files that the block writes; the last one says that the others are there.
+    ``force``, ``owned``: see `atomic_path`.
     """
     require_own_folder(final, names, force=force, owned=owned)
     target = _real(final)

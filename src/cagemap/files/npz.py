@@ -103,7 +103,8 @@ def check_arrays(
 ) -> dict[str, NDArray[Any]]:
     """Arrays that are what their specs say, as int64 or float64 and read-only; others are left out.
 
-    ``sizes``: sizes known beforehand; those found are added. ``remedy``: last sentence of every message.
+    ``sizes``: sizes known beforehand; those found are added.
+    ``remedy``: last sentence of every message.
     """
     missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
     if missing:

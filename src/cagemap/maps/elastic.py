@@ -40,8 +40,8 @@ def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     target, source = pair.target.finest_triangles, pair.source.finest_triangles
     if same_surface(pair, masks):
         moved = (source.positions - target.positions).mean(axis=0)
-        reading = Placement(prepared.mesh.positions + moved, 0.0, name=ONE_SURFACE)
-        return PointMap.from_vertices(target, source, np.arange(target.n)), Confidence.of((reading,), count)
+        answer = Placement(prepared.mesh.positions + moved, 0.0, name=ONE_SURFACE)
+        return PointMap.from_vertices(target, source, np.arange(target.n)), Confidence.of((answer,), count)
     found = prepared.coincidence
     if found is None:
         return None
@@ -58,8 +58,8 @@ def known_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
         )
     apart = f"{100 * found.gap:.2f} % of the model's size apart"
     name = f"as it stands, {apart}: vertices go to the closest points of the same side"
-    reading = Placement(point_map.images.at(prepared.vertices).positions, found.gap**2, name=name)
-    return point_map, Confidence.of((reading,), count)
+    answer = Placement(point_map.images.at(prepared.vertices).positions, found.gap**2, name=name)
+    return point_map, Confidence.of((answer,), count)
 
 
 def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
@@ -119,18 +119,18 @@ def hypothesis_map(
             places = rough.on(prepared.rest.graph, prepared.elastic.graph)
             preview(map_of_places(prepared, places, pair.landmarks))
 
-    readings = find_answers(problem, progress, show)
+    answers = find_answers(problem, progress, show)
     progress("closest points")
-    found = map_of_places(prepared, readings[0].positions, pair.landmarks)
-    shared, counts = SharedArea.of_fit(prepared, readings[0].positions), None
+    found = map_of_places(prepared, answers[0].positions, pair.landmarks)
+    shared, counts = SharedArea.of_fit(prepared, answers[0].positions), None
     if shared is not None:  # what has no counterpart says nothing about the map
         counts = shared.within(prepared.masks).of_target(found.target.n)
     farthest, controls = jump_lengths(prepared, found, counts), pair.target.control.n_vertices
     signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(found, counts)}
-    confidence = Confidence.of(readings, controls, signs)
+    confidence = Confidence.of(answers, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs
-        signs["mirrored"] = mirrored_gain(problem, readings[0].positions)
-        confidence = Confidence.of(readings, controls, signs)
+        signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
+        confidence = Confidence.of(answers, controls, signs)
     if signs["jumps"] > SIGNS["jumps"].bound:  # decided there, whatever other answers differ in
         places = prepared.mesh.positions
         confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[farthest.argmax()])[1]))

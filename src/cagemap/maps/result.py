@@ -237,7 +237,7 @@ class MatchResult:
     def runner_up_images(self) -> FloatArray:
         """(r, n_0, 3) where other answers put the target's control vertices, about, in the source file's lengths."""
         count = self.target.control.n_vertices
-        others = self.confidence.readings[1:] if self.confidence else ()
+        others = self.confidence.answers[1:] if self.confidence else ()
         known = [other.positions[:count] / self.source.scale for other in others if len(other.positions) >= count]
         return np.array(known).reshape(len(known), count, 3)
 

@@ -321,7 +321,7 @@ def _answers_section(result: MatchResult, gallery: Gallery) -> str:
     """The map and its runner-up side by side, if the map is not sure."""
     if result.confidence is None or not gallery.answers:
         return ""
-    best, other = result.confidence.readings[:2]
+    best, other = result.confidence.answers[:2]
     body = ""
     for best_figure, (runner_up, difference) in zip(gallery.maps, gallery.answers, strict=True):
         view = best_figure.view

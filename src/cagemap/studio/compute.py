@@ -287,7 +287,7 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
         assert cache.pair_files is not None
         cache = replace(cache, character=animated_character(cache.pair_files.source))
     map_state = MapState(
-        answers=() if free is None else number_duplicates([reading.name for reading in free.readings]),
+        answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,
         confidence="" if result.confidence is None or cache.chosen_answer else result.confidence.message,
         strain=_landmark_strain(result),
@@ -308,8 +308,8 @@ def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:
     if len(landmark_vertices) == count:
         return None
     confidence = None if cache.free_match is None else cache.free_match.confidence
-    readings = () if confidence is None else confidence.readings
-    others = [reading.positions[:count] for k, reading in enumerate(readings) if k != cache.chosen_answer]
+    answers = () if confidence is None else confidence.answers
+    others = [answer.positions[:count] for k, answer in enumerate(answers) if k != cache.chosen_answer]
     images = result.point_map.images.positions[:count]
     runners_up = np.array(others).reshape(len(others), count, 3)
     trust = result.quality.trust[:count]

@@ -186,8 +186,9 @@ def bake_tiles(
 
     What is masked is the base image, or gets alpha.
 
-    ``request``: its output is the image to write, or a pattern for several tiles. ``bake``: ``options``, which say the
-    tile -> what was baked. ``name``: of the map, to be shown.
+    ``request``: its output is the image to write, or a pattern for several tiles.
+    ``bake``: ``options``, which say the tile -> what was baked.
+    ``name``: of the map, to be shown.
     """
     return write_tiles(
         request.output,
@@ -212,7 +213,8 @@ def write_tiles(
 ) -> Baked:
     """The loop of `bake_tiles`, for any layout.
 
-    ``tiles``: UDIM numbers; [0] for a layout in the unit square. ``bake``, ``stages``, ``name``: as in `bake_tiles`.
+    ``tiles``: UDIM numbers; [0] for a layout in the unit square.
+    ``bake``, ``stages``, ``name``: as in `bake_tiles`.
     ``finished``: what is written of an image that was baked.
     """
     with ThreadPool(1) as aside:

@@ -150,8 +150,9 @@ def bake_detail(
 ) -> list[str]:
     """Bake and write all images; returns a line about each.
 
-    ``colors``: (n, 3) or None, at the detail's vertices, where colours are asked for. ``units``: whose units lengths
-    are in, as the reader is told. ``finished``: of every kind, what is written of an image that was baked.
+    ``colors``: (n, 3) or None, at the detail's vertices, where colours are asked for.
+    ``units``: whose units lengths are in, as the reader is told.
+    ``finished``: of every kind, what is written of an image that was baked.
     """
     lines, request = [], bakes.request
     for kind, path in bakes.images.items():

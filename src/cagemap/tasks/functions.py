@@ -70,9 +70,10 @@ def functions_at(
 ) -> dict[str, FloatArray]:
     """Functions of some `KINDS` at the vertices of a level, and what they are made of.
 
-    ``filters``: (int, int), heat and wave filters. ``points``: (p,), control vertices that kernels start from. Returns
-    of each kind (n, q), by its name with ``_`` for ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with signatures
-    and kernels ``heat_times``, ``wave_energies``; with kernels ``points``. Kernel j of point i is column ``i q + j``.
+    ``filters``: (int, int), heat and wave filters.
+    ``points``: (p,), control vertices that kernels start from. Returns of each kind (n, q), by its name with ``_`` for
+        ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with signatures and kernels ``heat_times``,
+        ``wave_energies``; with kernels ``points``. Kernel j of point i is column ``i q + j``.
     """
     on = surface.finest if surface.refinement.is_plain else level
     rows, eigenvalues = research.eigenfunctions(surface, on)

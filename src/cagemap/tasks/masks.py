@@ -155,8 +155,8 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
     """Read what a mask option says about a file's mesh.
 
     ``text``: a file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's
-    primvar, or names of objects, groups, materials or components; after ``not:`` all but that. ``edge``: width of the
-    soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
+        primvar, or names of objects, groups, materials or components; after ``not:`` all but that.
+    ``edge``: width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
     """
     inverted = text.startswith(NOT)
     name = text.removeprefix(NOT)

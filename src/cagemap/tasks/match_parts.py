@@ -60,8 +60,10 @@ def chosen_parts(
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
     """What is matched of two files, and sentences about what is left alone.
 
-    ``target``, ``source``: as in their files. ``landmarks``: in the files' numbers. ``target_part``, ``source_part``: a
-    part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for the whole. See `asked_parts`.
+    ``target``, ``source``: as in their files.
+    ``landmarks``: in the files' numbers.
+    ``target_part``, ``source_part``: a part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for
+        the whole. See `asked_parts`.
     """
     # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))

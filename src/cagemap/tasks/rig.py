@@ -209,7 +209,8 @@ def with_choice(
 ) -> FloatArray:
     """Carried weights (n, j), made symmetric if asked; joints that are not chosen keep the target's own weights.
 
-    ``carried``: (n, j). ``names``: of the joints; empty where the weights have none.
+    ``carried``: (n, j).
+    ``names``: of the joints; empty where the weights have none.
     """
     for option, asked in (("--mirror", request.mirror), ("--only", request.only is not None)):
         if asked and not names:

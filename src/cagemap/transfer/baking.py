@@ -279,9 +279,11 @@ def run_bake(
 ) -> Pixels:
     """Run the bake: rasterise, locate and shade band by band, then fill the background.
 
-    ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle. ``shade``: samples
-    -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several threads. ``dtype``: number
-    type of the result; integers are rounded and clipped. ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
+    ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle.
+    ``shade``: samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several
+        threads.
+    ``dtype``: number type of the result; integers are rounded and clipped.
+    ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)

@@ -44,8 +44,9 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     """Values combined with weights; of integers and booleans (labels) the one with the largest weight.
 
-    ``weights``: (n1, n2), rows not negative, with at least one entry. ``values``: (n2,) or (n2, q), a row of several
-    integers is one label. Returns (n1,) or (n1, q), of the same kind. Where two labels weigh the same, the smaller one.
+    ``weights``: (n1, n2), rows not negative, with at least one entry.
+    ``values``: (n2,) or (n2, q), a row of several integers is one label. Returns (n1,) or (n1, q), of the same kind.
+        Where two labels weigh the same, the smaller one.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:
@@ -76,8 +77,10 @@ def corner_weights(
     A corner takes its value from its own side of a seam: a walk from the centre of the refined triangle at the corner
     to the image of its vertex never crosses a seam.
 
-    ``target``, ``source``: up to the levels of the transfer. ``nodes``: (c2,), node of every corner of the source's
-    control faces; faces that do not share nodes along an edge have a seam there. ``count``: number of nodes.
+    ``target``, ``source``: up to the levels of the transfer.
+    ``nodes``: (c2,), node of every corner of the source's control faces; faces that do not share nodes along an edge
+        have a seam there.
+    ``count``: number of nodes.
     """
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)

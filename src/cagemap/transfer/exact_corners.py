@@ -58,8 +58,9 @@ def make_lookups_exact(
 ) -> None:
     """Change an image of floats, in place and as little as possible, so that its lookups are exact.
 
-    ``image``: (h, w, c). ``places``: (k, 2), texel coordinates. ``targets``: from the current lookups (k, c) to their
-    targets; called once a round.
+    ``image``: (h, w, c).
+    ``places``: (k, 2), texel coordinates.
+    ``targets``: from the current lookups (k, c) to their targets; called once a round.
     """
     if not len(places):
         return

@@ -61,8 +61,9 @@ def whole_triangles(
 
     Exactly three vertices of the source have weights in these images, and they form a triangle.
 
-    ``target_triangles``: (t1, 3). ``source_triangles``: (t2, 3). ``triangle``, ``barycentric``: (n1,) and (n1, 3),
-    where target vertices lie on the source.
+    ``target_triangles``: (t1, 3).
+    ``source_triangles``: (t2, 3).
+    ``triangle``, ``barycentric``: (n1,) and (n1, 3), where target vertices lie on the source.
     """
     corners = source_triangles[triangle]
     heaviest = np.take_along_axis(corners, barycentric.argmax(axis=1)[:, None], axis=1)
@@ -143,10 +144,11 @@ def locate_samples(
 ) -> TexelSamples:
     """Find the source points of a grid of samples in every texel.
 
-    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners. ``cells``: (k,), the texels, as
-    ``(row - top) * width + column``, ascending. Whole rows at a time make results repeatable where a map is torn and a
-    point has several closest ones. ``target_triangle``: (k,), target triangle of every texel. ``samples_per_axis``:
-    (t1, 2), samples along x and y in a texel of each target triangle.
+    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners.
+    ``cells``: (k,), the texels, as ``(row - top) * width + column``, ascending. Whole rows at a time make results
+        repeatable where a map is torn and a point has several closest ones.
+    ``target_triangle``: (k,), target triangle of every texel.
+    ``samples_per_axis``: (t1, 2), samples along x and y in a texel of each target triangle.
     """
     along = samples_per_axis[target_triangle]
     first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
@@ -186,9 +188,10 @@ def walk_from(
 ) -> tuple[IndexArray, FloatArray]:
     """Walk from triangles to points close to the surface, across the edges that ``neighbors`` opens.
 
-    ``frames``, ``neighbors``: as in `MappedSurface`. ``starts``: (k,), triangle where each walk begins. ``points``: (k,
-    3). Returns ``triangle`` (k,); ``barycentric`` (k, 3), not negative, rows sum to 1; the border of the last triangle
-    where the way ends before the point.
+    ``frames``, ``neighbors``: as in `MappedSurface`.
+    ``starts``: (k,), triangle where each walk begins.
+    ``points``: (k, 3). Returns ``triangle`` (k,); ``barycentric`` (k, 3), not negative, rows sum to 1; the border of
+        the last triangle where the way ends before the point.
     """
     found, inside = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
     _walk_all(frames, neighbors, np.ascontiguousarray(starts), np.ascontiguousarray(points), found, inside)

@@ -51,9 +51,11 @@ def plan_lookups(
 ) -> Lookups:
     """Plan how a raster of the target's layout reads a texture.
 
-    ``layout``: the target's, in raster cells. ``supersample``: raster cells along a texel's side. ``exact``: see
-    `MipMaps.build`. ``kind``: "smooth", "linear" or "nearest", interpolation where the texture is not minified; nearest
-    is used everywhere.
+    ``layout``: the target's, in raster cells.
+    ``supersample``: raster cells along a texel's side.
+    ``exact``: see `MipMaps.build`.
+    ``kind``: "smooth", "linear" or "nearest", interpolation where the texture is not minified; nearest is used
+        everywhere.
     """
     centers = locate_centers(mapped)
     if kind == "nearest":
@@ -129,9 +131,9 @@ def texel_spans(
     of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
     along x and along y.
 
-    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners. ``source_texels``: (t2, 3, 2),
-    texel coordinates of the source triangles' corners in the source texture. ``source``: (t1,), source triangle at the
-    image of every target triangle's centre.
+    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners.
+    ``source_texels``: (t2, 3, 2), texel coordinates of the source triangles' corners in the source texture.
+    ``source``: (t1,), source triangle at the image of every target triangle's centre.
     """
     found = np.empty((len(source), 2))
 

@@ -54,10 +54,10 @@ class MipMaps:
 
         Level l has half the frequencies of level l - 1 at that one's size, where bilinear lookups see them well.
 
-        ``of_triangle``: (t1,), see `cagemap.transfer.lookups.mip_levels`. ``coverage``: which texels lie in the
-        source's layout, by tile; only these tiles are halved. ``exact``: halve to floats, and not to the texture's own
-        numbers: means of directions are short. ``smooth``: whether the texture itself is looked up smoothly, and not
-        bilinearly.
+        ``of_triangle``: (t1,), see `cagemap.transfer.lookups.mip_levels`.
+        ``coverage``: which texels lie in the source's layout, by tile; only these tiles are halved.
+        ``exact``: halve to floats, and not to the texture's own numbers: means of directions are short.
+        ``smooth``: whether the texture itself is looked up smoothly, and not bilinearly.
         """
         fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in coverage.items()} if smooth else {}
         levels, tiles = {0: texture}, {tile: texture.tiles[tile] for tile in coverage}

@@ -30,9 +30,10 @@ _Island = tuple[FloatArray, IndexArray]
 def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, padding: float) -> FloatArray:
     """Turn, move and scale islands, all by one factor, into the unit square.
 
-    ``uvs``: (p, 2). ``edges``: (e, 2), edges of the islands' polygons, as pairs of UVs. ``islands``: (p,), island of
-    every UV. ``padding``: distance between islands, as a part of the square's side; half of it to the border. Returns
-    (p, 2).
+    ``uvs``: (p, 2).
+    ``edges``: (e, 2), edges of the islands' polygons, as pairs of UVs.
+    ``islands``: (p,), island of every UV.
+    ``padding``: distance between islands, as a part of the square's side; half of it to the border. Returns (p, 2).
     """
     members = _split(islands)
     local = np.empty(len(uvs), dtype=np.int64)

@@ -41,8 +41,8 @@ def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: Flo
 
     Each step intersects the normal with the plane of the triangle that is nearest to the last point.
 
-    ``surface``: the detailed mesh, in the source's place and unit. ``points``, ``normals``: (s, 3), of the source at
-    unit area; unit length.
+    ``surface``: the detailed mesh, in the source's place and unit.
+    ``points``, ``normals``: (s, 3), of the source at unit area; unit length.
     """
     first, distance = nearest_facing(surface, points, normals, MAX_DETAIL_DISTANCE)
     triangle, barycentric = first.triangle.copy(), first.barycentric.copy()

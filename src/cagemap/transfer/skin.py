@@ -28,11 +28,12 @@ def carry_skin(
 ) -> FloatArray:
     """Skinning weights of the target's control vertices from those of the source's.
 
-    ``weights``: (n1, n2), convex, see `control_weights`. ``skin``: (n2, j), weight of each joint at the source's
-    control vertices; rows as `normalised_skin` takes them. ``net``: of the target's control mesh. ``trusted``: (n1,),
-    where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex. ``influences``: how many
-    joints may move a vertex; the smallest weights are left out. None for all. Returns (n1, j), rows sum to 1, unless
-    the source's rows around have none.
+    ``weights``: (n1, n2), convex, see `control_weights`.
+    ``skin``: (n2, j), weight of each joint at the source's control vertices; rows as `normalised_skin` takes them.
+    ``net``: of the target's control mesh.
+    ``trusted``: (n1,), where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex.
+    ``influences``: how many joints may move a vertex; the smallest weights are left out. None for all. Returns (n1, j),
+        rows sum to 1, unless the source's rows around have none.
     """
     skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
@@ -107,8 +108,8 @@ def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
 def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
     """Weights (n, j): carried ones of chosen joints; the mesh's own of the others, scaled to a sum of 1.
 
-    ``carried``, ``own``: (n, j), rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet. ``chosen``:
-    (q,), columns. Rows whose own weights are all of chosen joints take all carried ones.
+    ``carried``, ``own``: (n, j), rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet.
+    ``chosen``: (q,), columns. Rows whose own weights are all of chosen joints take all carried ones.
     """
     if carried.shape != own.shape:
         raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
@@ -128,8 +129,9 @@ def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> F
 def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
     """Mean of skinning weights (n, j) and of their mirror image.
 
-    ``skin``: (n, j). ``vertices``: (n,), vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`. ``joints``:
-    (j,), joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
+    ``skin``: (n, j).
+    ``vertices``: (n,), vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`.
+    ``joints``: (j,), joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
     """
     return 0.5 * (skin + skin[vertices][:, joints])
 

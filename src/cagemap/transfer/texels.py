@@ -64,8 +64,10 @@ def lay_out(
 ) -> Layout:
     """Bring a layout to texel coordinates and sort it into bands.
 
-    ``corner_uvs``: (t, 3, 2). ``neighbors``: (t, 3), triangle across the edge opposite to every corner *in the UV
-    layout*, -1 at an island's border. ``gutter``: how far to extend islands beyond their border, in texels.
+    ``corner_uvs``: (t, 3, 2).
+    ``neighbors``: (t, 3), triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's
+        border.
+    ``gutter``: how far to extend islands beyond their border, in texels.
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
     triangle, opposite = np.nonzero(neighbors < 0)
@@ -186,8 +188,9 @@ LARGEST_SIDE = int(np.iinfo(np.int16).max)
 def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None, threads: int = 1) -> None:
     """Give texels that are not covered, in place, the value of the nearest covered one.
 
-    ``image``: (h, w, c), any number type; contiguous; sides up to 32767. ``covered``: (h, w). ``distance``: how far to
-    fill, in texels; the whole background by default.
+    ``image``: (h, w, c), any number type; contiguous; sides up to 32767.
+    ``covered``: (h, w).
+    ``distance``: how far to fill, in texels; the whole background by default.
     """
     height, width = covered.shape
     if not covered.any():

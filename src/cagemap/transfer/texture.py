@@ -146,9 +146,11 @@ def lay_texture(
 ) -> Texture:
     """Check a texture and lay it on the triangles of the source.
 
-    ``texture``: (h, w) or (h, w, c), or such by UDIM number. ``uvs``: (p, 2). ``uv_triangles``: (t2, 3). ``wrap``:
-    "repeat" or "clamp", how a plain image continues outside the unit square. Renderers and material libraries repeat
-    it.
+    ``texture``: (h, w) or (h, w, c), or such by UDIM number.
+    ``uvs``: (p, 2).
+    ``uv_triangles``: (t2, 3).
+    ``wrap``: "repeat" or "clamp", how a plain image continues outside the unit square. Renderers and material libraries
+        repeat it.
     """
     if wrap not in ("repeat", "clamp"):
         raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
@@ -210,8 +212,8 @@ def look_up(
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 
-    ``smooth``: where to look up smoothly, by tile; bilinear elsewhere. ``nearest``: take the texel that contains the
-    point: for labels.
+    ``smooth``: where to look up smoothly, by tile; bilinear elsewhere.
+    ``nearest``: take the texel that contains the point: for labels.
     """
     result = np.zeros((len(samples.first) - 1, texture.channels))
     # A band of texels uses few tiles of a large set: the others are skipped.

@@ -103,9 +103,10 @@ def bake_vector_displacement(
     """Bake the source's vector displacement into the target's layout; lengths grow with the surfaces.
 
     ``texture``: (h, w, 3), or such by UDIM number, vector = (value - midlevel) * scale, in the source's units; in
-    tangent space the channels are tangent, normal, bitangent. ``midlevel``: by default 0.5 for integers and 0 for
-    floats. ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As with heights, floats get new
-    values and integers a new scale.
+        tangent space the channels are tangent, normal, bitangent.
+    ``midlevel``: by default 0.5 for integers and 0 for floats.
+    ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As with heights, floats get new values
+        and integers a new scale.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -184,10 +185,12 @@ def bake_vectors(
 ) -> Pixels:
     """Bake vectors of the source: rotated to the target sample by sample, and averaged in its frame.
 
-    ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them. ``vectors_at``: samples, each a texel of its own
-    -> (s, 3) vectors of the source in object space. ``encode``: vectors (k, 3) in the channels' order -> their values.
-    ``space``: "tangent" or "object", of the target, for the result. ``order``: which channels hold tangent, bitangent
-    and normal. ``crisp``: (t1,), as `run_bake` takes it.
+    ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them.
+    ``vectors_at``: samples, each a texel of its own -> (s, 3) vectors of the source in object space.
+    ``encode``: vectors (k, 3) in the channels' order -> their values.
+    ``space``: "tangent" or "object", of the target, for the result.
+    ``order``: which channels hold tangent, bitangent and normal.
+    ``crisp``: (t1,), as `run_bake` takes it.
     """
     pull_back = VectorPullback.of(transfer, space)
 

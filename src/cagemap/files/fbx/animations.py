@@ -28,9 +28,10 @@ def animation_entry(
 ) -> dict[str, Any]:
     """Entry of ``animations`` for an animation stack; without channels where it moves nothing.
 
-    ``nodes``: entries of the nodes, at rest. ``before``: transforms of the file, of nodes that have others now: where
-    an animation does not move them. ``numbers``: number of each node by its ``typed_id``. ``channels``: by
-    ``element_id`` of a blend channel: the mesh's node, which of its shapes, and how many it has.
+    ``nodes``: entries of the nodes, at rest.
+    ``before``: transforms of the file, of nodes that have others now: where an animation does not move them.
+    ``numbers``: number of each node by its ``typed_id``.
+    ``channels``: by ``element_id`` of a blend channel: the mesh's node, which of its shapes, and how many it has.
     """
     baked = held(
         ufbx.bake_anim(

@@ -73,7 +73,8 @@ def _note(text: str) -> None:
 def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     """An FBX file as GLB.
 
-    ``path``: where it lies: textures are found from here. ``note``: called with a line for everything that is left out.
+    ``path``: where it lies: textures are found from here.
+    ``note``: called with a line for everything that is left out.
     """
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):

@@ -116,9 +116,11 @@ def animation_entries(
 ) -> list[dict[str, Any]]:
     """Entries of ``animations``: tracks of joints, and of a document's own what moves other things.
 
-    ``nodes``: node of each joint. ``above``: see `cagemap.files.gltf.nodes.Joints`, by node. ``before``: entries of the
-    document, in the order of animations of the same name. ``given``: whose entries these are. ``targets``: number of
-    blend shapes that each node's mesh has now.
+    ``nodes``: node of each joint.
+    ``above``: see `cagemap.files.gltf.nodes.Joints`, by node.
+    ``before``: entries of the document, in the order of animations of the same name.
+    ``given``: whose entries these are.
+    ``targets``: number of blend shapes that each node's mesh has now.
     """
     named = {} if given is None else dict(zip(animation_names(given), before, strict=True))
     times: dict[bytes, int] = {}
@@ -190,8 +192,9 @@ def _kept(
 def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:
     """Values of a track, stated in the space of the joint's node, in that of its parent in the rig.
 
-    ``values``: (k, q) or (k, 3, q). ``above``: (4, 4), a similarity. ``tangents``: whether values stand between their
-    tangents, (k, 3, q).
+    ``values``: (k, q) or (k, 3, q).
+    ``above``: (4, 4), a similarity.
+    ``tangents``: whether values stand between their tangents, (k, 3, q).
     """
     if np.array_equal(above, np.eye(4)):
         return values

@@ -206,9 +206,10 @@ def read_accessor(
 ) -> NDArray[Any]:
     """Elements of an accessor: (n,) of scalars, (n, q) of others; int64, or float64 where they have fractions.
 
-    ``where``: what names it, for messages. ``shapes``: types that are taken, such as ``"VEC3"``. ``count``: how many
-    elements there must be. An accessor without data, all zero, is read only where this is given: its own count could be
-    anything.
+    ``where``: what names it, for messages.
+    ``shapes``: types that are taken, such as ``"VEC3"``.
+    ``count``: how many elements there must be. An accessor without data, all zero, is read only where this is given:
+        its own count could be anything.
     """
     entry = document.entry("accessors", number, where)
     place = f"accessors {number} ({where})"

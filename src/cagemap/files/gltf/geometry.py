@@ -30,8 +30,9 @@ def mesh_entry(
 ) -> dict[str, Any]:
     """Entry of ``meshes`` for a control mesh, its arrays added to ``binary``.
 
-    ``mesh``: creases and infinite colours have no place in the format. ``materials``: number in the document of each of
-    its materials. ``weights``: (n, j), of the joints of the skin of its node; all influences are written, four a set.
+    ``mesh``: creases and infinite colours have no place in the format.
+    ``materials``: number in the document of each of its materials.
+    ``weights``: (n, j), of the joints of the skin of its node; all influences are written, four a set.
     ``normals``: (c, 3), of the face corners. Default: those of the vertices.
     """
     sets = _uv_sets(mesh)

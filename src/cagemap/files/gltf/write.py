@@ -80,8 +80,9 @@ def character_glb(
     no parts of the character are emptied; materials, textures, cameras, lights, extensions (VRM) and animations of
     other things stay.
 
-    ``character``: positions and bind pose in metres, Y up, as read. ``images``: PNG or JPEG files for textures, such as
-    ``("body", "baseColorTexture")``. The slot keeps its other settings.
+    ``character``: positions and bind pose in metres, Y up, as read.
+    ``images``: PNG or JPEG files for textures, such as ``("body", "baseColorTexture")``. The slot keeps its other
+        settings.
     """
     scene = None if materials_from is None else read_scene(materials_from)
     made = _Made(scene)

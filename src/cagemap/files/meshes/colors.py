@@ -21,8 +21,9 @@ _BRIGHTEST = 16.0
 def as_shares(colors: FloatArray, largest: float | None = None) -> FloatArray:
     """Colours where 1 is full.
 
-    ``colors``: (n, 3), NaN where a vertex has none. ``largest``: what stands for 1, where the file says it. Otherwise
-    whole numbers that go beyond 1, and all that go far beyond (means of bytes), are taken for bytes.
+    ``colors``: (n, 3), NaN where a vertex has none.
+    ``largest``: what stands for 1, where the file says it. Otherwise whole numbers that go beyond 1, and all that go
+        far beyond (means of bytes), are taken for bytes.
     """
     known = colors[np.isfinite(colors)]
     if largest is None:
@@ -39,8 +40,8 @@ _VALUE = 4  # bytes: mask, red, green, blue
 def polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], FormatError]) -> FloatArray | None:
     """Colours (n, 3) of ZBrush's lines ``#MRGB``, up to 64 values MMRRGGBB each, from 0 to 1; None without such lines.
 
-    ``lines``: all that begin with `KEYWORD`. ``fail``: makes the error about a line, given its number among these and
-    what was expected.
+    ``lines``: all that begin with `KEYWORD`.
+    ``fail``: makes the error about a line, given its number among these and what was expected.
     """
     if not lines:
         return None

@@ -46,8 +46,8 @@ def bind_on(positions: FloatArray, base: Surface, triangle: IndexArray) -> Bindi
 def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:
     """Bind a mesh to the control vertices of a base mesh that it lies on.
 
-    ``positions``: (n, 3), of the mesh, in the base's units. ``faces``: (n,), face of the base that each vertex belongs
-    to; of its triangles the nearest one is taken.
+    ``positions``: (n, 3), of the mesh, in the base's units.
+    ``faces``: (n,), face of the base that each vertex belongs to; of its triangles the nearest one is taken.
     """
     corners, sizes = base.face_indices, base.face_sizes[faces]
     begin = base.face_offsets[faces]

@@ -46,8 +46,8 @@ def parse_tags(
 ) -> dict[str, Any]:
     """Read all tag lines of a file, as fields of a control mesh; tags of other names are left alone.
 
-    ``fail``: makes the error for line number i of ``lines``, given what was expected. ``triangles``: whether all faces
-    are: then options without a scheme are Loop's.
+    ``fail``: makes the error for line number i of ``lines``, given what was expected.
+    ``triangles``: whether all faces are: then options without a scheme are Loop's.
     """
     sharp: dict[str, list[tuple[list[int], float]]] = {"crease": [], "corner": []}
     holes: list[int] = []

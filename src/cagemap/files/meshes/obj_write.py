@@ -116,7 +116,8 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
     Groups, objects, normals, names, materials, comments and the number of every vertex and face stay. Material
     libraries are named relative to the new file.
 
-    ``original``: the file that ``laid_out`` was read from. ``laid_out``: with texture coordinates.
+    ``original``: the file that ``laid_out`` was read from.
+    ``laid_out``: with texture coordinates.
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:

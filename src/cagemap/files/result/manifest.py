@@ -232,25 +232,25 @@ def stored_confidence(
 ) -> Confidence | None:
     """The verdict on an answer; no longer sure where a sign is beyond the bound of now, or none was written.
 
-    ``controls``: control vertices n_0 of the target. ``others``: (r, n_0, 3), where the other answers put them, in the
-    file's lengths.
+    ``controls``: control vertices n_0 of the target.
+    ``others``: (r, n_0, 3), where the other answers put them, in the file's lengths.
     """
     if record is None:
         return None
     places = [answer.images.at(slice(controls)).positions, *(answer.source.scale * other for other in others)]
     nowhere = np.zeros((0, 3))
-    readings = tuple(
+    answers = tuple(
         Placement(
             places[i] if i < len(places) else nowhere,
-            1e-4 * reading.cost,
-            name=reading.name,
-            exchange=tuple((a, b) for a, b in reading.exchange),
+            1e-4 * stored.cost,
+            name=stored.name,
+            exchange=tuple((a, b) for a, b in stored.exchange),
         )
-        for i, reading in enumerate(record.readings)
+        for i, stored in enumerate(record.readings)
     )
     doubtful = record.verdict == SURE and (record.signs is None or describe_signs(record.signs))
     verdict = LOOK if doubtful else record.verdict
-    return Confidence(verdict, readings, record.signs or {}, record.deciding, record.file_vertex, record.part)
+    return Confidence(verdict, answers, record.signs or {}, record.deciding, record.file_vertex, record.part)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

@@ -46,7 +46,8 @@ class _Numbers:
 def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> MatchResult:
     """One result of several, whose meshes become pieces of one.
 
-    ``parts``: all of one level and scheme a side. ``provenance``: entries beside those of the first part.
+    ``parts``: all of one level and scheme a side.
+    ``provenance``: entries beside those of the first part.
     """
     first, provenance = parts[0], parts[0].provenance | provenance
     if len(parts) == 1:
@@ -152,7 +153,7 @@ def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
 def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
     """The confidence of the part that is least sure of its map; None where landmarks decided all of them.
 
-    Where its readings put the vertices of that part is left out.
+    Where its answers put the vertices of that part is left out.
     """
     known, start = [], 0
     for part in parts:
@@ -163,7 +164,7 @@ def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
                     part.confidence,
                     deciding=None if deciding is None else deciding + start,
                     part=_title(part.target.control),
-                    readings=tuple(replace(one, positions=one.positions[:0]) for one in part.confidence.readings),
+                    answers=tuple(replace(one, positions=one.positions[:0]) for one in part.confidence.answers),
                 )
             )
         start += part.target.control.n_vertices

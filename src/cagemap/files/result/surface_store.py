@@ -53,8 +53,9 @@ Prepare = Callable[..., Surface]
 def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig = MAP_BASIS) -> str:
     """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
 
-    ``control``: all its arrays count, its name does not. ``scheme``: default: the mesh's default scheme. ``config``:
-    default: what `cagemap.pipeline.prepare_surface` makes.
+    ``control``: all its arrays count, its name does not.
+    ``scheme``: default: the mesh's default scheme.
+    ``config``: default: what `cagemap.pipeline.prepare_surface` makes.
 
     Notes
     -----

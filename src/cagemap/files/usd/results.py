@@ -62,8 +62,9 @@ def unbound_maps(roles: Iterable[str]) -> list[str]:
 def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: str) -> None:
     """Make a material of some images and bind it to a mesh, those of `preview_inputs`.
 
-    ``stage``, ``prim``: the mesh's prim, on the layer that is written. ``textures``: image by what it is for; paths
-    relative to the layer, ``<UDIM>`` for a set. ``uv_name``: primvar of the texture coordinates.
+    ``stage``, ``prim``: the mesh's prim, on the layer that is written.
+    ``textures``: image by what it is for; paths relative to the layer, ``<UDIM>`` for a set.
+    ``uv_name``: primvar of the texture coordinates.
     """
     from pxr import Sdf, Tf, UsdShade
 
@@ -102,9 +103,9 @@ _SHAPES, _SHAPE_TARGETS = "skel:blendShapes", "skel:blendShapeTargets"
 def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: bool) -> bool:
     """Add to a new layer what cagemap wrote to its file before; of two values of one name the new one counts.
 
-    ``layer``: the new one, with its final sublayers. ``file``: where it will be written. A file that cagemap did not
-    write adds nothing. ``prim_paths``: the meshes that the results are about. Returns whether there was something to
-    add.
+    ``layer``: the new one, with its final sublayers.
+    ``file``: where it will be written. A file that cagemap did not write adds nothing.
+    ``prim_paths``: the meshes that the results are about. Returns whether there was something to add.
     """
     pxr = usd_modules()
     try:

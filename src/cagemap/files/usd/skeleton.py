@@ -61,7 +61,8 @@ def _parents(joints: list[str]) -> IndexArray:
 def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
     """Define a skeleton beside a mesh, in its `SkelRoot`, and bind the mesh to it; joints are in the order of weights.
 
-    ``skeleton``: in the mesh's own space. ``to_root``: (4, 4), from there to the space of the topmost prim.
+    ``skeleton``: in the mesh's own space.
+    ``to_root``: (4, 4), from there to the space of the topmost prim.
     """
     pxr = usd_modules()
     top = prim.GetPath().GetPrefixes()[0]

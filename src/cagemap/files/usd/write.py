@@ -121,9 +121,10 @@ def write_usd_over(
 
     Results about this target that cagemap wrote to the layer before stay in it; returns whether there were some.
 
-    ``path``: the layer to write; it names the target relative to itself. ``target``: USD file that has the mesh.
-    ``prim_paths``: the mesh's prim there; of several, each gets the textures. ``world``: whether the mesh was read in
-    world space, and not in the prim's own.
+    ``path``: the layer to write; it names the target relative to itself.
+    ``target``: USD file that has the mesh.
+    ``prim_paths``: the mesh's prim there; of several, each gets the textures.
+    ``world``: whether the mesh was read in world space, and not in the prim's own.
     """
     file = Path(path)
     check_usd_path(file)

@@ -37,9 +37,9 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     (`vertex_groups`), each a weight for every vertex of the mesh. A USD file holds the primvars of its
     mesh, skinning and blend shapes (`cagemap.files.usd.prims`), a glTF file the skinning weights of its meshes.
 
-    ``control``: the mesh whose values are meant, which says which one where a USD file has several. ``rows``: of a mesh
-    that is a part of a file: values numbered as the file are taken at the part. Integers stay integers; all
-    others are float64.
+    ``control``: the mesh whose values are meant, which says which one where a USD file has several.
+    ``rows``: of a mesh that is a part of a file: values numbered as the file are taken at the part. Integers stay
+        integers; all others are float64.
     """
     file = Path(path)
     require_file(file, "a file of attributes")

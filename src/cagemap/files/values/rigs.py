@@ -92,7 +92,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
     """Read shapes of a cage as displacements (n, 3) by name.
 
     ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
-    and glTF files. ``rows``: of a cage that is a part of a file: shapes of the whole file are taken at the part.
+        and glTF files.
+    ``rows``: of a cage that is a part of a file: shapes of the whole file are taken at the part.
     """
     files: list[Path] = []
     for path in paths:

@@ -28,7 +28,7 @@ class Confidence:
     verdict: str  #: "sure", "look at it" or "two answers"
     #: The answer, then the different ones, by cost and doubt: of the vertices of the level that is deformed; in a
     #: result, of all vertices of a plain target
-    readings: tuple[Placement, ...]
+    answers: tuple[Placement, ...]
     signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGNS`
     deciding: int | None = None  #: control vertex of the target where a landmark decides
     file_vertex: int | None = None  #: its number in the target's file, where the target is a part of that
@@ -36,16 +36,16 @@ class Confidence:
 
     @classmethod
     def of(
-        cls, readings: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
+        cls, answers: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
     ) -> Confidence:
         """Judge answers that are all different, best first, by the costs and further signs of the best."""
-        signs = cost_signs(readings) | dict(signs or {})
+        signs = cost_signs(answers) | dict(signs or {})
         deciding = None
-        if len(readings) > 1:
-            best, other = (reading.positions[:control_vertices] for reading in readings[:2])
+        if len(answers) > 1:
+            best, other = (answer.positions[:control_vertices] for answer in answers[:2])
             deciding = int(np.argmax(((best - other) ** 2).sum(axis=1)))
         verdict = SURE if not describe_signs(signs) else TWO if signs["runner_up"] > TIE else LOOK
-        return cls(verdict, readings, signs, deciding)
+        return cls(verdict, answers, signs, deciding)
 
     @property
     def message(self) -> str:
@@ -54,9 +54,9 @@ class Confidence:
 
     @property
     def _sentences(self) -> str:
-        best, *others = self.readings
+        best, *others = self.answers
         vertex = self.deciding if self.file_vertex is None else self.file_vertex
-        if any(reading.exchange for reading in self.readings):
+        if any(answer.exchange for answer in self.answers):
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
                 f"made {best.name}, another one {others[0].name} (`answer=1`)"
@@ -86,11 +86,11 @@ class Confidence:
             "message": self.message,
             "readings": [
                 {
-                    "name": reading.name,
-                    "cost": 1e4 * reading.cost,
-                    "exchange": [list(pair) for pair in reading.exchange],
+                    "name": answer.name,
+                    "cost": 1e4 * answer.cost,
+                    "exchange": [list(pair) for pair in answer.exchange],
                 }
-                for reading in self.readings
+                for answer in self.answers
             ],
             "signs": dict(self.signs),
             "deciding": self.deciding,
@@ -99,9 +99,9 @@ class Confidence:
         }
 
 
-def cost_signs(readings: tuple[Placement, ...]) -> dict[str, float]:
+def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     """Signs that the costs of the answers are, the first one's."""
-    best, *others = readings
+    best, *others = answers
     cost = 1e4 * best.cost
     runner_up = max((best.cost / max(other.cost, 1e-12) for other in others), default=0.0)
     return {"cost": cost, "turned": cost if best.doubt > 1.0 else 0.0, "runner_up": runner_up}
@@ -115,9 +115,9 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
     if not target.refinement.is_plain:
         return confidence
 
-    def prolonged(reading: Placement) -> Placement:
-        places = np.array(target.hierarchy.prolong(reading.positions, prepared.levels[0], target.finest))
-        places[prepared.vertices] = reading.positions  # prolonged, those that are known would be smoothed
-        return replace(reading, positions=places)
+    def prolonged(answer: Placement) -> Placement:
+        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest))
+        places[prepared.vertices] = answer.positions  # prolonged, those that are known would be smoothed
+        return replace(answer, positions=places)
 
-    return replace(confidence, readings=tuple(prolonged(reading) for reading in confidence.readings))
+    return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))

@@ -26,17 +26,17 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
-            readings = (
+            answers = (
                 Placement(best.answer, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name=TURNED),
             )
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
             deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
-            return Confidence(LOOK, readings, cost_signs(readings) | {"limb_turned": share}, deciding)
+            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
     return None
 
 
-def mirrored_readings(
+def mirrored_answers(
     problem: Problem, given: Placement, check: LandmarkCheck, progress: Progress = no_progress
 ) -> tuple[Confidence | None, LandmarkCheck]:
     """Two answers for landmarks that seem mirrored: as given, and with those exchanged that shapes alone suggest.
@@ -51,11 +51,11 @@ def mirrored_readings(
     exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions, config.exchange_distance)
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
-    readings = (
+    answers = (
         Placement(given.answer, given.cost, name=AS_GIVEN),
         Placement(best.positions, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
     )
-    return Confidence(TWO, readings, cost_signs(readings)), check
+    return Confidence(TWO, answers, cost_signs(answers)), check
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
