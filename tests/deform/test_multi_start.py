@@ -74,7 +74,7 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(
 
     monkeypatch.setattr(multi_start, "fine_fit", lambda problem, coarse: coarse.positions)
     monkeypatch.setattr(multi_start, "fine_stage", lambda problem, start: start)
-    monkeypatch.setattr(multi_start, "with_cost", with_cost)
+    monkeypatch.setattr(multi_start, "evaluate_placement", with_cost)
     rest = SimpleNamespace(graph=graph)
     prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())
     problem: Any = SimpleNamespace(prepared=prepared, shape=SimpleNamespace(rest=rest))

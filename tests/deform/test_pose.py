@@ -101,7 +101,7 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     graph = bent.rest.graph
     at_rest = Placement(graph.positions, 1.0, graph=graph)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
-    monkeypatch.setattr(multi_start, "refine", lambda problem, coarse: list(coarse))
+    monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
     monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
     monkeypatch.setattr(multi_start, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)

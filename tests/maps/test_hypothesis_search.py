@@ -45,9 +45,9 @@ def found(
     monkeypatch.setattr(AnchoredFits, "of", lambda *given: fits)
     monkeypatch.setattr(AnchoredFits, "upsampled", lambda self, problem: self)
     monkeypatch.setattr(search, "rough_fits", rough_fits)
-    monkeypatch.setattr(search, "released_fits", lambda problem, rough: [evaluate_placement(prepared, places)])
-    monkeypatch.setattr(search, "led_by_tips", lambda problem, tips, placed: placed)
-    monkeypatch.setattr(search, "finished", lambda problem, placed: placed)
+    monkeypatch.setattr(search, "fit_released", lambda problem, rough: [evaluate_placement(prepared, places)])
+    monkeypatch.setattr(search, "refit_to_tips", lambda problem, tips, placed: placed)
+    monkeypatch.setattr(search, "finish_placement", lambda problem, placed: placed)
     return search.search(problem, start=start), asked
 
 

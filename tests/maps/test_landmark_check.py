@@ -244,7 +244,7 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     found = match_pair(prepared, landmarks, QUICK).point_map
     near = np.asarray(found.images.positions[: prepared.mesh.n])
     other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
-    monkeypatch.setattr(other_answers, "found_readings", lambda problem, progress: (other,))
+    monkeypatch.setattr(other_answers, "find_answers", lambda problem, progress: (other,))
     known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
     doubt, kept = other_answers.mirrored_answers(Problem(prepared, points), dear, known)

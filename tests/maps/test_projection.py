@@ -39,7 +39,7 @@ def test_rings_around_triangles_are_those_of_their_neighbours(rings):
     expected = set(faces[flipped].ravel().tolist())
     for _ in range(rings):
         expected |= {vertex for face in faces.tolist() if expected & set(face) for vertex in face}
-    assert set(np.flatnonzero(folds.around(faces, flipped, rings, faces.max() + 1)).tolist()) == expected
+    assert set(np.flatnonzero(folds.flipped_rings(faces, flipped, rings, faces.max() + 1)).tolist()) == expected
 
 
 def test_unfolding_repairs_folds_and_leaves_the_rest_alone(creature_at_3: tuple[Refinement, float]) -> None:
@@ -74,7 +74,7 @@ def test_unfolding_knows_what_still_folds_however_far_folds_spread(
     near = np.linalg.norm(positions - centre, axis=1) < 0.12
     wanted = np.where(near[:, None], other - (positions - centre), positions)
     images = SurfacePoints.nearest(surface, wanted)
-    monkeypatch.setattr(folds, "_improved", lambda near, inside, before, after: inside)
+    monkeypatch.setattr(folds, "_improved_patches", lambda near, inside, before, after: inside)
     again, still = relax_folds(
         images, faces, np.zeros(0, dtype=np.int64), normal_weight=0.02, config=ProjectionConfig(rings=(1, 2))
     )
