@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from benchmarks.accuracy.posed import Bodies, row
 from benchmarks.truth import compare_with_truth
 
+from cagemap.deform import refit
+from cagemap.deform.problem import Problem
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.pipeline import match, other_answer
@@ -24,7 +27,7 @@ def test_limbs_keep_their_turn_about_their_axis_in_strong_poses(shared_data: Pat
 
 
 @pytest.mark.slow
-def test_mirrored_landmarks_are_met_and_the_other_reading_is_offered(shared_data: Path) -> None:
+def test_mirrored_landmarks_are_met_and_the_other_answer_is_offered(shared_data: Path) -> None:
     source, target = ("female1605", "male_young", ""), ("male1591", "female_old_heavy", "")
     bodies = Bodies(3000)
     path = shared_data / "humans" / "landmarks" / "female1605__male1591.json"
@@ -53,7 +56,12 @@ def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, mon
     figures = row(bodies, *pair, 14)
     assert figures["left_out"] == []
     assert figures["mean"] < 0.85
+    fit = refit.fit_in_pose  # the reverse fit, once, is a part of the other stage
+
+    def leave(problem: Problem, positions: np.ndarray, times: int | None = None) -> np.ndarray:
+        return positions if times is None else fit(problem, positions, times)
+
     for stage, worse in (("inverse_consistent", 1.02), ("fit_in_pose", 1.1)):
         with monkeypatch.context() as without:
-            without.setattr(f"cagemap.deform.multi_start.{stage}", lambda problem, positions: positions)
+            without.setattr(refit, stage, leave)
             assert row(bodies, *pair, 14)["mean"] > worse * figures["mean"], stage
