@@ -20,18 +20,21 @@ class Stage:
     #: Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of
     #: the iterations. sqrt(alpha) is the length below which the energy outweighs the data.
     stiffness: tuple[float, float]
-    smoothing: float  #: epsilon: its square root is the length over which differentials are smoothed
-    ramp: float = 0.7
-    momentum: float = 0.0  #: share of its change by which every iteration but the last goes on
-    patience: int = 0  #: at most this many iterations more, at the last stiffness, while more than ``max_bounded`` is
-    factored: int = 1  #: the matrix is factored every so many iterations; those between use the earlier factors
-    max_bounded: float = 0.005  #: share of the vertices whose differentials would fold or flatten the surface
-    on_surface: float = 2e-5  #: root mean square distance within which a mesh lies on the source, as far as it can
-    stiffening: float = 2.0  #: factor on alpha in every iteration on the surface
-    max_stiffness: float = 5e-2  #: up to which it is applied
-    gradients: int = 4  #: conjugate gradients of an iteration with earlier factors
-    tolerance: float = 1e-9  #: share of the residual at which they stop before
-    max_unsolved: float = 0.5  #: share of the residual above which the matrix is factored anew
+    smoothing: float  #: epsilon of the energy; its square root is the length over which differentials are smoothed
+    ramp: float = 0.7  #: share of the iterations in which the stiffness falls
+    momentum: float = 0.0  #: each iteration adds this share of its step once more, the last one does not
+    #: most extra iterations, at the last stiffness, while more than `max_bounded` of the vertices are bounded
+    patience: int = 0
+    factored: int = 1  #: iterations from one factorisation of the matrix to the next; those between reuse its factors
+    #: share of vertices whose differentials may be bounded (fold or flatten the surface) at the end
+    max_bounded: float = 0.005
+    #: a mesh whose root mean square distance from the source is below this counts as on the source
+    on_surface: float = 2e-5
+    stiffening: float = 2.0  #: factor on the stiffness in each iteration in which the mesh is on the source
+    max_stiffness: float = 5e-2  #: the stiffness does not grow beyond this
+    gradients: int = 4  #: conjugate gradient steps of an iteration that reuses factors
+    tolerance: float = 1e-9  #: relative residual at which these steps end early
+    max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
 
     def __post_init__(self) -> None:
         """Check the counts."""
@@ -52,16 +55,18 @@ class Stage:
 class StartConfig(Brief):
     """Starts of the elastic fit by ZoomOut (`deform.multi_start`), from landmarks and from a fit's closest points."""
 
-    search_vertices: int = 3000  #: least vertices of the level that is deformed, and of the source's searched one
-    source_search_vertices: int = 0  #: the same of the source alone; 0: as the target's
+    #: least number of vertices of the target's deformed level and of the source's searched level
+    search_vertices: int = 3000
+    source_search_vertices: int = 0  #: the same number for the source, where it differs; 0: as for the target
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    samples: int = 3000  #: source vertices that a start is sought among: twice as many as there are vertices to start
-    curve_points: int = 40  #: points of a curve on which its coordinate is 1
-    trusted_functions: tuple[int, ...] = (8, 20)  #: basis functions that are trusted of a fit, one start for each
-    growth: float = 1.5  #: factor by which upsampling of its match lets their number grow
-    last_functions: int = 100  #: where it ends
-    places: int = 3000  #: source points that a fit is matched with
-    normal_length: float = 0.1  #: how far apart opposite normals are there, of sqrt(area)
+    samples: int = 3000  #: most source vertices that ZoomOut searches; it takes twice the number of coarse vertices
+    curve_points: int = 40  #: points of a curve at which its landmark coordinate is 1
+    #: numbers of basis functions that a fit determines; each gives one start
+    trusted_functions: tuple[int, ...] = (8, 20)
+    growth: float = 1.5  #: factor by which ZoomOut from a fit raises the number of functions
+    last_functions: int = 100  #: number of functions at which it ends
+    places: int = 3000  #: source points among which it finds closest points
+    normal_length: float = 0.1  #: distance of opposite normals in that search, of sqrt(area)
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -78,13 +83,13 @@ def require_search(vertices: int, source_vertices: int) -> None:
 class GraphConfig:
     """The elastic graph of a mesh, its clusters, and differentials that fold or flatten a surface."""
 
-    min_weight: float = 1e-2  #: least weight of an edge, of the median: cotangents may be negative
-    normal_length: float = 1.0  #: how far apart opposite normals are, of a cluster's size
-    min_cell: float = 0.3  #: area, of the mean cell's, below which a piece of a cell is joined to a neighbour
-    joining_rounds: int = 4  #: how often: two tiny ones may join each other first
+    min_weight: float = 1e-2  #: least weight of an edge, as a share of the median; cotangents may be negative
+    normal_length: float = 1.0  #: distance of opposite normals when vertices are clustered, in cluster sizes
+    min_cell: float = 0.3  #: a piece of a cell with a smaller share of the mean cell's area joins a neighbour
+    joining_rounds: int = 4  #: rounds of joining; in the first, two tiny pieces may join each other
     neighbours: int = 6  #: coarse vertices whose affine extrapolations are blended at a finer vertex
-    flat: float = 0.2  #: ratio of the two stretches in the tangent plane below which a differential flattens
-    min_stretch: float = 0.3  #: such a differential gets all singular values up to this share of its largest
+    flat: float = 0.2  #: a differential flattens the surface if its two tangential stretches have a smaller ratio
+    min_stretch: float = 0.3  #: least singular value of a bounded differential, as a share of its largest
 
 
 @dataclass(frozen=True)
@@ -92,18 +97,22 @@ class DataConfig:
     """Data terms; lengths are of sqrt(area)."""
 
     samples: float = 2.0  #: source samples per vertex of the target's mesh; more change nothing
-    received_smoothing: float = 0.005  #: length over which received area is smoothed: less than a finger's width
-    received: tuple[float, float] = (0.25, 0.5)  #: received area, of a vertex's own, with no data term and with all
-    inside_trip: float = 0.006  #: round trip at which the weight of a source sample inside the target is a quarter
-    outside_trips: float = 6.0  #: the same outside, of sqrt(alpha): the target may not have reached it yet
-    cluster_trip: float = 0.4  #: the same of source samples and clusters: legs may be that much longer
-    towards_point: float = 0.3  #: share of a source sample's term on a cluster towards the point, not its plane
-    uncovered: float = 0.02  #: most that the distance from an open surface costs: what is beyond its end is no misfit
-    anchor_normal_weight: float = 0.01  #: how far apart opposite normals are where points come to a coarser mesh
-    curve_share: int = 6  #: one in so many coarse vertices may be a curve's, all curves together
-    min_curve_points: int = 6  #: coarse vertices of a curve, which it needs to bend
-    shared_gap: float = 0.03  #: what a fit leaves farther from the other surface has no counterpart there
-    at_boundary: float = 1e-4  #: what is so near has one, also on the boundary of the other
+    received_smoothing: float = 0.005  #: length over which received area is smoothed; less than a finger's width
+    #: a vertex that receives less than the first share of its area has no data term, from the second on a full one
+    received: tuple[float, float] = (0.25, 0.5)
+    inside_trip: float = 0.006  #: round trip at which a source sample inside the target has a quarter of its weight
+    #: the same outside the target, in sqrt(alpha); the target may not have reached the sample yet
+    outside_trips: float = 6.0
+    cluster_trip: float = 0.4  #: the same for source samples of clusters; legs may be that much longer
+    #: share of a cluster's term that pulls towards the source sample, the rest towards its plane
+    towards_point: float = 0.3
+    #: largest distance from an open surface that is counted; beyond its boundary there is no misfit
+    uncovered: float = 0.02
+    anchor_normal_weight: float = 0.01  #: distance of opposite normals when landmarks are moved to a coarser mesh
+    curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
+    min_curve_points: int = 6  #: coarse vertices that a curve needs to bend
+    shared_gap: float = 0.03  #: a place that a fit leaves farther from the other surface has no counterpart there
+    at_boundary: float = 1e-4  #: a place nearer than this has one, also at the other surface's boundary
 
 
 @dataclass(frozen=True)
@@ -113,60 +122,67 @@ class SearchConfig:
     Measured in docs/lab/elastic.md and docs/lab/poses.md.
     """
 
-    doubtful: float = 0.004  #: mean distance of the placements from landmarks and spectral map: more are tried above it
-    limb_rotation: float = 0.48  #: rotation of a limb, in radians, from which on more are tried
-    limb_area: float = 0.02  #: share of the area of a limb: less than a forearm and its hand
-    min_distance: float = 0.001  #: mean distance of two coarse placements from which on both are refined
+    # Starts from landmarks
+    #: more starts are tried if the placements from landmarks and from the functional map are farther apart, on average
+    doubtful: float = 0.004
+    limb_rotation: float = 0.48  #: more starts are tried if a limb is rotated by more, in radians
+    limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
+    min_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined
-    max_cost: float = 1.5  #: a coarse placement that costs this many times the cheapest one is not refined
-    part_distance: float = 0.02  #: distance of two placements from which on either may be the better one there
-    part_area: float = 5e-4  #: least share of the area of a part that is taken of another placement
-    as_cheap: float = 1.15  #: cost of a placement that was led to tips or finished, of it before, up to which it counts
-    part_rings: int = 3  #: rings of edges around a part that count for it, and fade
-    rough_vertices: int = 400  #: size of the graph on which all starts are tried
-    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: from stiff, which turns and shifts as a whole, to soft
-    alike: float = 0.03  #: mean distance below which two starts are one
-    different: float = 0.08  #: mean distance from which on two fits are two answers
-    max_coarse: int = 4  #: candidates of the coarse stage, where no limbs are assigned
-    max_assigned: int = 2  #: assignments of limbs of the coarse stage
-    max_finished: int = 3  #: candidates of the fine stage, and as the files stand: boxes cost alike all round
-    hopeless: float = 2.5  #: cost, of the best one's, above which a candidate is not finished
-    unlikely: float = 1.5  #: cost of assigned limbs, of the files' alignment, above which they are dropped: fins
-    mirrored_starts: int = 4  #: starts on the mirror image that are fitted, the nearest ones
-    turned_doubt: float = 1.1  #: factor on the cost of a start turned about the vertical: files mostly agree in front
-    other_doubt: float = 1.3  #: factor on the cost of a start turned otherwise: files nearly always agree in up
-    max_unit_ratio: float = 4.0  #: files of parts whose sizes differ by more are in different units
-    limb_height: float = 0.1  #: height of a limb's tip over its pass: fingers and ears to 0.07, feet from 0.12
+    max_cost: float = 1.5  #: a coarse placement that costs more times the cheapest one is not refined
+    part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
+    part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
+    as_cheap: float = 1.15  #: a placement led to tips, or finished, may cost this many times what it did before
+    part_rings: int = 3  #: rings of edges around a part over which its cost fades
+    # Alignments without landmarks
+    rough_vertices: int = 400  #: vertices of the graph on which all starts are tried
+    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: its stage: first nearly rigid, then soft
+    alike: float = 0.03  #: starts at a smaller mean distance are one
+    different: float = 0.08  #: fits at a larger mean distance are two answers
+    max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
+    max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
+    max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment; rotated boxes cost the same
+    hopeless: float = 2.5  #: a candidate that costs more times the best one is not finished
+    unlikely: float = 1.5  #: limb assignments that cost more times the files' own alignment are dropped, as for fins
+    mirrored_starts: int = 4  #: starts on the mirror image that are fitted; the nearest ones
+    #: factor on the cost of a start rotated about the vertical; files mostly agree on the front
+    turned_doubt: float = 1.1
+    other_doubt: float = 1.3  #: factor on the cost of other rotated starts; files nearly always agree on up
+    max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
+    # Limbs and their tips
+    #: least height of a limb's tip over its pass; fingers and ears reach 0.07, feet start at 0.12
+    limb_height: float = 0.1
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
-    fewest_of_part: int = 3  #: the same where a surface is a part: its other limbs may be cut off
-    max_limbs: int = 7  #: the most prominent ones are assigned
-    max_assignments: int = 10  #: how many are fitted
-    girth_weight: float = 0.5  #: sums of log ratios of girths, beside those of lengths
-    girth_part: float = 0.7  #: share of a limb's length, from its tip, of which the girth is taken
-    tip_height: float = 0.01  #: height of a tip over its pass: ears have 0.01 to 0.05, feet 0.1 to 0.3
-    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves so close are the same
-    tips_met: float = 0.02  #: a fit that leaves all of them closer needs no help
-    tip_taken: float = 0.05  #: a tip this near to a landmark is the landmark's
-    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: holds tips; as stiff as for bodies that stand alike
+    fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off
+    max_limbs: int = 7  #: most limbs that are assigned; the most prominent ones
+    max_assignments: int = 10  #: assignments that are fitted
+    girth_weight: float = 0.5  #: weight of log ratios of girths, against those of lengths
+    girth_part: float = 0.7  #: share of a limb's length, from its tip, over which its girth is measured
+    tip_height: float = 0.01  #: least height of a tip over its pass; ears have 0.01 to 0.05, feet 0.1 to 0.3
+    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
+    tips_met: float = 0.02  #: a fit that leaves all of them nearer is not led to tips
+    tip_taken: float = 0.05  #: a tip nearer to a landmark is not used
+    #: coarse stage that holds tips; as stiff as for bodies in one pose
+    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
     led_samples: int = 4000  #: source samples of that stage
-    of_one_kind: float = 1e-4  #: cost below which bodies are of one kind: no later stage gains anything
+    of_one_kind: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
 
 
 @dataclass(frozen=True)
 class RefitConfig:
     """Refit in the source's pose, and the average with the inverse (docs/lab/elastic.md); lengths are of sqrt(area)."""
 
-    difference: float = 0.3  #: mean rotation, in radians, from which on poses differ
-    stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: positions and rotations; stiffness of limbs against the placement
-    joint_rounds: int = 2  #: how often joints are looked for
+    difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
+    stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: stage of the rotations: stiffness of the limbs against the placement
+    joint_rounds: int = 2  #: rounds in which joints are found
     joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
-    min_stiffness: float = 0.02  #: least weight of an edge at a joint, of its own
-    rounds: int = 2  #: how often the target is posed and fitted
+    min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
+    rounds: int = 2  #: times that the target is posed and fitted
     smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
-    gap: float = 0.01  #: distance from the inverse's mesh at which a vertex counts a quarter
-    normal_weight: float = 0.02  #: how far apart opposite normals are where the inverse is read
-    far: float = 0.03  #: distance from the inverse that counts for `max_far`
-    max_far: float = 0.03  #: share of the area that may be so far; otherwise the placement stays as it is
+    gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
+    normal_weight: float = 0.02  #: distance of opposite normals in the search on that mesh
+    far: float = 0.03  #: a vertex at a larger distance from it has no inverse
+    max_far: float = 0.03  #: with a larger share of such area the placement stays as it is
 
 
 @dataclass(frozen=True)
@@ -176,12 +192,13 @@ class CoincidenceConfig:
     Chosen on seven cages of one body and on two other bodies (docs/lab/accuracy.md).
     """
 
-    mean_gap: float = 0.003  #: mean distance of vertices from the other mesh; of one body to 0.0023, of two from 0.0204
-    max_gap: float = 0.01  #: distance that `share` of them keep; to 0.0085, from 0.048
+    #: largest mean distance of vertices from the other mesh; one body has up to 0.0023, two from 0.0204 on
+    mean_gap: float = 0.003
+    max_gap: float = 0.01  #: distance within which `share` of them lie; one body has up to 0.0085, two from 0.048 on
     near: float = 0.03  #: a point farther from the other surface is not on it
-    share: float = 0.95  #: share of the target that is on the source
-    clothed: float = 0.6  #: clothes cover less of the source: shirts and trousers 0.34 to 0.5, two bodies 0.81
-    reach: float = 0.1  #: how far closest points that face the same way are looked for
+    share: float = 0.95  #: least share of the target that is on the source
+    clothed: float = 0.6  #: least share of the source that is covered; clothes cover 0.34 to 0.5, a second body 0.81
+    reach: float = 0.1  #: search radius of closest points that face the same way
 
 
 @dataclass(frozen=True)
@@ -191,65 +208,84 @@ class LandmarkConfig:
     Gains and misfits are mean |log ratios| of distances between landmarks on the two surfaces.
     """
 
-    fewest_judged: int = 6  #: fewer pairs cannot outvote one of them
-    distance_vertices: int = 1500  #: of the graphs that distances are measured on; their spacing is 0.026
-    short: float = 0.1  #: added to both distances of a ratio: what strain and sampling may change of short ones
-    max_misfit: float = 0.7  #: |log ratio| that counts as simply wrong: a factor of two
-    min_gain: float = 0.12  #: misfit by which a given place must lose against the best one
-    gain_of_typical: float = 2.2  #: the same, of the pairs' typical misfit
-    min_exchange_gain: float = 0.1  #: gain of two exchanged pairs; correct ones of alike bodies lose 0.05 or more
-    min_distance: float = 0.25  #: shorter corrections are left to the strain of the finished map
-    tip_reach: float = 0.15  #: a tip: nowhere within this is it farther from the other landmarks on average
+    # Distances between landmarks
+    fewest_judged: int = 6  #: fewer pairs are not judged; they cannot outvote one
+    distance_vertices: int = 1500  #: vertices of the graphs on which distances are measured; their spacing is 0.026
+    short: float = 0.1  #: added to both distances of a ratio, since strain and sampling change short ones
+    max_misfit: float = 0.7  #: larger |log ratios| count as this; a factor of two
+    min_gain: float = 0.12  #: a given place is wrong if the best place has a misfit smaller by this
+    gain_of_typical: float = 2.2  #: the same difference in units of the typical misfit
+    #: two pairs are exchanged if that gains more; correct pairs of similar bodies lose 0.05 or more
+    min_exchange_gain: float = 0.1
+    min_distance: float = 0.25  #: nearer corrections are left to the strain of the finished map
+    #: a landmark is at a tip if no place within this distance is farther from the other landmarks
+    tip_reach: float = 0.15
     tip_slack: float = 0.03  #: by more than this
-    detour: float = 0.2  #: by how much ways to a given place may be longer through the best one, of the same limb
-    max_suspects: float = 1 / 3  #: share of accused pairs above which it is not known which are right
-    one_of: int = 100  #: of so many pairs one is set aside before the others are judged again
-    unrelated: float = 0.32  #: typical misfit above which it is not known; shuffled pairs 0.36 to 0.53, animals to 0.26
-    slip_by_distances: float = 1.14  #: cost with accused pairs, of that without, of slips; correct ones to 1.09
-    slip_by_sides: float = 1.05  #: the same of pairs that sides accuse; exchanged ears have 1.04 to 1.19
-    confirmed: float = 0.03  #: a pair that the map without it misses by less is taken back
-    side_rise: float = 0.2  #: by how much the agreement around two pairs rises when exchanged ones go back; 0.3 or more
-    side_agreed: float = 0.8  #: what the agreement must be then
-    side_disagreed: float = 0.1  #: what it is at most before: 14 of 1200 correct sets are accused, 95 without this
-    side_min_gain: float = -0.03  #: what an exchange of mirror images gains at least by distances; -0.02 to 0.4
-    side_apart: float = 0.05  #: nearer landmarks turn about each other by how exactly they were put
-    posed: float = 0.5  #: log ratio of distances from which on a triple says little about the sense of all landmarks
-    flat: float = 0.02  #: mean product of turns below which landmarks lie too flat to have a sense; others 0.03 to 0.2
-    mirrored: float = -0.2  #: agreement of all below which landmarks are mirrored; correct ones from 0.45 on
-    mirrored_cost: float = 1.3  #: cost of mirrored ones, of that without landmarks; correct crossed arms 1.02
-    exchange_distance: float = 0.08  #: how far shapes alone may put a landmark from the one it is exchanged with
-    as_good: float = 1.15  #: cost, of the best one's, up to which another placement is as good; turned limbs from 1.06
-    strain_vertices: int = 300  #: graph of the strain of landmarks: one landmark's surroundings are coarse
-    strain_stiffness: float = 1e-4  #: of the energy there
-    strain_smoothing: float = 1e-3  #: of differentials there
-    strain_ridge: float = 1e-7  #: tangential hold of every vertex, so that there is one solution without landmarks
+    #: a given place and the best one are on one limb if paths through the best one are longer by at most this
+    detour: float = 0.2
+    #: with a larger share of accused pairs it is unknown which are right, and none is left out
+    max_suspects: float = 1 / 3
+    one_of: int = 100  #: of so many pairs one is left out before the others are judged again
+    #: with a larger typical misfit nothing is judged; shuffled pairs have 0.36 to 0.53, animals up to 0.26
+    unrelated: float = 0.32
+    # What a fit says of accused pairs
+    slip_by_distances: float = 1.14  #: pairs are wrong if they raise the cost by this factor; correct ones reach 1.09
+    slip_by_sides: float = 1.05  #: the same for pairs accused by orientation; exchanged ears have 1.04 to 1.19
+    confirmed: float = 0.03  #: a left-out pair that the map misses by less is taken back
+    # Orientation of landmark triples
+    #: rise of the agreement around two exchanged pairs when they are exchanged back; 0.3 or more
+    side_rise: float = 0.2
+    side_agreed: float = 0.8  #: least agreement after that
+    side_disagreed: float = 0.1  #: largest agreement before; it accuses 14 of 1200 correct sets, without it 95
+    side_min_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
+    #: nearer landmarks are not used; their orientation depends on how exactly they were placed
+    side_apart: float = 0.05
+    posed: float = 0.5  #: a triple with a larger log ratio of distances says little about the orientation of all
+    #: landmarks with a smaller mean product of orientations are too flat to judge; others have 0.03 to 0.2
+    flat: float = 0.02
+    #: landmarks with a smaller agreement are mirrored as a whole; correct ones have 0.45 or more
+    mirrored: float = -0.2
+    mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
+    #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
+    exchange_distance: float = 0.08
+    #: a placement that costs up to this many times the best one is as good; rotated limbs have 1.06 or more
+    as_good: float = 1.15
+    # Strain of single pairs
+    strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
+    strain_stiffness: float = 1e-4  #: stiffness of its energy
+    strain_smoothing: float = 1e-3  #: smoothing of its differentials
+    #: weight that holds every vertex tangentially, so that the solution is unique without landmarks
+    strain_ridge: float = 1e-7
     fewest_strained: int = 10  #: fewer pairs are not judged by strain
-    strained: float = 0.05  #: displacement of a pair let go from which on it strains the map
-    strained_of_next: float = 1.5  #: the same, of the largest of the others: shapes that differ strain many pairs
-    dissimilar: float = 0.12  #: typical misfit from which on strain of one pair says nothing
+    strained: float = 0.05  #: a pair that moves farther when it is released strains the map
+    strained_of_next: float = 1.5  #: and this many times as far as any other; unlike shapes strain many pairs
+    dissimilar: float = 0.12  #: with a larger typical misfit the strain of one pair says nothing
 
 
 @dataclass(frozen=True)
 class ProjectionConfig:
     """Projection of a fitted mesh, and removal of its folds; lengths are of sqrt(area), areas shares of the surface."""
 
-    min_cosine: float = 0.15  #: smaller cosines between a point's normal and its own: on the wrong side of a thin part
-    landmark_tolerance: float = 1e-12  #: a landmark is met when it is missed by less
-    landmark_steps: int = 12  #: few suffice: the surface is nearly flat around a landmark
-    landmark_normal_weight: float = 0.002  #: of the first step, which keeps to one side of a thin part
-    rings: tuple[int, ...] = (1, 2, 3, 5, 8)  #: rings of triangles around small folds that are relaxed, round by round
-    sweeps: int = 10  #: averages over neighbours before a patch is projected again
-    min_gain: float = 0.02  #: share of the flipped triangles that a round must remove for another one
-    min_part: float = 1e-3  #: folded area of a part that is flattened
-    max_folded: float = 0.02  #: folded area in all, above which the map is wrong and nothing is flattened
-    part_distance: float = 0.02  #: folded pieces closer than this, along edges of an even mesh, are one part
-    growths: tuple[float, ...] = (1.1, 1.5, 2.0)  #: radii of the ball, in those of the part's image; the first fit wins
+    #: a closest point whose normal has a smaller cosine with the point's own is on the wrong side of a thin part
+    min_cosine: float = 0.15
+    landmark_tolerance: float = 1e-12  #: a landmark is met if it is missed by less
+    landmark_steps: int = 12  #: most steps to a landmark; few suffice, since the surface is nearly flat there
+    #: weight of normals in the first step, which keeps to one side of a thin part
+    landmark_normal_weight: float = 0.002
+    rings: tuple[int, ...] = (1, 2, 3, 5, 8)  #: rings of triangles around small folds that are relaxed, by round
+    sweeps: int = 10  #: averages over neighbours between two projections of a patch
+    min_gain: float = 0.02  #: a further round needs the last one to remove this share of the flipped triangles
+    min_part: float = 1e-3  #: least folded area of a part that is flattened
+    max_folded: float = 0.02  #: with a larger folded area the map is wrong, and nothing is flattened
+    part_distance: float = 0.02  #: folded pieces nearer than this, along edges of an even mesh, are one part
+    #: radii of the ball around a part, in those of its image; the first that succeeds is used
+    growths: tuple[float, ...] = (1.1, 1.5, 2.0)
     margin: float = 1.15  #: radius of the source's disc, in those of the ball
-    max_disc: float = 0.5  #: share of either surface's vertices in a disc
-    min_unfolded: float = 0.5  #: share of the fold that must disappear
-    max_move: float = 0.05  #: vertices that move farther count as displaced
-    max_displaced: float = 5.0  #: displaced area in units of the folded area (fins and ears: 0 to 1.7; limbs: 25 to 45)
-    disc_steps: int = 50  #: steps in which landmarks of a disc move to their places
+    max_disc: float = 0.5  #: largest share of either surface's vertices in a disc
+    min_unfolded: float = 0.5  #: least share of the fold that must disappear
+    max_move: float = 0.05  #: vertices that move farther are displaced
+    max_displaced: float = 5.0  #: largest displaced area, in folded areas; fins and ears have 0 to 1.7, limbs 25 to 45
+    disc_steps: int = 50  #: steps in which landmarks in a disc move to their places
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,7 +1,7 @@
 """Fits from several starts: ZoomOut from landmark coordinates or from a fit, and landmarks alone; the cheapest wins.
 
-Coarse placements that are apart are refined. Limbs turned about their axis hardly cost anything on the coarse graph;
-refined, they do (docs/lab/accuracy.md).
+Different coarse placements are refined before they are compared: a limb rotated about its axis costs almost nothing on
+the coarse graph, but does on the mesh (docs/lab/accuracy.md).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced_vertices, nearest_coordinates, zoomout
 
-# With fewer landmarks, they only help to choose among hypotheses; from here on they start a fit of their own.
+# Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
 
 
@@ -57,7 +57,7 @@ def start_map(
 
 
 def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]]:
-    """Vertices of both levels along every curve, all different; curves that landmarks or others cover are left out."""
+    """Vertices of both levels along each curve, no vertex twice; a curve without free vertices is left out."""
     prepared, taken = problem.prepared, list(problem.landmark_vertices)
     found: tuple[list[IndexArray], list[IndexArray]] = ([], [])
     count = prepared.start.curve_points
@@ -76,9 +76,9 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
 
 
 def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Callable[[Placement], list[FloatArray]]:
-    """A function from a fit of a coarse shape to (k, 3) places on the source by ZoomOut from its closest points.
+    """A function that gives starts (k, 3) from a coarse fit, by ZoomOut from its closest points.
 
-    They find limbs in other poses. The first number of functions says how much of the fit is trusted.
+    They find limbs in other poses. One start for each number of functions that the fit is trusted to determine.
     """
     prepared, shape = problem.prepared, shape or problem.shape
     config, surface = prepared.start, prepared.source_surface
@@ -113,15 +113,13 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
 
 @dataclass(frozen=True, eq=False)
 class AnchoredFits:
-    """What held points lead to: landmarks, or the tips of assigned limbs beside them."""
+    """Fits that hold points: landmarks, and tips of assigned limbs where there are any."""
 
-    shape: CoarseShape  # the clusters that hold them
-    # Of the soft coarse stage, from the spectral map and from the points' elastic energy alone
-    soft: tuple[Placement, ...]
-    # The fine stage, which holds landmarks only, from those of the stiff coarse stage; cheapest first
-    refined: tuple[Placement, ...]
-    # Whether both starts end alike, and no limb is posed otherwise: then no joint needs the soft stage, and the stiff
-    # one spreads the strain more evenly
+    shape: CoarseShape  # clusters, with the held points among them
+    soft: tuple[Placement, ...]  # of the soft coarse stage: from the functional map, and from the held points alone
+    refined: tuple[Placement, ...]  # fine placements from the stiff coarse stage, cheapest first
+    # Whether both starts end in one placement and no limb is in another pose. Then the stiff stage is enough, and it
+    # spreads the strain more evenly.
     agree: bool
 
     @classmethod
@@ -132,25 +130,25 @@ class AnchoredFits:
         vertices: tuple[IndexArray, IndexArray],
         start: FloatArray | None = None,
     ) -> AnchoredFits:
-        """Fit from both starts; the shape holds vertices (p,) of the levels of target and source that are searched.
+        """Fit from the functional map and from the held points; ``vertices`` are these, (p,) on both searched levels.
 
-        A start (k, 3) stands for the spectral map. It alone counts where too few points are held.
+        A start (k, 3) replaces the functional map; it is the only start where too few points are held.
         """
         elastic, stiff = problem.prepared.elastic, problem.stiff
-        # The start from the points is another one in the stiff stage: differentials are smoothed over its length.
+        # The smoothing of a stage also decides its start from the held points.
         stages = (problem, shape), (stiff, shape.smoothed(elastic.stiff_coarse.smoothing))
 
         def both_stages(rough: FloatArray | None) -> list[Placement]:
-            """By the soft coarse stage and by the stiff one."""
+            """Placements of the soft and of the stiff coarse stage."""
             return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), stages)
 
         if start is not None and len(vertices[0]) < FEWEST_LANDMARKS:
             return cls(shape, (), tuple(refine_placements(problem, both_stages(start))), agree=True)
-        with ThreadPool(1) as aside:  # from the points alone, while the functional map is made
-            blind = aside.submit(both_stages, None)
+        with ThreadPool(1) as aside:  # at the same time as the functional map
+            from_points = aside.submit(both_stages, None)
             first = both_stages(start_map(problem, shape, vertices) if start is None else start)
-            soft, stiff_ones = zip(first, blind.result(), strict=True)
-        # The costs of the coarse ones differ too little to choose by; a turned elbow shows on the mesh alone.
+            soft, stiff_ones = zip(first, from_points.result(), strict=True)
+        # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
         refined = tuple(refine_placements(problem, stiff_ones))
         rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, elastic.search.limb_area)
         apart = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
@@ -158,35 +156,35 @@ class AnchoredFits:
         return cls(shape, soft, refined, agree)
 
     def upsampled(self, problem: Problem) -> AnchoredFits:
-        """The same with what spectral upsampling makes of the first soft one, and with the best parts of all."""
+        """With more refined placements: from spectral starts of the first soft one, and of the best parts of all."""
         starts = spectral_starts(problem, self.shape)(self.soft[0])
         more = in_threads(lambda rough: coarse_fit(problem, rough, self.shape), starts)
         refined = refine_cheapest(problem, [*self.soft, *more], refined=self.refined)
         return replace(self, refined=tuple(refined)).like(self.refined[0])
 
     def like(self, placed: Placement) -> AnchoredFits:
-        """The same with the name and the doubt of a placement."""
+        """With the name and the doubt of a placement."""
         return replace(self, refined=tuple(replace(one, name=placed.name, doubt=placed.doubt) for one in self.refined))
 
 
 def refine_cheapest(
     problem: Problem, coarse: Sequence[Placement], most: int | None = None, refined: Sequence[Placement] = ()
 ) -> list[Placement]:
-    """The fine stage from the cheapest coarse placements that are apart, with refined ones and their `best_parts`."""
+    """Fine placements from the cheapest different coarse ones, those already refined, and their `best_parts`."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
     ranked, areas = sort_by_cost(coarse), problem.shape.rest.graph.areas
     areas = areas if ranked[0].graph is None else ranked[0].graph.areas
-    hopeful = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct_placements(hopeful, areas, config.min_distance)[: most or config.max_refined]
-    found = sort_by_cost([*refine_placements(problem, kept), *refined])
-    mixed = best_parts(prepared.rest.graph, found, config)
+    cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
+    kept = distinct_placements(cheap, areas, config.min_distance)[: most or config.max_refined]
+    fine = sort_by_cost([*refine_placements(problem, kept), *refined])
+    mixed = best_parts(prepared.rest.graph, fine, config)
     if mixed is None:
-        return found
-    return sort_by_cost([*found, evaluate_placement(prepared, fine_stage(problem, mixed))])
+        return fine
+    return sort_by_cost([*fine, evaluate_placement(prepared, fine_stage(problem, mixed))])
 
 
 def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
-    """The fine stage from coarse placements, by the cost of the mesh."""
+    """Fine placements from coarse ones, cheapest first."""
     return sort_by_cost(in_threads(lambda one: evaluate_placement(problem.prepared, fine_fit(problem, one)), coarse))
 
 
@@ -196,9 +194,9 @@ def sort_by_cost(placements: Iterable[Placement]) -> list[Placement]:
 
 
 def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:
-    """(n, 3) the cheapest of some placements with those parts of the others that cost less; None if there are none.
+    """(n, 3) the cheapest placement, with cheaper parts of the others in it; None if no part is cheaper.
 
-    A part is a connected piece of the surface where two placements are apart, a limb most often.
+    A part is a connected piece of the surface where two placements differ, such as a limb.
     """
     positions, costs, changed = ranked[0].positions, ranked[0].costs, False
     for other in ranked[1:]:
@@ -215,7 +213,7 @@ def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchC
 
 
 def _parts(graph: ElasticGraph, apart: NDArray[np.bool_], rings: int) -> tuple[IndexArray, FloatArray]:
-    """Number (n,) of the connected piece that vertices are of, rings around it included, -1 elsewhere; share (n,)."""
+    """Part (n,) of each vertex, -1 for none, and its weight (n,), which fades over rings around the part."""
     both = apart[graph.heads] & apart[graph.tails]
     _, numbers = np.unique(label_components(graph.heads[both], graph.tails[both], graph.n)[apart], return_inverse=True)
     part, share = np.full(graph.n, -1), apart.astype(np.float64)

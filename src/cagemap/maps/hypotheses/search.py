@@ -39,17 +39,17 @@ ANOTHER_WAY = " (limbs assigned differently)"
 def least_cost(prepared: PreparedPair) -> float:
     """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
 
-    Masks count in it as in a fit: less of the surface costs less.
+    Scaled by what the masks leave, as the cost of a fit is.
     """
-    target, rest, own = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
+    target, rest, unmasked = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
     surface = target.triangles(target.hierarchy.coarsest_level(prepared.elastic.source_vertices))
-    on_itself = replace(prepared, rest=own, source_surface=surface)
+    on_itself = replace(prepared, rest=unmasked, source_surface=surface)
     counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), prepared.source_samples.areas.sum()
     return float(min(counts)) * evaluate_placement(on_itself, rest.graph.positions).cost
 
 
 def rough_problem(problem: Problem) -> Problem:
-    """The same on the small graph on which all starts are tried."""
+    """The problem on the small graph on which all starts are tried."""
     config = problem.prepared.elastic.search
     return problem.staged(config.rough, config.rough_vertices)
 
@@ -57,73 +57,76 @@ def rough_problem(problem: Problem) -> Problem:
 def rough_fits(
     problem: Problem, rigid: bool, show: Callable[[Placement], None]
 ) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
-    """The best placements on a small graph, cheapest first: assignments of limbs to hold, and placements to release.
+    """Best placements on a small graph: limb assignments to hold, and placements to release, cheapest first.
 
-    Assignments are released too: tips of limbs of unlike length are no counterparts. Rotations are tried, and doubted,
-    where ``rigid`` is true and no assignment is plausible.
+    Placements of assignments are released as well: tips of limbs of unlike length do not correspond. With ``rigid``,
+    rotated starts are tried where no assignment is plausible, and rotations are doubted. ``show`` gets the best fit
+    that keeps the files' axes, then the best of all.
     """
-    rough, config = rough_problem(problem), problem.prepared.elastic.search
+    small, config = rough_problem(problem), problem.prepared.elastic.search
+    graph = small.shape.rest.graph
 
-    def fitted(start: FloatArray, shape: CoarseShape) -> Placement:
-        with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            found = coarse_fit(rough, start, shape)
-        turn = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(found.maps)))
-        return replace(found, name=rotation_name(turn), doubt=rotation_doubt(turn, config) if rigid else 1.0)
+    def fit(start: FloatArray, shape: CoarseShape) -> Placement:
+        with thread_limit(1):  # one thread for each start: its steps are too short to be split
+            placed = coarse_fit(small, start, shape)
+        rotation = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(placed.maps)))
+        return replace(placed, name=rotation_name(rotation), doubt=rotation_doubt(rotation, config) if rigid else 1.0)
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
-        return in_threads(lambda start: fitted(start.positions, rough.shape), starts)
+        return in_threads(lambda start: fit(start.positions, small.shape), starts)
 
-    def fit_limbs(one: Assignment) -> tuple[Assignment, Placement]:
-        shape = one.shape(rough)
-        return one, fitted(start_map(rough, shape, one.vertices), shape)
+    def fit_limbs(assignment: Assignment) -> tuple[Assignment, Placement]:
+        shape = assignment.shape(small)
+        return assignment, fit(start_map(small, shape, assignment.vertices), shape)
 
-    graph, most = rough.shape.rest.graph, problem.prepared.elastic.search.max_cost
-    filed = in_place(problem.prepared, graph.positions)
-    starts = [*filed, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
-    n_filed = len(filed) + AS_FILED_STARTS
-    # What is distinct among the first starts is the beginning of what is distinct among all.
-    apart = distinct_placements(starts if rigid else starts[:n_filed], graph.areas, config.alike)
-    n_first = len(distinct_placements(starts[:n_filed], graph.areas, config.alike))
-    own = sorted(fit_rigid(apart[:n_first]), key=lambda one: one.rank)
-    show(own[0])
-    led = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda one: one[1].rank)[: config.max_assigned]
-    # A part costs little in many places: only the whole fit decides.
-    if led and not filed and led[0][1].rank > config.unlikely * own[0].rank:
-        led = []
-    own = own if led else sorted([*own, *fit_rigid(apart[n_first:])], key=lambda one: one.rank)
-    show(min((*(one for _, one in led), *own), key=lambda one: one.rank))
-    as_filed = [one for one in own if one.name == AS_FILED][:1]
-    if not led:
-        kept = distinct_placements(own, graph.areas, config.different)[: config.max_coarse]
+    in_files = in_place(problem.prepared, graph.positions)
+    starts = [*in_files, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
+    unrotated = starts[: len(in_files) + AS_FILED_STARTS]
+    # Of similar starts the first is kept: the distinct ones of `unrotated` begin the list of all distinct ones.
+    distinct_starts = distinct_placements(starts if rigid else unrotated, graph.areas, config.alike)
+    n_unrotated = len(distinct_placements(unrotated, graph.areas, config.alike))
+    rigid_fits = sorted(fit_rigid(distinct_starts[:n_unrotated]), key=_rank)
+    show(rigid_fits[0])
+    limb_fits = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda fit: fit[1].rank)
+    limb_fits = limb_fits[: config.max_assigned]
+    # A part has a low cost in many places: only the fit of the whole is conclusive.
+    if limb_fits and not in_files and limb_fits[0][1].rank > config.unlikely * rigid_fits[0].rank:
+        limb_fits = []
+    if not limb_fits:
+        rigid_fits = sorted([*rigid_fits, *fit_rigid(distinct_starts[n_unrotated:])], key=_rank)
+    show(min((*(placed for _, placed in limb_fits), *rigid_fits), key=_rank))
+    as_filed = [placed for placed in rigid_fits if placed.name == AS_FILED][:1]
+    if not limb_fits:
+        kept = distinct_placements(rigid_fits, graph.areas, config.different)[: config.max_coarse]
         return [], distinct_placements([*kept, *as_filed], graph.areas, config.different)
-    likely = [one for one in led if one[1].rank <= most * led[0][1].rank]
-    return likely, [*(one for _, one in likely), *as_filed]
+    likely = [fit for fit in limb_fits if fit[1].rank <= config.max_cost * limb_fits[0][1].rank]
+    return likely, [*(placed for _, placed in likely), *as_filed]
 
 
 def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
-    """The fine stage from rough placements, and their spectral upsampling, that end apart; the best of each."""
+    """Fine placements from rough ones and their spectral starts: the best of each, where they end apart."""
     if not rough:
         return []
     graph, starts = problem.shape.rest.graph, spectral_starts(problem)
     config = problem.prepared.elastic.search
 
-    def improve(one: Placement) -> list[Placement]:
+    def fit_coarse(placed: Placement) -> list[Placement]:
         with thread_limit(1):
-            own = coarse_fit(problem, one.on(graph, problem.prepared.elastic.graph))
-            coarse = sort_by_cost([own, *(coarse_fit(problem, start) for start in starts(own))])
-        return [replace(placed, name=one.name, doubt=one.doubt) for placed in coarse]
+            first = coarse_fit(problem, placed.on(graph, problem.prepared.elastic.graph))
+            coarse = sort_by_cost([first, *(coarse_fit(problem, start) for start in starts(first))])
+        return [replace(one, name=placed.name, doubt=placed.doubt) for one in coarse]
 
-    improved = sorted(in_threads(improve, rough), key=lambda coarse: coarse[0].rank)
-    apart = distinct_placements([coarse[0] for coarse in improved], graph.areas, config.different)
-    most = config.hopeless * improved[0][0].rank
-    hopeful = [coarse for coarse in improved if coarse[0] in apart and coarse[0].rank <= most]
+    candidates = sorted(in_threads(fit_coarse, rough), key=lambda coarse: coarse[0].rank)
+    apart = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.different)
+    max_rank = config.hopeless * candidates[0][0].rank
+    hopeful = [coarse for coarse in candidates if coarse[0] in apart and coarse[0].rank <= max_rank]
     as_filed = [coarse for coarse in hopeful[config.max_finished :] if coarse[0].name == AS_FILED]
 
-    def finish(coarse: list[Placement]) -> Placement:
-        found = refine_cheapest(problem, coarse, None if coarse is improved[0] else 1)[0]
-        return replace(found, name=coarse[0].name, doubt=coarse[0].doubt)
+    def fit_fine(coarse: list[Placement]) -> Placement:
+        placed = refine_cheapest(problem, coarse, None if coarse is candidates[0] else 1)[0]
+        return replace(placed, name=coarse[0].name, doubt=coarse[0].doubt)
 
-    return in_threads(finish, [*hopeful[: config.max_finished], *as_filed[:1]])
+    return in_threads(fit_fine, [*hopeful[: config.max_finished], *as_filed[:1]])
 
 
 def search(
@@ -134,46 +137,54 @@ def search(
 ) -> list[Placement]:
     """Placements of the target's mesh, best first by cost and doubt; all of them hold the landmarks.
 
-    Enough landmarks start fits of their own. Where these disagree, or landmarks are too few, limbs are assigned to
-    limbs in the ways that the landmarks leave. The best one is led to tips that it missed and finished, unless bodies
-    of one kind stand alike. Places ``start`` (k, 3) of the coarse shape's vertices stand for the landmarks' spectral
-    map, and nothing else is tried. ``show`` is called with placements of the small graph.
+    1. Three landmarks or more are a start of their own; if its fits agree, nothing else is tried.
+    2. Otherwise limbs are assigned to limbs, in the ways that the landmarks allow, and starts by rotation are tried.
+    3. The best placements are refitted with tips of limbs held; the best of all is finished. Bodies of one kind in
+       one pose need neither.
+
+    Places ``start`` (k, 3) of the coarse shape's vertices replace the landmarks' functional map; then nothing else is
+    tried. ``show`` is called with placements of the small graph.
     """
-    decided = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
-    fits, found = list[AnchoredFits](), list[Placement]()
-    if decided:
+    has_start = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
+    held, placements = list[AnchoredFits](), list[Placement]()
+    if has_start:
         progress("first alignment")
-        fits.append(AnchoredFits.of(problem, problem.shape, problem.landmark_vertices, start))
-        if fits[0].agree:
-            return list(fits[0].refined)
+        held.append(AnchoredFits.of(problem, problem.shape, problem.landmark_vertices, start))
+        if held[0].agree:
+            return list(held[0].refined)
     if start is None:
         progress("possible alignments")
-        assigned, released = rough_fits(problem, not decided, show)
+        assigned, released = rough_fits(problem, not has_start, show)
         progress("rough alignment")
-        fits += [AnchoredFits.of(problem, one.shape(problem), one.vertices).like(rough) for one, rough in assigned]
-        found = fit_released(problem, released)
+        held += [
+            AnchoredFits.of(problem, assignment.shape(problem), assignment.vertices).like(rough)
+            for assignment, rough in assigned
+        ]
+        placements = fit_released(problem, released)
     progress("elastic alignment")
-    if fits:
-        first, *others = sorted(fits, key=lambda one: one.refined[0].rank)
+    if held:
+        first, *others = sorted(held, key=lambda fits: fits.refined[0].rank)
         best = first if first.agree else first.upsampled(problem)
-        found += [*best.refined[: None if decided else 1], *(one.refined[0] for one in others)]
-    least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
+        placements += [*best.refined[: None if has_start else 1], *(fits.refined[0] for fits in others)]
+    floor, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
     config = problem.prepared.elastic.search
 
     def best_first(placements: Sequence[Placement]) -> list[Placement]:
-        return sorted(placements, key=lambda placed: placed.doubt * max(placed.cost, least))
+        return sorted(placements, key=lambda placed: placed.doubt * max(placed.cost, floor))
 
-    ranked = best_first(found)
+    ranked = best_first(placements)
     cheapest = min(placed.cost for placed in ranked)
     if cheapest > config.of_one_kind:
-        tips, most = Tips.of(problem), problem.prepared.elastic.search.max_cost * cheapest
-        tried = [placed for placed in distinct_placements(ranked, areas, config.different) if placed.cost <= most]
+        tips, max_cost = Tips.of(problem), config.max_cost * cheapest
+        refitted = [
+            placed for placed in distinct_placements(ranked, areas, config.different) if placed.cost <= max_cost
+        ]
 
-        def led(placed: Placement) -> Placement:
-            return refit_to_tips(problem, tips, placed) if placed in tried else placed
+        def refit(placed: Placement) -> Placement:
+            return refit_to_tips(problem, tips, placed) if placed in refitted else placed
 
-        ranked = best_first(in_threads(led, ranked))
-    elif not decided:
+        ranked = best_first(in_threads(refit, ranked))
+    elif not has_start:
         return ranked
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
@@ -190,3 +201,7 @@ def find_answers(
             name += ANOTHER_WAY
         answers[name] = Placement(placed.answer, placed.cost, name=name, doubt=placed.doubt)
     return tuple(answers.values())
+
+
+def _rank(placed: Placement) -> float:
+    return placed.rank
