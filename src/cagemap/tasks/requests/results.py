@@ -41,7 +41,7 @@ class TransferRequest:
     ]
     texture: Annotated[
         Path | None,
-        Option(help="Source texture, any image; for several, repeat it with NAME=IMAGE."),
+        Option(help="Source image, or glTF or FBX with one; repeat with NAME=IMAGE."),
     ] = None
     maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
     usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
