@@ -1,7 +1,7 @@
-"""Atomic writing: no reader sees half a file, and foreign files are never replaced.
+"""Atomic writing of files and folders: readers never see half a file, and foreign files are never replaced.
 
-Every file goes through `atomic_path`: written beside, flushed to disk, moved into place. It replaces only files that
-carry cagemap's own mark (`cagemap.files.ownership`), and follows symbolic links.
+Every file goes through `atomic_path`: written under a temporary name, flushed to disk, moved into place. It replaces
+only files that carry cagemap's mark (`cagemap.files.ownership`). Symbolic links are followed.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from pathlib import Path
 from cagemap.errors import FormatError
 from cagemap.files.ownership import is_own, seal
 
-# A full disk and the like; any other error of a block is its own, perhaps about another file.
+# Errors of a full disk. Other errors may concern another file that the block handles.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
-# Seconds after which a temporary file has its lock: it is taken just after the file appears.
+# Seconds after which a temporary file must be locked: it is locked just after it is created.
 _SETTLED = 10.0
 _Step = Callable[[], None]
 
 Owned = Callable[[Path], bool]
 _written: ContextVar[list[Path] | None] = ContextVar("written", default=None)
-# What checks and puts files into place at the end of `all_or_nothing`, and what removes their temporary ones.
+# Steps that check and move the files of `all_or_nothing` at its end, and the stack that removes temporary files.
 _together: ContextVar[tuple[list[tuple[_Step, _Step]], ExitStack] | None] = ContextVar("together", default=None)
 
 
 @contextmanager
 def files_written() -> Iterator[list[Path]]:
-    """Collect the files that the block writes, once they are in place; threads of `ThreadPool` count as the block."""
-    found: list[Path] = []
-    token = _written.set(found)
+    """Collect the paths of files that the block writes, threads of `ThreadPool` included."""
+    files: list[Path] = []
+    token = _written.set(files)
     try:
-        yield found
+        yield files
     finally:
         _written.reset(token)
 
@@ -54,7 +54,7 @@ def _tell(*files: Path) -> None:
 
 @contextmanager
 def all_or_nothing() -> Iterator[None]:
-    """Put the files that `atomic_path` writes in the block into place at its end; after an error, none of them."""
+    """Move the files that `atomic_path` writes into place at the block's end; none after an error."""
     moves: list[tuple[_Step, _Step]] = []
     with ExitStack() as removed:
         token = _together.set((moves, removed))
@@ -70,7 +70,7 @@ def all_or_nothing() -> Iterator[None]:
 
 @contextmanager
 def one_at_a_time(folder: Path) -> Iterator[None]:
-    """Keep other processes and threads from changing a folder's notes meanwhile, where the system and disk know how."""
+    """Lock a folder against other processes and threads, where system and disk support locks."""
     try:
         import fcntl
 
@@ -79,7 +79,7 @@ def one_at_a_time(folder: Path) -> Iterator[None]:
         yield
         return
     try:
-        with suppress(OSError):  # a disk of a network that knows no locks
+        with suppress(OSError):  # a network disk without locks
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield
     finally:
@@ -94,15 +94,15 @@ def _filled(path: Path) -> bool:
 def atomic_path(
     final: str | Path, *, force: bool = False, owned: Owned = is_own, verify: Callable[[Path], bool] = _filled
 ) -> Iterator[Path]:
-    """Give a temporary name in the folder of ``final``; move it there when the block ends without an error.
+    """Yield a temporary path in the folder of ``final``; move it there after a block without errors.
 
     The suffix is kept, since image libraries choose their format by it. After an error, or an interrupt, the
     temporary file is removed and an older ``final`` is untouched. Where ``final`` is a symbolic link, the file that it
     points to is written and the link stays.
-    FormatError: see `require_replaceable`; also if the disk is full, or ``verify`` says no.
+    FormatError: see `require_replaceable`; also if the disk is full, or ``verify`` returns False.
 
     ``owned``: whether an existing file may be replaced without ``force``.
-    ``verify``: whether the temporary file holds all that was to be written. For libraries that report no full disk.
+    ``verify``: whether the temporary file is complete. For libraries that do not report a full disk.
     """
     check = partial(require_replaceable, final, force=force, owned=owned)
     check()
@@ -123,7 +123,7 @@ def atomic_path(
             _flush(temporary)
 
         def move() -> None:
-            check()  # what appeared meanwhile is as precious
+            check()  # another program may have created the file meanwhile
             with _storage_told(target):
                 if target.exists():
                     shutil.copymode(target, temporary)
@@ -138,7 +138,7 @@ def atomic_path(
 
 
 def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, owned: Owned = is_own) -> None:
-    """Write a file's content, text as UTF-8, whole or not at all; see `atomic_path`."""
+    """Write a text (UTF-8) or bytes as a file by `atomic_path`: completely, or not at all."""
     data = content.encode() if isinstance(content, str) else content
     with atomic_path(path, force=force, owned=owned, verify=lambda file: file.stat().st_size == len(data)) as temporary:
         temporary.write_bytes(data)
@@ -148,12 +148,12 @@ def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, 
 def atomic_folder(
     final: str | Path, names: Sequence[str], *, force: bool = False, owned: Owned = is_own
 ) -> Iterator[Path]:
-    """Give a temporary folder; when the block ends without an error, its files are in ``final``.
+    """Yield a temporary folder; move its files to ``final`` after a block without errors.
 
-    A folder that is not there appears whole. In one that is there files are replaced one by one, in the order of
-    ``names``, and all others are left alone.
+    A new folder appears complete. In an existing folder files are replaced one by one, in the order of ``names``, and
+    other files are left alone.
 
-    ``names``: the files that the block writes; the last one says that the others are there.
+    ``names``: the files that the block writes; the last one marks the folder as complete.
     ``force``, ``owned``: see `atomic_path`.
     """
     require_own_folder(final, names, force=force, owned=owned)
@@ -181,9 +181,9 @@ def atomic_folder(
 
 
 def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned = is_own) -> None:
-    """Refuse a file name that cannot be written to without harm.
+    """Refuse a file name that cannot be written, or whose file must not be replaced.
 
-    That is: in a folder that is missing or cannot be written to; a folder, a device, or a read-only file; a file that
+    Refused are: a missing folder or one without write permission; a folder, a device or a read-only file; a file that
     cagemap did not write, unless ``force`` is given.
     """
     file = Path(path)
@@ -206,9 +206,9 @@ def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned =
 
 
 def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = False, owned: Owned = is_own) -> None:
-    """Refuse a folder that holds anything but what an earlier run wrote, and perhaps other files beside that.
+    """Refuse a folder that is not the output of an earlier run, or cannot be written to.
 
-    That is: a file; files but none of ``names``; one of them that is not our own; a folder that cannot be written to.
+    Refused are: a file; a folder that holds files but none of ``names``; one of ``names`` that cagemap did not write.
     """
     folder = Path(path)
     target = _real(folder)
@@ -229,7 +229,7 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
 
 
 def require_writable_folder(path: str | Path) -> None:
-    """Refuse the name of a file or folder whose own folder is missing or cannot be written to."""
+    """Refuse a path whose parent folder is missing or cannot be written to."""
     above = Path(path).parent
     folder = _real(path).parent
     if not folder.is_dir():
@@ -239,7 +239,7 @@ def require_writable_folder(path: str | Path) -> None:
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool = False) -> None:
-    """Refuse outputs that cannot be written, before any work is done: inputs, one file twice, foreign files."""
+    """Refuse outputs before any work is done: inputs, repeated names, files that must not be replaced."""
     files = list(outputs)
     require_no_input(files, inputs)
     places = [_real(file) for file in files]
@@ -251,12 +251,12 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
 
 
 def require_no_input(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Refuse an output that is one of the inputs, under whatever name."""
-    read = list(inputs)
+    """Refuse an output that is also an input, by whatever path."""
+    input_files = list(inputs)
     for output in outputs:
-        for other in read:
-            if _same_file(output, other):
-                raise FormatError(f"{output}: is an input too ({other}), and would be lost. Give another name.")
+        for input_file in input_files:
+            if _same_file(output, input_file):
+                raise FormatError(f"{output}: is an input too ({input_file}), and would be lost. Give another name.")
 
 
 def _same_file(a: Path, b: Path) -> bool:
@@ -266,12 +266,12 @@ def _same_file(a: Path, b: Path) -> bool:
 
 
 def _real(path: str | Path) -> Path:
-    """The file or folder itself where ``path`` is a symbolic link to it."""
+    """The path with symbolic links resolved."""
     return Path(os.path.realpath(path))
 
 
 def _reserve(target: Path) -> Path:
-    """Create an empty file of a name that nobody else has, with the permissions that a plain open would give."""
+    """Create an empty temporary file beside ``target``, with the permissions of a plain open."""
     _remove_abandoned(target)
     with _storage_told(target):
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=f".part{target.suffix}", dir=target.parent)
@@ -283,9 +283,9 @@ def _reserve(target: Path) -> Path:
 
 @contextmanager
 def _in_use(path: Path) -> Iterator[None]:
-    """Hold a shared lock on a temporary file or folder: it tells `_remove_abandoned` that its process lives."""
+    """Hold a shared lock on a temporary file or folder, so that `_remove_abandoned` leaves it."""
     with ExitStack() as closed:
-        with suppress(ImportError, OSError):  # Windows; a disk that knows no locks
+        with suppress(ImportError, OSError):  # Windows; a disk without locks
             import fcntl
 
             handle = os.open(path, os.O_RDONLY)
@@ -295,12 +295,12 @@ def _in_use(path: Path) -> Iterator[None]:
 
 
 def _remove_abandoned(target: Path) -> None:
-    """Remove `leftovers` that no process holds a lock on; without locks nothing is removed."""
+    """Remove `leftovers` that no process has locked; nothing without locks."""
     with suppress(ImportError, OSError):
         import fcntl
 
         for left in leftovers(target):
-            with suppress(OSError), ExitStack() as closed:  # in use, gone meanwhile, or somebody else's
+            with suppress(OSError), ExitStack() as closed:  # in use, removed meanwhile, or of another user
                 handle = os.open(left, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 closed.callback(os.close, handle)
                 status = os.fstat(handle)
@@ -314,14 +314,14 @@ def _remove_abandoned(target: Path) -> None:
 
 
 def leftovers(final: str | Path) -> list[Path]:
-    """Temporary files and folders that a killed process left of a file or folder; nobody else's have such names."""
+    """Temporary files and folders of ``final`` that a killed process left, recognised by their names."""
     target = _real(final)
-    ours = [
+    patterns = [
         rf"\.{re.escape(target.stem)}\.\w{{8}}\.part{re.escape(target.suffix)}",
         rf"\.{re.escape(target.name)}\.\w{{8}}\.part",
     ]
-    found = target.parent.iterdir() if target.parent.is_dir() else ()
-    return [path for path in found if any(re.fullmatch(name, path.name) for name in ours)]
+    siblings = target.parent.iterdir() if target.parent.is_dir() else ()
+    return [path for path in siblings if any(re.fullmatch(name, path.name) for name in patterns)]
 
 
 def _umask() -> int:
@@ -331,14 +331,14 @@ def _umask() -> int:
 
 
 def _flush(path: Path) -> None:
-    """Make sure that the content is on disk before its name is, so that a power cut leaves the old or the new file."""
+    """Flush a file's content to disk before it is renamed, so that a power cut leaves the old or the new file."""
     with path.open("rb+") as stream:
         os.fsync(stream.fileno())
 
 
 @contextmanager
 def _storage_told(target: Path) -> Iterator[None]:
-    """Say of a full disk and the like what was to be written."""
+    """Turn an error of the disk into a FormatError that names the output."""
     try:
         yield
     except OSError as error:

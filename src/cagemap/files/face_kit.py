@@ -1,4 +1,4 @@
-"""The package's face: the head of ICT-FaceKit with the shapes that ARKit names."""
+"""The built-in face: the head of ICT-FaceKit with the blend shapes of ARKit."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 
-# ARKit's name without a counterpart in ICT-FaceKit.
+# Blend shape of ARKit that ICT-FaceKit lacks.
 ABSENT = "tongueOut"
-# Vertices of the head, on its midline and at the ends of the slits of eyes and mouth.
+# Vertices of the head on its midline and at the corners of eyes and mouth.
 POINTS = {
     "nose_tip": 4841,
     "chin": 968,
@@ -27,7 +27,7 @@ POINTS = {
 
 
 def kit_vertices(names: tuple[str, ...]) -> list[int]:
-    """Vertices of the head that named points stand for."""
+    """Vertices of the head at named points."""
     unknown = [name for name in names if name not in POINTS]
     if unknown:
         raise InvalidLandmarksError(
@@ -37,9 +37,9 @@ def kit_vertices(names: tuple[str, ...]) -> list[int]:
 
 
 def read_face_kit(only: tuple[str, ...] | None = None) -> Part:
-    """Read the head, in centimetres, Y up, facing +Z, open at the neck, with its shapes.
+    """Read the head with its blend shapes: in centimetres, Y up, facing +Z, open at the neck.
 
-    ``only``: ARKit's names of the shapes to read. Default: all 51 that there are; tongueOut is not.
+    ``only``: ARKit's names of the shapes to read. Default: all 51 of ICT-FaceKit; it has no tongueOut.
     """
     with resources.as_file(resources.files("cagemap.character.face")) as folder, np.load(folder / "face.npz") as kept:
         given = {name: kept[name] for name in kept.files}

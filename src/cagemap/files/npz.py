@@ -1,6 +1,6 @@
-"""Archives of named arrays (``.npz``), read without pickles; arrays checked by specifications (kind, shape, range).
+"""Archives of named arrays (``.npz``), read without pickles and checked by specifications (type, shape, range).
 
-Shapes of specifications name their sizes; one name means one size throughout a file. Compiled kernels rely on these
+Specifications name the sizes in shapes; a name is one size in all arrays of a file. Compiled kernels rely on these
 checks: no index is out of range, and no number is NaN unless allowed.
 """
 
@@ -32,14 +32,14 @@ def write_npz(
 ) -> None:
     """Write arrays to a temporary file of `cagemap.files.atomic`, with cagemap's mark as the archive's comment.
 
-    `numpy.savez` would do the same, but for arrays named ``file`` or ``allow_pickle``.
+    `numpy.savez` cannot write arrays named ``file`` or ``allow_pickle``.
 
-    ``later``: makes more arrays, while those are written.
+    ``later``: computes more arrays while the first ones are written.
     """
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
-    with zipfile.ZipFile(path, "w", method) as archive, ThreadPool(1) as aside:
+    with zipfile.ZipFile(path, "w", method) as archive, ThreadPool(1) as pool:
         archive.comment = mark().encode()
-        more = aside.submit(later)
+        more = pool.submit(later)
         _put(archive, arrays)
         _put(archive, more.result())
 
@@ -53,7 +53,7 @@ def _put(archive: zipfile.ZipFile, arrays: Mapping[str, NDArray[Any]]) -> None:
 def write_npy(path: Path, array: NDArray[Any]) -> None:
     """Write one array to a temporary file of `cagemap.files.atomic`.
 
-    NumPy itself writes to a file through a buffer of C's, and says nothing where the rest of it finds no room.
+    NumPy writes to a file through a C buffer and reports no error if the last part of it does not fit on the disk.
     """
     content = io.BytesIO()
     np.lib.format.write_array(content, np.asanyarray(array), allow_pickle=False)
@@ -69,41 +69,41 @@ def read_npz(path: Path, remedy: str) -> Arrays:
             }
     except FormatError:
         raise
-    except Exception as error:  # whatever a damaged directory makes of it
+    except Exception as error:  # a damaged directory raises errors of many types
         raise FormatError(f"{path}: is damaged, or no archive of arrays ({error}). {remedy}") from error
 
 
 def read_npy(content: bytes, path: Path, remedy: str) -> NDArray[Any]:
-    """One array from the content of an ``.npy`` file."""
+    """The array in the content of an ``.npy`` file."""
     try:
         return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # the header is Python text, and what is wrong with it fails in as many ways
+    except Exception as error:  # the header is Python text; a damaged one raises errors of many types
         raise FormatError(f"{path}: is damaged, or no array of numbers ({error}). {remedy}") from error
 
 
-# Beyond this, squares and volumes overflow.
+# Squares and volumes of larger numbers overflow.
 _LARGEST = 1e100
-# What barycentric coordinates may lie beside [0, 1] and a sum of 1.
+# Tolerance of barycentric coordinates: beyond [0, 1], and of their sum.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What one array must be."""
+    """Specification of an array: shape, range, and whether it may be missing."""
 
-    shape: tuple[str | int, ...]  # a name stands for a size that is the same in all arrays of a file; "3|4" for either
+    shape: tuple[str | int, ...]  # a name is a size that is the same in all arrays of a file; "3|4" allows either
     below: str = ""  # name of the size that entries are indices into; empty for floats
     optional: bool = False  # the array may be missing
-    nan: bool = False  # unknown values are NaN and infinite ones are allowed
-    share: bool = False  # values lie from 0 to 1
+    nan: bool = False  # unknown values are NaN; infinite ones are allowed too
+    share: bool = False  # values are from 0 to 1
 
 
 def check_arrays(
     path: Path, arrays: Mapping[str, NDArray[Any]], specs: Mapping[str, ArraySpec], sizes: dict[str, int], remedy: str
 ) -> dict[str, NDArray[Any]]:
-    """Arrays that are what their specs say, as int64 or float64 and read-only; others are left out.
+    """Arrays checked by their specs, as read-only int64 or float64; arrays without a spec are left out.
 
-    ``sizes``: sizes known beforehand; those found are added.
+    ``sizes``: known sizes by name; sizes found in the arrays are added.
     ``remedy``: last sentence of every message.
     """
     missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
@@ -116,13 +116,13 @@ def check_arrays(
 
 
 def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
-    """Whether barycentric coordinates (n, 3) are those of points of their triangles, but for rounding."""
+    """Whether barycentric coordinates (n, 3) are of points inside triangles, up to rounding."""
     sums = barycentric.sum(axis=1)
     return bool(np.all(barycentric >= -_ROUNDING) and np.all(np.abs(sums - 1) <= _ROUNDING))
 
 
 def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, remedy: str) -> None:
-    """Refuse starts of runs that do not begin with 0, do not ascend, or do not end with ``count``."""
+    """Refuse offsets that do not begin with 0, descend, or do not end with ``count``."""
     if not len(offsets) or offsets[0] != 0 or offsets[-1] != count or np.any(np.diff(offsets) < 0):
         raise FormatError(f"{path}: '{name}' does not count from 0 to {count} in ascending order. {remedy}")
 
@@ -152,7 +152,7 @@ def _checked(
 ) -> NDArray[Any]:
     if spec.below:
         base, _, more = spec.below.partition("+")
-        limit = sizes.get(base, 0) + int(more or 0)  # none where the array that it counts in is missing
+        limit = sizes.get(base, 0) + int(more or 0)  # 0 if the array that it indexes is missing
         if array.dtype.kind not in "iu":
             raise FormatError(f"{path}: {name} holds {array.dtype}, expected whole numbers. {remedy}")
         if array.size and not (0 <= int(array.min()) and int(array.max()) < limit):

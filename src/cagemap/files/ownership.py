@@ -1,8 +1,8 @@
 """Checksum marks in files: whether cagemap wrote a file, and whether it was changed since.
 
-A writer puts `mark` where its format has a place for words: a comment in OBJ, MTL, PLY and zip archives (NPZ), a key in
-JSON, the ``generator`` of HTML, the ``Software`` of images. `cagemap.files.atomic` then replaces the blank checksum by
-that of the file around it. A file that somebody edited keeps the mark but not the checksum, and is theirs.
+A writer puts `mark` where its format stores text: a comment in OBJ, MTL, PLY and zip archives (NPZ), a key in JSON, the
+``generator`` of HTML, the ``Software`` of images. `cagemap.files.atomic` then replaces the blank checksum by that of
+the file. After an edit the checksum no longer fits, and cagemap does not replace the file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _DIGITS = 64
 _BLANK = b"0" * _DIGITS
 MARKED = "written by cagemap"
 _MARK = re.compile(MARKED.encode() + rb" [^\s,]{1,40}, checksum ([0-9a-f]{64})")
-# Marks stand near the start or the end of every format; what lies between is not searched.
+# Bytes at the start and at the end of a file in which a mark is searched; every format has it there.
 _SEARCHED = 2**16
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -33,14 +33,14 @@ _ZIP_END = struct.Struct("<4s4H2LH")  # the record at a zip file's end
 
 
 def mark() -> str:
-    """The words for a file that is being written, with a blank in place of the checksum."""
+    """The mark for a file that is being written, with zeros in place of the checksum."""
     return f"{MARKED} {__version__}, checksum {_BLANK.decode()}"
 
 
 def seal(path: Path) -> None:
-    """Fill in the checksum of a file that holds a blank `mark`; a PNG, which has none, gets one in a chunk of its own.
+    """Fill in the checksum of a file's mark; a PNG gets the mark in a chunk of its own.
 
-    Files of formats that have no place for a mark stay as they are.
+    Files of formats that store no mark are not changed.
     """
     if path.stat().st_size == 0:
         return
@@ -56,23 +56,23 @@ def seal(path: Path) -> None:
             if place is None:
                 return
             filled = _checksum(data, place)
-            if data[: len(_PNG)] == _PNG:  # and the chunk's own checksum after it
+            if data[: len(_PNG)] == _PNG:  # the chunk's own checksum follows
                 chunk = data[data.rfind(b"tEXtComment\0", 0, place) : place] + filled
                 filled += struct.pack(">I", zlib.crc32(chunk))
-        # Not through the map: where that finds no room on the disk, the process ends.
+        # Not through the memory map: on a full disk that ends the process.
         stream.seek(place)
         stream.write(filled)
 
 
 def stated_checksum(path: Path) -> str | None:
-    """The checksum that a file's mark states, whether right or not; None without a mark."""
+    """The checksum in a file's mark, right or not; None without a mark."""
     with _mapped(path) as data:
         place = _find(data)
         return None if place is None else data[place : place + _DIGITS].decode()
 
 
 def is_own(path: Path) -> bool:
-    """Whether cagemap wrote this file and nobody has changed it since."""
+    """Whether cagemap wrote a file and nobody has changed it since."""
     with _mapped(path) as data:
         place = _find(data)
         return place is not None and data[place : place + _DIGITS] == _checksum(data, place)
@@ -80,7 +80,7 @@ def is_own(path: Path) -> bool:
 
 @contextmanager
 def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
-    """The content of a file; nothing where there is none."""
+    """The content of a file; empty if there is none."""
     if not path.is_file() or path.stat().st_size == 0:
         yield b""
         return
@@ -89,20 +89,20 @@ def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
 
 
 def _find(data: mmap.mmap | bytes) -> int | None:
-    """Where the checksum of the mark begins."""
+    """Position in the file of its mark's checksum; None without a mark."""
     tail = max(0, len(data) - _SEARCHED)
     for start in dict.fromkeys((0, tail)):
-        found = _MARK.search(data[start : start + _SEARCHED])
-        if found:
-            return start + found.start(1)
+        match = _MARK.search(data[start : start + _SEARCHED])
+        if match:
+            return start + match.start(1)
     return None
 
 
 def _checksum(data: mmap.mmap | bytes, place: int) -> bytes:
-    """SHA-256 of all but the checksum itself, in hexadecimal.
+    """SHA-256 of a file without the checksum itself, in hexadecimal.
 
-    Of a zip archive only its directory counts, which holds a checksum of every member. In a PNG the four bytes that
-    follow depend on the mark and do not count.
+    Of a zip archive only the directory is hashed, which has a checksum of every member. In a PNG the four bytes after
+    the mark depend on it and are left out.
     """
     view = memoryview(data)
     try:
@@ -115,7 +115,7 @@ def _checksum(data: mmap.mmap | bytes, place: int) -> bytes:
 
 
 def _zip_directory(data: mmap.mmap | bytes) -> int:
-    """Where the directory of a zip archive begins; 0 for other files."""
+    """Start of the directory of a zip archive; 0 for other files."""
     if data[: len(_ZIP)] != _ZIP:
         return 0
     end = data.rfind(b"PK\x05\x06")

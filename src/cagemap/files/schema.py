@@ -1,4 +1,4 @@
-"""Records of cagemap's own files, validated by type."""
+"""Records of cagemap's own JSON files, validated by type."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Level = Annotated[int, Field(ge=0, le=MOST_LEVELS)]
 
 
 class Record(BaseModel):
-    """No conversions between types, no NaN; what it does not know is kept for newer versions."""
+    """A record without type conversion and NaN; unknown entries are kept for newer versions."""
 
-    # Built when first used: a match writes records, and reads none.
+    # Validators are built on first use, since a match only writes records.
     model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False, frozen=True, defer_build=True)
 
 
 class SideRecord(Record):
-    """One surface of a result."""
+    """A surface of a result."""
 
     name: Name
     scheme: dict[str, Any]
@@ -47,14 +47,14 @@ class SuspectRecord(Record):
 
 
 class LandmarkCheckRecord(Record):
-    """What was found about landmarks."""
+    """Suspect landmarks and notes."""
 
     suspects: list[SuspectRecord] = []
     notes: list[str] = []
 
 
 class ReadingRecord(Record):
-    """One of the answers of a match without landmarks."""
+    """An answer of a match without landmarks."""
 
     name: str
     cost: float
@@ -62,7 +62,7 @@ class ReadingRecord(Record):
 
 
 class ConfidenceRecord(Record):
-    """How sure a map without landmarks is."""
+    """Confidence in a map without landmarks."""
 
     verdict: Literal["sure", "look at it", "two answers"]
     message: str
@@ -82,7 +82,7 @@ class InputRecord(Record):
 
 
 class TransferRecord(Record):
-    """Something that was transferred; paths are relative to the RESULT folder."""
+    """An output of a transfer; paths are relative to the RESULT folder."""
 
     kind: str
     output: Name
@@ -92,7 +92,7 @@ class TransferRecord(Record):
 
 
 class CurveRecord(Record):
-    """A pair of curves, and how far the map leads one from the other."""
+    """A pair of curves, and the distance by which the map misses it."""
 
     name: str
     mean: float
@@ -112,7 +112,7 @@ class QualityRecord(Record):
 
 
 class BasisRecord(Record):
-    """How a surface was prepared, see `cagemap.BasisConfig`."""
+    """Parameters of a surface's preparation, see `cagemap.BasisConfig`."""
 
     count: Annotated[int, Field(ge=1)]
     schedule: list[Annotated[int, Field(ge=0)]] | None = None
@@ -124,14 +124,14 @@ class BasisRecord(Record):
 
 
 class LevelMapRecord(Record):
-    """Which levels of target and source a stored map belongs to."""
+    """Levels of target and source of a stored map."""
 
     target: Level
     source: Level
 
 
 class ResultRecord(Record):
-    """A RESULT folder's ``manifest.json``."""
+    """``manifest.json`` of a RESULT folder."""
 
     target: SideRecord
     source: SideRecord
@@ -169,7 +169,7 @@ RecordType = TypeVar("RecordType", bound=Record)
 
 
 def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str) -> RecordType:
-    """Entries of a file as a typed record."""
+    """Entries of a file as a record; refuses invalid ones."""
     try:
         return kind.model_validate(entries)
     except ValidationError as error:
@@ -182,7 +182,7 @@ def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str
 
 
 def own_note(path: Path) -> Any:
-    """What cagemap noted for itself in a JSON file; None where there is no such file, or anything in it was changed."""
+    """Content of a JSON file that cagemap wrote for itself; None if missing or changed since."""
     try:
         return json.loads(path.read_text(encoding="utf-8")) if is_own(path) else None
     except (OSError, ValueError, RecursionError):
@@ -190,7 +190,7 @@ def own_note(path: Path) -> Any:
 
 
 def to_json(value: Any) -> str:
-    """A value as the text of a JSON file; what JSON does not know becomes what it does, what is not finite null."""
+    """A value as JSON text; arrays become lists, numbers that are not finite null, other types text."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -203,13 +203,13 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    if isinstance(value, str):  # file names that are no UTF-8 hold lone surrogates
+    if isinstance(value, str):  # names of files that are not UTF-8 have lone surrogates
         return value.encode("utf-8", "backslashreplace").decode()
     return value if isinstance(value, int | float | bool | None) else _plain(str(value))
 
 
 def parse_json(text: str, path: Path, remedy: str) -> Any:
-    """A JSON text's value."""
+    """The value of a JSON text; errors name the file."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Shared by text formats: reading a file as text, and messages that name a line."""
+"""Helpers for text formats: reading files as text, and messages that name a line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cagemap.errors import FormatError
 
 
 def require_file(path: Path, what: str) -> None:
-    """Refuse a name that is no file's, before a library waits for a pipe to be written to."""
+    """Refuse a path that is not a regular file, since a library would wait for data from a pipe."""
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -27,7 +27,7 @@ def _unreadable(path: Path, error: Exception) -> FormatError:
 
 
 def read_bytes(path: Path, what: str) -> bytes:
-    """Read a whole file; a missing, unreadable or empty one is a FormatError that says which."""
+    """Read a file; if it is missing, unreadable or empty, the FormatError says so."""
     require_file(path, what)
     try:
         content = path.read_bytes()
@@ -39,16 +39,16 @@ def read_bytes(path: Path, what: str) -> bytes:
 
 
 def read_text(path: Path, what: str) -> str:
-    r"""Read a text file with line ends made ``\n``.
+    r"""Read a text file, with ``\n`` as line ends.
 
-    UTF-8 is expected; a file that is not (an old exporter's accented material names) is read byte by byte as Latin-1,
-    which never fails and leaves the numbers alone.
+    A file that is not UTF-8 (old exporters' accented material names) is read as Latin-1, which never fails and keeps
+    the numbers.
     """
     return decoded(read_bytes(path, what), path, what)
 
 
 def decoded(content: bytes, path: Path, what: str) -> str:
-    """The text of a file's content, see `read_text`; the path is for messages."""
+    """Decode a file's content as `read_text` does; ``path`` is used in messages."""
     if b"\0" in content:
         raise FormatError(
             f"{path}: expected {what}, which is plain text, got binary data or UTF-16. Export it again as text (UTF-8)."
@@ -61,12 +61,12 @@ def decoded(content: bytes, path: Path, what: str) -> str:
 
 
 def whole_characters(text: str) -> str:
-    """A text without halves of characters, which JSON and names of files may hold and nothing can show or write."""
+    """A text without lone surrogates, which JSON and file names may have but nothing can write."""
     return text.encode("utf-8", "replace").decode()
 
 
 def text_name(path: Path) -> str:
-    """The whole name of a file for a library that takes text."""
+    """The name of a file for a library that needs UTF-8 text."""
     name = str(path)
     if whole_characters(name) != name:
         raise FormatError(
@@ -77,7 +77,7 @@ def text_name(path: Path) -> str:
 
 
 def is_number(word: str | bytes) -> bool:
-    """Whether a word is one, also NaN or infinity."""
+    """Whether a word is a number, NaN or infinity."""
     try:
         float(word)
     except ValueError:
@@ -86,13 +86,13 @@ def is_number(word: str | bytes) -> bool:
 
 
 def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> str:
-    """Message about one line of a file; what was found is cut to a readable length."""
+    """Message about one line of a file, which is cut to 80 characters."""
     shown = got if len(got) <= 80 else got[:77] + "..."
     return f"{path}, line {number}: expected {expected}, got '{shown}'. {remedy}"
 
 
 def check_writable_name(name: str) -> None:
-    """Refuse a name that cannot stand on one line of a text file."""
+    """Refuse a name that cannot be written on one line of a text file."""
     if name != name.strip() or any(character in name for character in "\r\n\0") or name.endswith("\\"):
         raise FormatError(
             f"material name {name!r}: expected no line breaks, no blanks at its ends and no backslash at "

@@ -1,1 +1,1 @@
-"""FBX, read by the library ufbx in a process of its own and handed over as glTF."""
+"""FBX files, read by the library ufbx in a child process and converted to glTF."""

@@ -1,4 +1,4 @@
-"""Animations of FBX scenes, sampled so that straight lines between keys do, as entries of a glTF document."""
+"""Animations of FBX scenes as entries of a glTF document, sampled for linear interpolation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.numerics.arrays import FloatArray
 
 _CHANNELS = {"translation": "translation_keys", "rotation": "rotation_keys", "scale": "scale_keys"}
-# Values that differ less from those at rest do not move anything.
+# Tracks whose values differ by less from those at rest are left out.
 _SAME = 1e-6
 
 
@@ -26,19 +26,19 @@ def animation_entry(
     numbers: Mapping[int, int],
     channels: Mapping[int, tuple[int, int, int]],
 ) -> dict[str, Any]:
-    """Entry of ``animations`` for an animation stack; without channels where it moves nothing.
+    """Entry of ``animations`` for an animation stack; without channels if nothing moves.
 
     ``nodes``: entries of the nodes, at rest.
-    ``before``: transforms of the file, of nodes that have others now: where an animation does not move them.
+    ``before``: transforms in the file of nodes whose entries were changed; used where no track moves such a node.
     ``numbers``: number of each node by its ``typed_id``.
-    ``channels``: by ``element_id`` of a blend channel: the mesh's node, which of its shapes, and how many it has.
+    ``channels``: by ``element_id`` of a blend channel: node of the mesh, number of the shape, number of its shapes.
     """
     baked = held(
         ufbx.bake_anim(
             scene, get(stack, "anim"), trim_start_time=True, key_reduction_enabled=True, key_reduction_rotation=True
         )
     )
-    found = {
+    sampled = {
         (node, path): (np.zeros(1), np.array([stated[path]])) for node, stated in before.items() for path in _CHANNELS
     }
     for moved in items(baked, "nodes"):
@@ -46,10 +46,10 @@ def animation_entry(
         for path, name in _CHANNELS.items():
             times, values = _keys(moved, name)
             if node is not None and len(times):
-                found[node, path] = times, values
+                sampled[node, path] = times, values
     tracks = [
         (node, path, times, values)
-        for (node, path), (times, values) in found.items()
+        for (node, path), (times, values) in sampled.items()
         if np.abs(values - nodes[node][path]).max() > _SAME
     ]
     tracks += [(node, "weights", times, values.ravel()) for node, (times, values) in _weights(baked, channels).items()]
@@ -66,28 +66,28 @@ def animation_entry(
 
 
 def _weights(baked: Any, channels: Mapping[int, tuple[int, int, int]]) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Times (k,) and amounts (k, shapes) of the shapes of each mesh node whose shapes move."""
-    found: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
+    """Times (k,) and weights (k, shapes) of the shapes of every mesh node with moving shapes."""
+    keys_of: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
     for element in items(baked, "elements"):
         if get(element, "element_id") in channels:
             node, place, _ = channels[get(element, "element_id")]
             for prop in items(element, "props"):
                 if get(prop, "name") == "DeformPercent":
                     times, values = _keys(prop, "keys")
-                    found.setdefault(node, {})[place] = times, values[:, 0] / 100.0
+                    keys_of.setdefault(node, {})[place] = times, values[:, 0] / 100.0
     counts = {node: count for node, _, count in channels.values()}
-    made = {}
-    for node, keys in found.items():
-        times = np.unique(np.concatenate([own for own, _ in keys.values()]))
+    tracks = {}
+    for node, keys in keys_of.items():
+        times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))
         amounts = np.zeros((len(times), counts[node]))
-        for place, (own, values) in keys.items():
-            amounts[:, place] = np.interp(times, own, values)
-        made[node] = times, amounts
-    return made
+        for place, (key_times, values) in keys.items():
+            amounts[:, place] = np.interp(times, key_times, values)
+        tracks[node] = times, amounts
+    return tracks
 
 
 def _keys(value: Any, name: str) -> tuple[FloatArray, FloatArray]:
-    """Times (k,) and values (k, q) of keys; of those at one time the last."""
+    """Times (k,) and values (k, q) of keys; the last one of several at the same time."""
     keys = items(value, name)
     times = np.array([get(key, "time") for key in keys], dtype=np.float64)
     values = np.array([list(get(key, "value")) for key in keys], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""An FBX scene as a glTF document; runs in a process of its own (`cagemap.files.fbx.read`)."""
+"""Conversion of an FBX scene to a glTF document, in a child process (`cagemap.files.fbx.read`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Note = Callable[[str], None]
 _AXES = ufbx.CoordinateAxes(
     ufbx.CoordinateAxis.POSITIVE_X, ufbx.CoordinateAxis.POSITIVE_Y, ufbx.CoordinateAxis.POSITIVE_Z
 )
-# As glTF has it: metres, Y up, right-handed; transforms of nodes are translation, rotation and scale alone.
+# Conventions of glTF: metres, Y up, right-handed; nodes have only translation, rotation and scale.
 _SPACE: dict[str, Any] = {
     "target_axes": _AXES,
     "target_unit_meters": 1.0,
@@ -39,7 +39,7 @@ _SPACE: dict[str, Any] = {
     "pivot_handling": ufbx.PivotHandling.ADJUST_TO_PIVOT,
     "handedness_conversion_axis": ufbx.MirrorAxis.X,
 }
-# Of the largest number of a transform: joints that differ less from their bind pose are in it.
+# Relative to the largest number of a transform: joints that differ by less are in their bind pose.
 _MOVED = 1e-4
 _LEFT_OUT = {
     "nurbs_surfaces": "NURBS surface",
@@ -73,8 +73,8 @@ def _note(text: str) -> None:
 def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     """An FBX file as GLB.
 
-    ``path``: where it lies: textures are found from here.
-    ``note``: called with a line for everything that is left out.
+    ``path``: the FBX file, beside which textures are searched.
+    ``note``: called with a line of text for everything that is left out.
     """
     scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in items(scene, "metadata", "warnings"):
@@ -86,7 +86,7 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
 
 
 class _Scene:
-    """A glTF document that is filled from an FBX scene."""
+    """A glTF document built from an FBX scene."""
 
     def __init__(self, scene: Any, path: Path, note: Note) -> None:
         self._scene, self._note = scene, note
@@ -101,7 +101,7 @@ class _Scene:
         self._skin_of: dict[int, int] = {}
 
     def glb(self) -> bytes:
-        """All of it."""
+        """The document as GLB."""
         entries = [self._node(node) for node in self._nodes]
         before = self._in_bind_pose(entries)
         top: dict[str, Any] = {
@@ -124,7 +124,7 @@ class _Scene:
             if not entry["channels"]:
                 self._note(f"animation {get(stack, 'name')} moves nothing and is left out")
         for entry in entries:
-            if "skin" in entry and "children" not in entry:  # moves nothing: joints place the mesh
+            if "skin" in entry and "children" not in entry:  # without effect: the joints place a skinned mesh
                 for name in ("translation", "rotation", "scale"):
                     entry.pop(name)
         lists = {
@@ -158,7 +158,7 @@ class _Scene:
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
         number = get(node, "mesh", "typed_id")
-        materials = tuple(self._materials.number(one) for one in items(node, "materials"))
+        materials = tuple(self._materials.number(material) for material in items(node, "materials"))
         if (number, materials) not in self._mesh_of:
             self._mesh_of[number, materials] = len(self._meshes)
             self._meshes.append(self._mesh_entry(mesh, materials))
@@ -171,7 +171,7 @@ class _Scene:
         return entry
 
     def _in_bind_pose(self, entries: list[dict[str, Any]]) -> dict[int, dict[str, Any]]:
-        """Put the joints into the pose in which meshes were bound; returns what was stated of those that moved."""
+        """Move the joints to the bind pose; returns the transforms in the file of those that moved."""
         bind: dict[int, FloatArray] = {}
         for number, node in enumerate(self._nodes):
             if "skin" in entries[number] and (mesh := self._mesh(node)) is not None:
@@ -187,12 +187,12 @@ class _Scene:
             above = np.eye(4) if parent is None else world[parent]
             if number in bind and invertible(above[None]).all():
                 bound = bind[number] @ np.linalg.inv(above)
-                made = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | decomposed(
+                pose = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | decomposed(
                     bound
                 )
-                if "matrix" not in made and np.abs(bound - local).max() > _MOVED * max(np.abs(local).max(), 1e-30):
-                    before[number] = {name: entry[name] for name in made}
-                    entry |= made
+                if "matrix" not in pose and np.abs(bound - local).max() > _MOVED * max(np.abs(local).max(), 1e-30):
+                    before[number] = {name: entry[name] for name in pose}
+                    entry |= pose
                     local = bound
             world.append(local @ above)
         if before and not items(self._scene, "anim_stacks"):
@@ -211,7 +211,9 @@ class _Scene:
         return self._read[number]
 
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
-        numbers = [materials[one] if one < len(materials) else None for one in range(len(mesh.control.material_names))]
+        numbers = [
+            materials[slot] if slot < len(materials) else None for slot in range(len(mesh.control.material_names))
+        ]
         entry = mesh_entry(
             self._binary, mesh.control, numbers, weights=mesh.weights, shapes=mesh.shapes, normals=mesh.normals
         )

@@ -14,24 +14,24 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import image_suffix
 from cagemap.numerics.arrays import FloatArray
 
-# Map of ufbx's materials, and the slot of glTF.
+# Material maps of ufbx, and the texture slots of glTF.
 _SLOTS = {
     "base_color": "baseColorTexture",
     "normal_map": "normalTexture",
     "emission_color": "emissiveTexture",
     "ambient_occlusion": "occlusionTexture",
 }
-# Of the largest number of a transform.
+# Relative to the largest number of a transform.
 _ROUNDING = 1e-5
 
 
 class Materials:
-    """Materials, textures and images that a document gets.
+    """Materials, textures and images of a glTF document.
 
     Parameters
     ----------
     path : Path
-        The FBX file: textures lie beside it, or in folders below.
+        The FBX file; textures are searched in its folder and below.
     """
 
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
@@ -41,7 +41,7 @@ class Materials:
         self._image_of: dict[bytes, int] = {}
 
     def number(self, material: Any) -> int:
-        """Number in the document of a material."""
+        """Number of a material in the document."""
         known = get(material, "typed_id")
         if known not in self._known:
             self._known[known] = len(self.lists["materials"])
@@ -56,11 +56,11 @@ class Materials:
             texture = get(pbr, source, "texture")
             if texture is not None:
                 used.append(get(texture, "element_id"))
-                found = self._texture(texture, f"material {name}: {slot}")
-                slots |= {} if found is None else {slot: found}
-        others = [one for one in items(material, "textures") if get(one, "texture", "element_id") not in used]
-        if others:
-            listed = ", ".join(sorted({get(one, "material_prop") for one in others}))
+                entry_of_texture = self._texture(texture, f"material {name}: {slot}")
+                slots |= {} if entry_of_texture is None else {slot: entry_of_texture}
+        unused = [one for one in items(material, "textures") if get(one, "texture", "element_id") not in used]
+        if unused:
+            listed = ", ".join(sorted({get(one, "material_prop") for one in unused}))
             self._note(f"material {name}: textures of {listed} are left out")
         opacity = self._opacity(material)
         color = [1.0] * 3 if "baseColorTexture" in slots else _color(pbr, "base")
@@ -76,7 +76,7 @@ class Materials:
         return entry | ({"emissiveFactor": glow} if any(glow) else {})
 
     def _opacity(self, material: Any) -> float:
-        """Opacity from 0 to 1; programs write it, or a transparent colour and its factor, which some invert."""
+        """Opacity from 0 to 1, from ``Opacity`` or a transparent colour and factor, which some programs invert."""
         numbers = get(material, "props", "find_real")
         color = np.array(list(get(material, "fbx", "transparency_color", "value_vec4")))[:3].max()
         opacity = float(np.clip(min(numbers("Opacity", 1.0), 1.0 - numbers("TransparencyFactor", 0.0) * color), 0, 1))
@@ -87,11 +87,11 @@ class Materials:
 
     def _texture(self, texture: Any, where: str) -> dict[str, Any] | None:
         files = [texture, *items(texture, "file_textures")]
-        for one in files:
-            number = self._image(one)
+        for file in files:
+            number = self._image(file)
             if number is not None:
                 self.lists["textures"].append({"source": number})
-                transform = _transform(one) if get(one, "has_uv_transform") else {}
+                transform = _transform(file) if get(file, "has_uv_transform") else {}
                 if transform is None:
                     self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
                 elif transform:
@@ -102,7 +102,7 @@ class Materials:
         return None
 
     def _image(self, texture: Any) -> int | None:
-        """Number of a texture's image; None where there is none."""
+        """Number of a texture's image; None if there is no readable one."""
         data = bytes(get(texture, "content")) or self._beside(texture)
         if not data:
             return None
@@ -117,7 +117,7 @@ class Materials:
         return self._image_of[data]
 
     def _beside(self, texture: Any) -> bytes:
-        """The file that a texture names, where it lies in the folder of the FBX; paths of other machines are cut."""
+        """Content of the file that a texture names, searched in the FBX's folder; b"" if missing."""
         stated = PurePosixPath(_stated(texture))
         folder = self._path.parent
         for place in (stated, stated.name, f"textures/{stated.name}", f"{self._path.stem}.fbm/{stated.name}"):
@@ -132,7 +132,7 @@ def _stated(texture: Any) -> str:
 
 
 def _as_png(data: bytes, suffix: str) -> bytes | None:
-    """An image of another format (TGA, TIFF, DDS, ...) as PNG; None where it cannot be read."""
+    """An image of another format (TGA, TIFF, DDS, ...) as PNG; None if it cannot be read."""
     from cagemap.files.gltf.material_images import png_bytes
     from cagemap.files.images.image import image_of_bytes
 
@@ -148,13 +148,13 @@ def _value(pbr: Any, name: str, default: float) -> float:
 
 
 def _color(pbr: Any, name: str) -> list[float]:
-    """Colour times its factor."""
+    """Colour multiplied by its factor, within 0 and 1."""
     color = np.array(list(get(pbr, f"{name}_color", "value_vec4")))[:3]
     return np.clip(color * _value(pbr, f"{name}_factor", 1.0), 0.0, 1.0).tolist()
 
 
 def _transform(texture: Any) -> dict[str, Any] | None:
-    """KHR_texture_transform of a texture whose coordinates are scaled, turned, moved; None where that is not all."""
+    """KHR_texture_transform of a texture: scale, rotation and offset; None if it has shear too."""
     flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 1.0]])  # v down in glTF; for rows
     stated = np.array(list(get(texture, "uv_to_texture")), dtype=np.float64)
     rows = np.eye(3)

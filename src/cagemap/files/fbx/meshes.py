@@ -1,7 +1,7 @@
-"""Meshes of FBX scenes as control meshes, with weights and blend shapes; access to what ufbx gives.
+"""Meshes of FBX scenes as control meshes, with weights and blend shapes; access to objects of ufbx.
 
-ufbx 0.0.5 counts too few references to its Python objects: one that is asked for twice is freed while it is used. So
-nothing that it gives is ever released; the process ends with the file.
+ufbx 0.0.5 counts too few references to its Python objects: an object that is asked for twice is freed while in use.
+So all objects are kept until the process ends.
 """
 
 from __future__ import annotations
@@ -25,39 +25,39 @@ _EVERYTHING: list[Any] = []
 
 
 def held(value: Any) -> Any:
-    """The same object, which stays until the process ends."""
+    """The value itself, kept alive until the process ends."""
     _EVERYTHING.append(value)
     return value
 
 
 def get(value: Any, *names: str) -> Any:
-    """An attribute, of an attribute and so on."""
+    """A nested attribute: of ``value``, then of the result, and so on."""
     for name in names:
         value = held(getattr(value, name))
     return value
 
 
 def items(value: Any, *names: str) -> list[Any]:
-    """A list behind attributes, as a list of Python."""
-    found: list[Any] = held(list(get(value, *names)))
-    return found
+    """A nested attribute as a Python list."""
+    listed: list[Any] = held(list(get(value, *names)))
+    return listed
 
 
 def floats(value: Any, *names: str, columns: int) -> FloatArray:
-    """A list of vectors behind attributes, as an array (n, columns)."""
+    """A nested attribute that lists vectors, as an array (n, columns)."""
     return np.array(get(value, *names), dtype=np.float64).reshape(-1, columns)
 
 
 def whole(value: Any, *names: str) -> IndexArray:
-    """A list of numbers behind attributes, as an array (n,)."""
+    """A nested attribute that lists whole numbers, as an array (n,)."""
     return np.array(get(value, *names), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh in its own space."""
+    """A mesh in object space, with skinning weights and blend shapes."""
 
-    # vertices are the control points of the file; ``material_names`` has a word for each material slot
+    # vertices are the control points of the file; ``material_names`` has a name for each material slot
     control: ControlMesh
     weights: sparse.csr_array | None = field(default=None, repr=False)  # (n, j)
     bones: tuple[int, ...] = ()  # ``typed_id`` of the node of each joint
@@ -69,7 +69,7 @@ class FbxMesh:
 
 
 def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
-    """A mesh of a scene; None where it has no polygons."""
+    """A mesh of a scene; None if it has no polygons."""
     faces = floats(mesh, "faces", columns=2).astype(np.int64)
     kept = faces[:, 1] >= 3
     if not kept.any():
@@ -95,13 +95,13 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
     shapes = _shapes(mesh, control, note)
-    made = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
+    fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
     normals = get(mesh, "vertex_normal")
     stated = (
         floats(normals, "values", columns=3)[whole(normals, "indices")[corners]] if get(normals, "exists") else None
     )
-    made = replace(made, channels=tuple(channel for _, channel in shapes.values()), normals=stated)
-    return _skinned(mesh, made, note)
+    fbx_mesh = replace(fbx_mesh, channels=tuple(channel for _, channel in shapes.values()), normals=stated)
+    return _skinned(mesh, fbx_mesh, note)
 
 
 def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
@@ -109,7 +109,10 @@ def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
     if not len(slots) or not items(mesh, "materials"):
         return {}
     numbers = slots[kept]
-    return {"face_materials": numbers, "material_names": tuple(f"slot {one}" for one in range(int(numbers.max()) + 1))}
+    return {
+        "face_materials": numbers,
+        "material_names": tuple(f"slot {slot}" for slot in range(int(numbers.max()) + 1)),
+    }
 
 
 def _uv_set(uv_set: Any, corners: IndexArray) -> UvSet:
@@ -118,7 +121,7 @@ def _uv_set(uv_set: Any, corners: IndexArray) -> UvSet:
 
 
 def _colored(mesh: Any, control: ControlMesh, corners: IndexArray, note: Callable[[str], None]) -> ControlMesh:
-    """With the colours of the first set; a vertex has that of one of its corners."""
+    """The mesh with vertex colours of the first set: at each vertex that of one of its corners."""
     colors = get(mesh, "vertex_color")
     if not get(colors, "exists"):
         return control
@@ -131,10 +134,10 @@ def _colored(mesh: Any, control: ControlMesh, corners: IndexArray, note: Callabl
 
 
 def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dict[str, tuple[FloatArray, Any]]:
-    """Offsets at full weight, and the channel, of every blend shape by its name."""
+    """Offsets at full weight, and the channel, of every blend shape by name."""
     channels = [one for deformer in items(mesh, "blend_deformers") for one in items(deformer, "channels")]
     channels = [one for one in channels if items(one, "keyframes")]
-    found = {}
+    shapes = {}
     for name, channel in zip(distinct([get(one, "name") or "shape" for one in channels]), channels, strict=True):
         *between, full = items(channel, "keyframes")
         if between:
@@ -142,8 +145,8 @@ def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dic
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
         offsets[_vertices(shape, "offset_vertices", control)] = floats(shape, "position_offsets", columns=3) / amount
-        found[name] = offsets, channel
-    return found
+        shapes[name] = offsets, channel
+    return shapes
 
 
 def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
@@ -155,15 +158,17 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
         note(f"{name}: has {len(skins)} skins, the first is used")
     if get(skins[0], "skinning_method") >= ufbx.SkinningMethod.DUAL_QUATERNION:
         note(f"{name}: is skinned by dual quaternions, which become linear")
-    clusters = [one for one in items(skins[0], "clusters") if get(one, "bone_node") is not None]
+    clusters = [cluster for cluster in items(skins[0], "clusters") if get(cluster, "bone_node") is not None]
     if not clusters:
         return made
-    stated = [get(one, "bone_node", "typed_id") for one in clusters]
+    stated = [get(cluster, "bone_node", "typed_id") for cluster in clusters]
     bones = tuple(dict.fromkeys(stated))
-    matrices = {bone: row_matrix(get(one, "geometry_to_bone")) for bone, one in zip(stated, clusters, strict=True)}
-    vertices = [_vertices(one, "vertices", made.control) for one in clusters]
-    columns = np.repeat([bones.index(bone) for bone in stated], [len(own) for own in vertices])
-    values = np.concatenate([np.array(get(one, "weights"), dtype=np.float64) for one in clusters])
+    matrices = {
+        bone: row_matrix(get(cluster, "geometry_to_bone")) for bone, cluster in zip(stated, clusters, strict=True)
+    }
+    vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
+    columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
+    values = np.concatenate([np.array(get(cluster, "weights"), dtype=np.float64) for cluster in clusters])
     shape = made.control.n_vertices, len(bones)
     weights = sparse.csr_array((np.maximum(values, 0.0), (np.concatenate(vertices), columns)), shape=shape)
     weights.sum_duplicates()
@@ -173,7 +178,7 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
 
 
 def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:
-    """Vertices that a skin or a shape lists; ufbx does not check them."""
+    """Vertices that a skin or shape lists, checked, since ufbx does not."""
     vertices = whole(value, name)
     if vertices.size and (vertices.min() < 0 or vertices.max() >= control.n_vertices):
         raise FormatError(f"{control.name}: a skin or shape of {control.n_vertices} vertices lists {vertices.max()}")
@@ -181,5 +186,5 @@ def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:
 
 
 def row_matrix(matrix: Any) -> FloatArray:
-    """(4, 4) for points as rows."""
+    """A matrix of ufbx as (4, 4), for points as rows."""
     return np.column_stack([np.array(list(matrix), dtype=np.float64), [0.0, 0.0, 0.0, 1.0]])

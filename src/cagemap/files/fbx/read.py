@@ -1,4 +1,4 @@
-"""FBX files as binary glTF: converted in a process of its own, so that a crash of the library is an error message."""
+"""FBX files as GLB, converted in a child process, so that a crash of the library becomes an error message."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from cagemap.files.text import read_bytes
 _log = logging.getLogger(__name__)
 
 _REMEDY = "Export it again as binary FBX 7.4, or as GLB."
-# Seconds that a file may take, and more for each megabyte.
+# Time limit in seconds: a fixed part, and a part for each megabyte.
 _SECONDS, _SECONDS_A_MEGABYTE = 50.0, 1.0
-# The child finds the same packages as this process, and no others.
+# The child imports from the same paths as this process.
 _CHILD = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from cagemap.files.fbx.convert import main; main()"
-# Exit status of the child when it says what is wrong.
+# Exit status of the child after it wrote an error message.
 REFUSED = 3
 
 
 def fbx_as_glb(path: Path) -> bytes:
-    """A ``.fbx`` file as a GLB: metres, Y up, polygons marked (FB_ngon_encoding)."""
+    """An FBX file as GLB: in metres, Y up, with marked polygons (FB_ngon_encoding)."""
     content = read_bytes(path, "an FBX file")
     if importlib.util.find_spec("ufbx") is None:
         raise FormatError(f"{path}: FBX needs the package ufbx. Install cagemap[fbx], or export the file as GLB.")
@@ -34,12 +34,12 @@ def fbx_as_glb(path: Path) -> bytes:
         done = subprocess.run(command, input=content, capture_output=True, timeout=limit, check=False)
     except subprocess.TimeoutExpired:
         raise FormatError(f"{path}: took more than {limit:.0f} s to read and was given up. {_REMEDY}") from None
-    said = done.stderr.decode(errors="replace").strip()
+    messages = done.stderr.decode(errors="replace").strip()
     if done.returncode == REFUSED:
-        raise FormatError(f"{path}: cannot be read as FBX ({said.splitlines()[-1]}). {_REMEDY}")
+        raise FormatError(f"{path}: cannot be read as FBX ({messages.splitlines()[-1]}). {_REMEDY}")
     if done.returncode != 0:
-        _log.debug("%s: %s", path, said)
+        _log.debug("%s: %s", path, messages)
         raise FormatError(f"{path}: the FBX library stopped while it read the file ({done.returncode}). {_REMEDY}")
-    for line in said.splitlines():
+    for line in messages.splitlines():
         _log.warning("%s: %s", path, line)
     return done.stdout

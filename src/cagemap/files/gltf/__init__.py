@@ -1,1 +1,1 @@
-"""glTF 2.0."""
+"""Reading and writing of glTF 2.0, including VRM."""

@@ -1,4 +1,4 @@
-"""Arrays and other bytes that a glTF document is given, in a buffer of their own; those that nothing uses dropped."""
+"""Buffers of glTF documents: arrays and bytes are added, unused ones are removed."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from cagemap.files.gltf.entries import Document, view_bytes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# What an array in the file is for.
+# Targets of buffer views.
 VERTICES, INDICES = 34962, 34963
-# Extension by which triangles that follow each other as a fan are one polygon.
+# Extension that marks polygons: consecutive triangles with a common first vertex are the fan of one.
 NGONS = "FB_ngon_encoding"
-# Extra of a primitive: polygons whose fan does not begin at their first corner, and where it does.
+# Extra of a primitive: faces whose fan does not begin at their first corner, and the corner where it begins.
 STARTS = "cagemap_fan_starts"
-# By kind and size: one type has different letters on different systems.
+# glTF's numbers of component types, by kind and size: the letters of numpy's types differ between systems.
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class Binary:
-    """What a document holds beside its JSON, and what is added to it; ``extensions`` that its entries use."""
+    """Buffer views and accessors of a document, to which more are added; ``extensions`` lists those used."""
 
     def __init__(self, document: Document | None = None) -> None:
         self._given = Document({}, (), Path("new.glb")) if document is None else document
@@ -49,12 +49,12 @@ class Binary:
         return self._add({"bufferView": self.view(data.tobytes(), target)} | _form(data) | extra)
 
     def places(self, values: FloatArray) -> int:
-        """Add positions (n, 3), with the bounds that the standard asks for."""
+        """Add positions (n, 3), with the bounds that glTF requires; returns the accessor's number."""
         table = values.astype("<f4")
         return self.accessor(table, VERTICES, min=table.min(axis=0).tolist(), max=table.max(axis=0).tolist())
 
     def offsets(self, values: FloatArray) -> int:
-        """Add offsets (n, 3) of a blend shape: those that are not zero, where most are."""
+        """Add offsets (n, 3) of a blend shape, sparse if that is shorter; returns the accessor's number."""
         table = values.astype("<f4")
         bounds = {"min": table.min(axis=0).tolist(), "max": table.max(axis=0).tolist()}
         rows = np.flatnonzero(table.any(axis=1))
@@ -70,11 +70,11 @@ class Binary:
         return self._add(_form(table) | bounds | {"sparse": sparse})
 
     def indices(self, corners: IndexArray) -> int:
-        """Add vertices of triangles, (3 t,)."""
+        """Add vertex indices of triangles, (3 t,); returns the accessor's number."""
         return self.accessor(_small(corners), INDICES)
 
     def document(self, top: dict[str, Any]) -> Document:
-        """The document with another JSON, to which accessors, views and the buffer are added."""
+        """A document with the JSON ``top``, and with the accessors, views and buffer added so far."""
         buffers = list(self._given.entries("buffers"))
         data = b"".join(self._chunks)
         if data:
@@ -97,18 +97,18 @@ def _form(array: NDArray[Any]) -> dict[str, Any]:
 
 
 def _small(numbers: IndexArray) -> NDArray[Any]:
-    """Numbers in two bytes where they fit; the largest of a type means something else."""
+    """Numbers in two bytes where they fit; 65535 is reserved for primitive restart."""
     return numbers.astype("<u2" if numbers.max(initial=0) < 65535 else "<u4")
 
 
 def corners_from(offsets: IndexArray, starts: IndexArray) -> IndexArray:
-    """(c,) corners of all faces, each from its corner ``starts`` on, round the face."""
+    """(c,) corners of all faces, each face beginning at its corner ``starts``."""
     sizes = np.diff(offsets)
     place = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - starts, sizes)
     return np.asarray(np.repeat(offsets[:-1], sizes) + place % np.repeat(sizes, sizes))
 
 
-# Extensions that name no accessors or buffer views; with others nothing is dropped.
+# Extensions that refer to no accessors or buffer views; with any other extension nothing is removed.
 _KNOWN = {NGONS, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
 _KNOWN_FAMILIES = ("KHR_materials_", "VRMC_")
 
@@ -116,9 +116,9 @@ _Holder = tuple[dict[str, Any], str]
 
 
 def without_unused(document: Document) -> Document:
-    """The document without accessors, buffer views and bytes that nothing uses; as it is with unknown extensions.
+    """The document without unused accessors, buffer views and bytes; unchanged if it has unknown extensions.
 
-    Meshes, textures and images stay, used or not, since extensions name them by number.
+    Meshes, textures and images stay, used or not, since extensions refer to them by number.
     """
     used = document.entries("extensionsUsed")
     if not all(str(name) in _KNOWN or str(name).startswith(_KNOWN_FAMILIES) for name in used):
@@ -139,7 +139,7 @@ def without_unused(document: Document) -> Document:
 
 
 def _kept(entries: list[Any], holders: list[_Holder]) -> list[Any]:
-    """Entries that are named, and their new numbers written where they are named."""
+    """Entries that are referred to; renumbers the references."""
     used = sorted({holder[key] for holder, key in holders})
     number = {old: new for new, old in enumerate(used)}
     for holder, key in holders:
@@ -148,7 +148,7 @@ def _kept(entries: list[Any], holders: list[_Holder]) -> list[Any]:
 
 
 def _of_accessors(top: dict[str, Any]) -> Iterator[_Holder]:
-    """Every place of the JSON that names an accessor."""
+    """All references to accessors in the JSON."""
     for mesh in top.get("meshes", []):
         for primitive in mesh.get("primitives", []):
             for table in (primitive.get("attributes", {}), *primitive.get("targets", [])):
@@ -162,7 +162,7 @@ def _of_accessors(top: dict[str, Any]) -> Iterator[_Holder]:
 
 
 def _of_views(top: dict[str, Any]) -> Iterator[_Holder]:
-    """Every place of the JSON that names a buffer view."""
+    """All references to buffer views in the JSON."""
     for entry in (*top["accessors"], *top.get("images", [])):
         yield from _stated(entry, "bufferView")
         for part in entry.get("sparse", {}).values():

@@ -1,4 +1,4 @@
-"""Characters of glTF files: parts with weights and shapes, one rig, animations; humanoid bones of VRM."""
+"""Characters of glTF files: parts with weights and shapes, one rig, animations; VRM's humanoid bones."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def character_of(document: Document) -> Character:
     """The character in a document: mesh nodes as parts, joints of all skins as one rig, their animations."""
     scene = read_scene(document)
     rig = None if scene.joints is None else scene.joints.rig
-    return Character(tuple(one.part for one in scene.parts), rig, read_animations(scene))
+    return Character(tuple(read_part.part for read_part in scene.parts), rig, read_animations(scene))
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:
-    """Names of nodes by VRM's names of humanoid bones; empty where a document is no VRM."""
+    """Names of nodes by VRM's names of humanoid bones; empty if the document is no VRM."""
     extensions = document.table(document.json, "extensions", "glTF")
     names = read_nodes(document).names
     stated: list[tuple[Any, Any]] = []
@@ -52,14 +52,14 @@ def humanoid_bones(document: Document) -> dict[str, str]:
 
 
 def read_animations(scene: Scene) -> tuple[Animation, ...]:
-    """Animations of the joints; channels of other nodes and of morph weights stay in the document."""
+    """Animations of the joints; channels of other nodes and of morph weights are only in the document."""
     document = scene.document
-    found = []
+    animations = []
     for number, name in enumerate(animation_names(document)):
         entry, where = document.entry("animations", number), f"animations {number}"
         tracks = [] if scene.joints is None else _tracks(document, scene.joints, entry, where)
-        found.append(Animation(name, tuple(tracks)))
-    return tuple(found)
+        animations.append(Animation(name, tuple(tracks)))
+    return tuple(animations)
 
 
 def _tracks(document: Document, joints: Joints, entry: dict[str, Any], where: str) -> list[Track]:
@@ -114,17 +114,17 @@ def animation_entries(
     given: Document | None,
     targets: Sequence[int],
 ) -> list[dict[str, Any]]:
-    """Entries of ``animations``: tracks of joints, and of a document's own what moves other things.
+    """Entries of ``animations``: tracks of joints, and the given document's other channels.
 
     ``nodes``: node of each joint.
-    ``above``: see `cagemap.files.gltf.nodes.Joints`, by node.
-    ``before``: entries of the document, in the order of animations of the same name.
-    ``given``: whose entries these are.
-    ``targets``: number of blend shapes that each node's mesh has now.
+    ``above``: transforms by node, see `cagemap.files.gltf.nodes.Joints`.
+    ``before``: entries of ``given``, in its order.
+    ``given``: the document of these entries.
+    ``targets``: present number of blend shapes of each node's mesh.
     """
     named = {} if given is None else dict(zip(animation_names(given), before, strict=True))
     times: dict[bytes, int] = {}
-    found = []
+    entries = []
     for animation in animations:
         old = named.pop(animation.name, {})
         kept = _kept(old, set(nodes), targets, given)
@@ -144,27 +144,27 @@ def animation_entries(
             target = {"node": node, "path": track.channel}
             entry["channels"].append({"sampler": len(entry["samplers"]) - 1, "target": target})
         if entry["channels"]:
-            found.append({"name": animation.name} | entry)
-    return found
+            entries.append({"name": animation.name} | entry)
+    return entries
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
-    """Different names of all animations; those without have one of their number."""
+    """Unique names of all animations; unnamed ones are called by their number."""
     count = len(document.entries("animations"))
     return distinct([document.name("animations", number) or f"animation {number}" for number in range(count)])
 
 
 def animation_lengths(document: Document) -> tuple[float, ...]:
-    """Seconds of every animation, of joints or of anything else."""
-    found = []
+    """Duration in seconds of every animation, whatever it moves."""
+    lengths = []
     for number in range(len(document.entries("animations"))):
         where = f"animations {number}"
         samplers = document.entries("samplers", document.entry("animations", number), where)
         inputs = [sampler.get("input") for sampler in samplers if isinstance(sampler, dict)]
-        different = [one for place, one in enumerate(inputs) if one not in inputs[:place]]
-        ends = [float(read_accessor(document, one, where, ("SCALAR",)).max()) for one in different]
-        found.append(max(ends, default=0.0))
-    return tuple(found)
+        different = [accessor for place, accessor in enumerate(inputs) if accessor not in inputs[:place]]
+        ends = [float(read_accessor(document, accessor, where, ("SCALAR",)).max()) for accessor in different]
+        lengths.append(max(ends, default=0.0))
+    return tuple(lengths)
 
 
 def _kept(
@@ -190,11 +190,11 @@ def _kept(
 
 
 def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:
-    """Values of a track, stated in the space of the joint's node, in that of its parent in the rig.
+    """Values of a track, converted from the space of the joint's node to that of its parent in the rig.
 
     ``values``: (k, q) or (k, 3, q).
     ``above``: (4, 4), a similarity.
-    ``tangents``: whether values stand between their tangents, (k, 3, q).
+    ``tangents``: whether values are between their tangents, (k, 3, q).
     """
     if np.array_equal(above, np.eye(4)):
         return values
@@ -211,13 +211,13 @@ def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents:
 
 
 def _to_node(track: Track, above: FloatArray) -> FloatArray:
-    """Undo `in_rig`."""
+    """Values of a track in the space of the joint's node; the inverse of `in_rig`."""
     tangents = track.interpolation == "CUBICSPLINE"
     return in_rig(track.values, track.channel, np.asarray(np.linalg.inv(above), np.float64), tangents=tangents)
 
 
 def _after(first: FloatArray, then: FloatArray) -> FloatArray:
-    """(..., 4) the rotations ``first``, then one more; linear in both."""
+    """(..., 4) quaternions of the rotations ``first``, followed by ``then``; linear in both."""
     axis, angle = then[:3], then[3]
     inner, w = first[..., :3], first[..., 3:]
     turned = angle * inner + w * axis + np.cross(axis, inner)
@@ -225,7 +225,7 @@ def _after(first: FloatArray, then: FloatArray) -> FloatArray:
 
 
 def _quaternion(turn: FloatArray) -> FloatArray:
-    """(4,) x, y, z, w of a rotation (3, 3) for points as rows, or of the nearest one."""
+    """(4,) quaternion x, y, z, w of the rotation nearest to a matrix (3, 3) for points as rows."""
     u, _, vt = np.linalg.svd(turn)
     nearest = u @ vt
     return np.asarray(Rotation.from_matrix(nearest.T * np.linalg.det(nearest)).as_quat())

@@ -1,7 +1,7 @@
-"""The container of glTF 2.0: JSON and buffers of `.glb`, `.gltf` and `.vrm` files, read and written.
+"""Files `.glb`, `.gltf` and `.vrm` of glTF 2.0, read and written as JSON and buffers.
 
-Everything that is not understood stays in the JSON and is written back as it was. Meshes that Draco compressed
-(KHR_draco_mesh_compression) become plain ones, by the extra ``cagemap[draco]``.
+Unknown parts of the JSON are kept and written back unchanged. Meshes compressed by Draco (KHR_draco_mesh_compression)
+are decompressed, with the extra ``cagemap[draco]``.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ DRACO = "KHR_draco_mesh_compression"
 
 
 def without_draco(document: Document) -> Document:
-    """The document with its compressed meshes as plain ones, in a further buffer; as it is where there are none."""
-    found = [
+    """The document with its compressed meshes decompressed, in a further buffer; unchanged without such meshes."""
+    compressed = [
         (number, place)
         for number in range(len(document.entries("meshes")))
         for place, primitive in enumerate(document.entries("primitives", document.entry("meshes", number)))
         if isinstance(primitive, dict) and DRACO in document.table(primitive, "extensions", f"meshes {number}")
     ]
-    if not found:
+    if not compressed:
         return document
-    made = _Plain(document)
-    for number, place in found:
-        made.decompress(number, place)
-    return made.document()
+    plain = _Plain(document)
+    for number, place in compressed:
+        plain.decompress(number, place)
+    return plain.document()
 
 
 class _Plain:
@@ -60,7 +60,7 @@ class _Plain:
         self._binary = Binary(document)
 
     def decompress(self, number: int, place: int) -> None:
-        """Replace one primitive of a mesh."""
+        """Decompress one primitive of a mesh."""
         given, where = self._given, f"meshes {number}, primitive {place}"
         mesh = self._meshes[number]
         primitive = mesh["primitives"][place]
@@ -84,18 +84,18 @@ class _Plain:
         self._meshes[number] = mesh | {"primitives": primitives}
 
     def document(self) -> Document:
-        """What came out."""
+        """The decompressed document."""
         given = self._given
         top = given.json | {"meshes": self._meshes}
         for name in ("extensionsUsed", "extensionsRequired"):
-            if left := [one for one in given.entries(name) if one != DRACO]:
+            if left := [extension for extension in given.entries(name) if extension != DRACO]:
                 top[name] = left
             else:
                 top.pop(name, None)
         return self._binary.document(top)
 
     def _accessor(self, number: object, array: NDArray[Any] | None, where: str, target: int = VERTICES) -> int:
-        """Number of an accessor for decompressed values: that of the file with data."""
+        """Add decompressed values; returns the number of their accessor, with names and extras of the file's."""
         entry = self._given.entry("accessors", number, where)
         kind = "" if array is None else f"{array.dtype.kind}{array.dtype.itemsize}"
         if array is None or kind not in COMPONENTS or not array.size:
@@ -110,7 +110,7 @@ class _Plain:
 
 
 def _normalised(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[Any] | None]:
-    """Weights whose sums the compression has moved away from 1."""
+    """Weights divided by their sums, which the compression moves away from 1."""
     known = [values for values in weights.values() if values is not None]
     if not known or any(values.dtype.kind != "f" or values.shape != (len(known[0]), 4) for values in known):
         return weights
@@ -140,9 +140,9 @@ def _decoded(document: Document, data: bytes, where: str) -> Any:
 
 
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
-# What is read as a glTF document.
+# Suffixes of files that are read as a glTF document.
 SCENE_SUFFIXES = (*GLTF_SUFFIXES, ".fbx")
-# Required extensions that change nothing of what is read here; of others, geometry or textures would be misread.
+# Required extensions that do not affect what is read here, or are handled; with others data would be misread.
 _UNDERSTOOD = {DRACO, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
 _UNDERSTOOD_FAMILIES = ("KHR_materials_", "VRMC_")
 _TRANSFORM = "`gltf-transform cp IN.glb OUT.glb` (npm package @gltf-transform/cli) writes the file without it"
@@ -157,7 +157,7 @@ _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 def read_document(path: str | Path) -> Document:
-    """Read a glTF 2.0 file with its buffers, or an FBX file as one; nothing is fetched from a network."""
+    """Read a glTF 2.0 or FBX file as a document with its buffers; nothing is fetched from a network."""
     file = Path(path)
     content = fbx_as_glb(file) if file.suffix.lower() == ".fbx" else read_bytes(file, "a glTF file")
     text, blob = _chunks(file, content) if content[:4] == b"glTF" else (content, None)
@@ -182,18 +182,18 @@ def _chunks(file: Path, content: bytes) -> tuple[bytes, bytes | None]:
         raise FormatError(
             f"{file}: expected a GLB of {length} bytes, got {len(content)}. The file is cut short. {REMEDY}"
         )
-    found: dict[bytes, bytes] = {}
+    chunks: dict[bytes, bytes] = {}
     at = _HEAD.size
     while at + _CHUNK.size <= length:
         size, kind = _CHUNK.unpack_from(content, at)
         at += _CHUNK.size
         if at + size > length:
             raise FormatError(f"{file}: a chunk of {size} bytes ends after the file of {length} bytes. {REMEDY}")
-        found.setdefault(kind, content[at : at + size])
+        chunks.setdefault(kind, content[at : at + size])
         at += size
-    if b"JSON" not in found:
+    if b"JSON" not in chunks:
         raise FormatError(f"{file}: expected a JSON chunk in the GLB, got none. {REMEDY}")
-    return found[b"JSON"], found.get(b"BIN\0")
+    return chunks[b"JSON"], chunks.get(b"BIN\0")
 
 
 def _parsed(file: Path, text: bytes) -> dict[str, Any]:
@@ -212,9 +212,9 @@ def _parsed(file: Path, text: bytes) -> dict[str, Any]:
 def _require_understood(document: Document) -> None:
     for name in document.entries("extensionsRequired"):
         if not isinstance(name, str) or not (name in _UNDERSTOOD or name.startswith(_UNDERSTOOD_FAMILIES)):
-            way = _WAYS_ROUND.get(str(name), "Export it without this extension")
+            remedy = _WAYS_ROUND.get(str(name), "Export it without this extension")
             word = whole_characters(str(name))
-            raise FormatError(f"{document.file}: requires the extension {word}, which cagemap does not read. {way}.")
+            raise FormatError(f"{document.file}: requires the extension {word}, which cagemap does not read. {remedy}.")
 
 
 def _buffer(document: Document, number: int, blob: bytes | None) -> bytes:
@@ -231,7 +231,7 @@ def _buffer(document: Document, number: int, blob: bytes | None) -> bytes:
 
 
 def packed(document: Document) -> Document:
-    """The same with one buffer, which holds its images too, and cagemap's mark."""
+    """The document with one buffer that holds its images too, and with cagemap's mark."""
     parts: list[bytes] = []
     length = 0
 
@@ -245,8 +245,10 @@ def packed(document: Document) -> Document:
     starts = [add(buffer) for buffer in document.buffers]
     views = []
     for number, view in enumerate(document.entries("bufferViews")):
-        own = document.whole(document.entry("bufferViews", number).get("buffer"), "bufferViews", 0, len(starts) - 1)
-        moved = starts[own] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
+        buffer_number = document.whole(
+            document.entry("bufferViews", number).get("buffer"), "bufferViews", 0, len(starts) - 1
+        )
+        moved = starts[buffer_number] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
         views.append(view | {"buffer": 0, "byteOffset": moved} if moved else view | {"buffer": 0})
     images = []
     for number in range(len(document.entries("images"))):
@@ -264,14 +266,14 @@ def packed(document: Document) -> Document:
     if parts:
         first = document.entry("buffers", 0) if document.buffers else {}
         changed["buffers"] = [{name: v for name, v in first.items() if name != "uri"} | {"byteLength": length}]
-    # The asset first: marks are searched for near the start of a file.
+    # The asset first: readers search the mark near the start of a file.
     top = {"asset": asset | marked} | {name: value for name, value in document.json.items() if name != "asset"}
     top |= {name: value for name, value in changed.items() if value}
     return Document(top, (b"".join(parts),) if parts else (), document.file)
 
 
 def glb_bytes(document: Document) -> bytes:
-    """A document as one binary file."""
+    """A document as a binary file (GLB)."""
     document = packed(document)
     text = _dumped(document)
     text += b" " * (-len(text) % 4)
@@ -289,7 +291,7 @@ def _dumped(document: Document) -> bytes:
 
 
 def write_document(path: str | Path, document: Document, *, force: bool = False) -> None:
-    """Write a document as one file, with buffers and images inside: `.glb` and `.vrm` binary, `.gltf` as text."""
+    """Write a document as one file with buffers and images: `.glb` and `.vrm` binary, `.gltf` as text."""
     suffix = Path(path).suffix.lower()
     if suffix not in GLTF_SUFFIXES:
         raise FormatError(f"{path}: expected a name ending in {', '.join(GLTF_SUFFIXES)}. Give another name.")

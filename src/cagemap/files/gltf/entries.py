@@ -1,4 +1,4 @@
-"""What a glTF file holds: its JSON, looked up with checks, its buffers, images and accessors as arrays."""
+"""Entries of glTF documents, checked when looked up; buffers, images, and accessors as arrays."""
 
 from __future__ import annotations
 
@@ -20,42 +20,42 @@ from cagemap.numerics.arrays import FloatArray, shown
 
 _DATA_URI = re.compile(r"data:([^,;]*)((?:;[^,;]*)*),")
 REMEDY = "Export it again."
-_LARGEST = 1e100  # of numbers that are squared and multiplied
+_LARGEST = 1e100  # of numbers, so that their products stay finite
 
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file."""
+    """JSON and buffers of a glTF file."""
 
     json: dict[str, Any]  # as in the file
     buffers: tuple[bytes, ...] = field(repr=False)  # one for each entry of the JSON's ``buffers``
-    file: Path  # where it was read, for messages; images beside it are found from here
+    file: Path  # the file that was read, for messages; images are searched beside it
 
     def refuse(self, where: str, problem: str, remedy: str = REMEDY) -> NoReturn:
-        """Raise a FormatError that names the file and the place."""
+        """Raise a FormatError that names the file and the entry."""
         raise FormatError(f"{self.file}: {where}: {problem}. {remedy}")
 
     def entries(self, kind: str, of: dict[str, Any] | None = None, where: str = "glTF") -> list[Any]:
-        """A list of the JSON, of its top or of an entry; empty where there is none."""
-        found = (self.json if of is None else of).get(kind, [])
-        if not isinstance(found, list):
-            self.refuse(where, f"expected a list of {kind}, got {shown(found)}")
-        return found
+        """A list of the JSON or of the entry ``of``; empty if absent."""
+        entries = (self.json if of is None else of).get(kind, [])
+        if not isinstance(entries, list):
+            self.refuse(where, f"expected a list of {kind}, got {shown(entries)}")
+        return entries
 
     def table(self, of: dict[str, Any], name: str, where: str) -> dict[str, Any]:
-        """An object of the JSON inside an entry; empty where there is none."""
-        found = of.get(name, {})
-        if not isinstance(found, dict):
-            self.refuse(where, f"expected an object as {name}, got {shown(found)}")
-        return found
+        """An object inside an entry of the JSON; empty if absent."""
+        table = of.get(name, {})
+        if not isinstance(table, dict):
+            self.refuse(where, f"expected an object as {name}, got {shown(table)}")
+        return table
 
     def entry(self, kind: str, number: object, where: str = "glTF") -> dict[str, Any]:
-        """One of the JSON's lists' entries, by number."""
+        """An entry of one of the JSON's lists, by number."""
         entries = self.entries(kind)
-        found = entries[self.whole(number, f"{where}: number of {kind}", 0, len(entries) - 1)]
-        if not isinstance(found, dict):
-            self.refuse(f"{kind} {number}", f"expected an object, got {shown(found)}")
-        return found
+        entry = entries[self.whole(number, f"{where}: number of {kind}", 0, len(entries) - 1)]
+        if not isinstance(entry, dict):
+            self.refuse(f"{kind} {number}", f"expected an object, got {shown(entry)}")
+        return entry
 
     def whole(self, value: object, where: str, low: int = 0, high: int = 2**53) -> int:
         """A value of the JSON as a whole number from ``low`` to ``high``, both included."""
@@ -67,19 +67,21 @@ class Document:
 
     def numbers(self, value: object, where: str, count: int) -> FloatArray:
         """A list of the JSON as (count,) finite numbers."""
-        right = isinstance(value, list) and len(value) == count and all(isinstance(one, int | float) for one in value)
-        if not right or not all(abs(one) < _LARGEST for one in value):  # type: ignore[attr-defined]
+        right = (
+            isinstance(value, list) and len(value) == count and all(isinstance(number, int | float) for number in value)
+        )
+        if not right or not all(abs(number) < _LARGEST for number in value):  # type: ignore[attr-defined]
             self.refuse(where, f"expected {count} finite numbers, got {shown(value)}")
         return np.array(value, dtype=np.float64)
 
     def name(self, kind: str, number: int) -> str:
-        """The name of an entry, '' where it has none."""
+        """The name of an entry, '' without one."""
         stated = self.entry(kind, number).get("name")
         return whole_characters(stated) if isinstance(stated, str) else ""
 
 
 def resource(document: Document, uri: object, where: str) -> bytes:
-    """What a URI names: data in the JSON, or a file in the folder of the document."""
+    """Bytes that a URI refers to: data in the URI, or a file in the document's folder."""
     if not isinstance(uri, str):
         document.refuse(where, f"expected a URI, got {shown(uri)}")
     head = _DATA_URI.match(uri)
@@ -109,7 +111,7 @@ def view_bytes(document: Document, number: object, where: str) -> memoryview:
 
 
 def image_bytes(document: Document, number: object) -> tuple[bytes, str]:
-    """An image as it is stored, and its suffix, such as ``.png``."""
+    """An image in its stored format, and its suffix, such as ``.png``."""
     entry, where = document.entry("images", number), f"images {number}"
     uri = entry.get("uri")
     data = (
@@ -127,13 +129,13 @@ def image_type(suffix: str) -> str:
 
 
 def image_suffix(data: bytes) -> str | None:
-    """Suffix of an image's file by its first bytes; None for other data."""
+    """Suffix of an image's format by its first bytes; None for other data."""
     signatures = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"RIFF": ".webp"}
     return next((suffix for start, suffix in signatures.items() if data.startswith(start)), None)
 
 
-# An object of named entries, a list of one entry, or the name of a list that a number is of; with "!" it must be there.
-# "*" stands for every name. "+" is a positive whole number.
+# Dictionaries are objects with these entries, lists are lists of such an entry. A string is the list that a number
+# refers to. With "!" the entry is required, "*" stands for every name, "+" is a positive whole number.
 _VIEW = {"bufferView": "bufferViews"}
 _STRUCTURE: dict[str, Any] = {
     "scene": "scenes",
@@ -168,7 +170,7 @@ _STRUCTURE: dict[str, Any] = {
 
 
 def require_structure(document: Document) -> None:
-    """Refuse a document whose objects, lists and numbers are not what the standard says."""
+    """Refuse a document whose objects, lists and numbers do not follow the standard."""
     _require(document, document.json, _STRUCTURE, "glTF")
     for number, animation in enumerate(document.entries("animations")):
         count = len(animation.get("samplers", ()))
@@ -187,8 +189,8 @@ def _require(document: Document, value: Any, wanted: Any, where: str) -> None:
     elif isinstance(wanted, list):
         if not isinstance(value, list):
             document.refuse(where, f"expected a list, got {shown(value)}")
-        for number, one in enumerate(value):
-            _require(document, one, wanted[0], f"{where} {number}")
+        for number, item in enumerate(value):
+            _require(document, item, wanted[0], f"{where} {number}")
     elif isinstance(wanted, str):
         kind = wanted.removeprefix("!")
         count = 2**53 if kind == "+" else len(document.entries(kind))
@@ -204,11 +206,11 @@ _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 def read_accessor(
     document: Document, number: object, where: str, shapes: tuple[str, ...], count: int | None = None
 ) -> NDArray[Any]:
-    """Elements of an accessor: (n,) of scalars, (n, q) of others; int64, or float64 where they have fractions.
+    """Elements of an accessor: (n,) for scalars, else (n, q); int64, or float64 if fractional.
 
-    ``where``: what names it, for messages.
-    ``shapes``: types that are taken, such as ``"VEC3"``.
-    ``count``: how many elements there must be. An accessor without data, all zero, is read only where this is given:
+    ``where``: the entry that refers to it, for messages.
+    ``shapes``: accepted types, such as ``"VEC3"``.
+    ``count``: required number of elements. An accessor without data (all zero) is read only if this is given, since
         its own count could be anything.
     """
     entry = document.entry("accessors", number, where)
@@ -259,7 +261,7 @@ def _elements(
 
 
 def _with_sparse(document: Document, sparse: dict[str, Any], place: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Values with the rows replaced that a sparse accessor lists."""
+    """Values, with the rows replaced that a sparse accessor lists."""
     place = f"{place}: sparse"
     count = document.whole(sparse.get("count"), f"{place}: count", 1, len(values))
     rows, given = (document.table(sparse, name, place) for name in ("indices", "values"))

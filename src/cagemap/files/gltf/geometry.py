@@ -1,6 +1,6 @@
-"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at seams.
+"""Control meshes as meshes of glTF: fans of triangles, a primitive for each material, vertices split at seams.
 
-Seams are those of UVs and of hard edges. Polygons are marked (FB_ngon_encoding), for programs that know it.
+Seams are those of UVs and of hard edges. Polygons are marked (FB_ngon_encoding) for programs that support it.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ def mesh_entry(
     shapes: Mapping[str, FloatArray] | None = None,
     normals: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Entry of ``meshes`` for a control mesh, its arrays added to ``binary``.
+    """Entry of ``meshes`` for a control mesh; adds its arrays to ``binary``.
 
-    ``mesh``: creases and infinite colours have no place in the format.
-    ``materials``: number in the document of each of its materials.
-    ``weights``: (n, j), of the joints of the skin of its node; all influences are written, four a set.
-    ``normals``: (c, 3), of the face corners. Default: those of the vertices.
+    ``mesh``: creases and colours that are not finite are not written; glTF has no place for them.
+    ``materials``: number in the document of each material of the mesh.
+    ``weights``: (n, j), for the joints of the node's skin; all influences are written, in sets of four.
+    ``normals``: (c, 3), of the face corners. Default: vertex normals.
     """
     sets = _uv_sets(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
-    first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets), *hard])
+    first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
     starts = np.zeros(mesh.n_faces, dtype=np.int64)
@@ -54,9 +54,9 @@ def mesh_entry(
         "POSITION": binary.places(mesh.positions[vertices]),
         "NORMAL": binary.accessor(written.astype("<f4"), VERTICES),
     }
-    for number, one in enumerate(sets):
+    for number, uv_set in enumerate(sets):
         # glTF counts v from the top.
-        uvs = one.uvs[one.uv_indices[first]] * [1.0, -1.0] + [0.0, 1.0]
+        uvs = uv_set.uvs[uv_set.uv_indices[first]] * [1.0, -1.0] + [0.0, 1.0]
         attributes[f"TEXCOORD_{number}"] = binary.accessor(uvs.astype("<f4"), VERTICES)
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         attributes["COLOR_0"] = binary.accessor(mesh.vertex_colors[vertices].astype("<f4"), VERTICES)
@@ -69,10 +69,10 @@ def mesh_entry(
     for number in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == number].ravel()
         primitive = common | {"indices": binary.indices(chosen)}
-        own = starts[numbers_of == number]
-        if own.any():
-            turned = np.flatnonzero(own)
-            primitive["extras"] = {STARTS: np.column_stack([turned, own[turned]]).tolist()}
+        own_starts = starts[numbers_of == number]
+        if own_starts.any():
+            turned = np.flatnonzero(own_starts)
+            primitive["extras"] = {STARTS: np.column_stack([turned, own_starts[turned]]).tolist()}
         material = materials[number] if mesh.face_materials is not None else None
         primitives.append(primitive if material is None else primitive | {"material": material})
     named = {"extras": {"targetNames": list(shapes)}} if shapes else {}
@@ -80,9 +80,9 @@ def mesh_entry(
 
 
 def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
-    """(m,) corner at which the fan of each face begins: with another vertex than its neighbours in order.
+    """(m,) corner at which each face's fan begins, so that consecutive fans have different first vertices.
 
-    So no two fans in a row can be taken for one. Every second face begins at its first corner, most others too.
+    Otherwise readers would join two fans. Every second face begins at its first corner, and most others do too.
     """
     first = mesh.face_offsets[:-1]
     moved = order[1::2]
@@ -95,17 +95,17 @@ def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> In
 
 
 def _uv_sets(mesh: ControlMesh) -> list[UvSet]:
-    """All UV sets in the order of their names in glTF, others as the mesh has them."""
+    """All UV sets, sorted by their names of glTF if all have such names."""
     sets = [] if mesh.uvs is None else list(mesh.all_uv_sets)
     named = all(one.name.startswith("TEXCOORD_") for one in sets)
     return sorted(sets, key=lambda one: (len(one.name), one.name)) if named else sets
 
 
 def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:
-    """A corner of each vertex to write, and the vertex of every corner; equal where all indices are."""
+    """A corner (n,) of each written vertex, and the vertex (c,) of each corner; split where any index differs."""
     keys = np.zeros(len(indices[0]), dtype=np.int64)
-    for one in indices:
-        keys = np.unique(keys * (int(one.max(initial=0)) + 1) + one, return_inverse=True)[1].astype(np.int64)
+    for index in indices:
+        keys = np.unique(keys * (int(index.max(initial=0)) + 1) + index, return_inverse=True)[1].astype(np.int64)
     _, first = np.unique(keys, return_index=True)
     return first, keys
 
@@ -122,9 +122,9 @@ def _skinning(binary: Binary, weights: sparse.csr_array) -> dict[str, int]:
     values = (values / np.maximum(values.sum(axis=1, keepdims=True), 1e-30)).astype("<f4")
     joints[values == 0.0] = 0
     kind = "u1" if weights.shape[1] <= 256 else "<u2"
-    found = {}
-    for one in range(columns // 4):
-        four = slice(4 * one, 4 * one + 4)
-        found[f"JOINTS_{one}"] = binary.accessor(joints[:, four].astype(kind), VERTICES)
-        found[f"WEIGHTS_{one}"] = binary.accessor(values[:, four], VERTICES)
-    return found
+    attributes = {}
+    for number in range(columns // 4):
+        four = slice(4 * number, 4 * number + 4)
+        attributes[f"JOINTS_{number}"] = binary.accessor(joints[:, four].astype(kind), VERTICES)
+        attributes[f"WEIGHTS_{number}"] = binary.accessor(values[:, four], VERTICES)
+    return attributes

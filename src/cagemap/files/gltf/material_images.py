@@ -1,4 +1,4 @@
-"""Images of materials in a glTF document, and how texture coordinates find them."""
+"""Images of materials in a glTF document, with their texture transforms and UV sets."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class MaterialImage:
     slot: str
     image: int  # its number in the document
     uv_set: str  # name of the UV set that it belongs to
-    # (3, 3) texture coordinates (u, v, 1), v down, times it are those of the image
+    # (3, 3) transform of texture coordinates (u, v, 1), as rows, v down, to coordinates of the image
     transform: FloatArray = field(repr=False)
 
     @property
     def is_normal_map(self) -> bool:
-        """Whether its colours are directions in tangent space."""
+        """Whether its colours are normals in tangent space."""
         return self.slot.lower().endswith("normaltexture")
 
     def on_image(self, uvs: FloatArray) -> FloatArray:
-        """Texture coordinates (m, 2) of the mesh, v up, as those of the image, v up."""
+        """Texture coordinates (m, 2) of the image for those of the mesh, both v up."""
         down = np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1], np.ones(len(uvs))]) @ self.transform
         return np.column_stack([down[:, 0], 1.0 - down[:, 1]])
 
@@ -60,16 +60,18 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
 
 
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
-    """Write the colour image that a glTF or FBX file holds for most of a mesh's faces; None if it holds none."""
+    """Write the colour texture of most of a mesh's faces from a glTF or FBX file; None without one."""
     if path.suffix.lower() not in SCENE_SUFFIXES or control.face_materials is None or control.uvs is None:
         return None
     document, names = read_document(path), control.material_names
     most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     slots = material_images(document, most) if most in material_names(document) else ()
-    found = next((one for one in slots if one.slot == _COLOR_SLOT and np.allclose(one.transform, np.eye(3))), None)
-    if found is None:
+    texture = next(
+        (slot for slot in slots if slot.slot == _COLOR_SLOT and np.allclose(slot.transform, np.eye(3))), None
+    )
+    if texture is None:
         return None
-    data, suffix = image_bytes(document, found.image)
+    data, suffix = image_bytes(document, texture.image)
     if suffix not in IMAGE_SUFFIXES:
         return None
     files = (folder / f"{path.stem}_texture{number or ''}{suffix}" for number in itertools.count())
@@ -80,7 +82,7 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
-    """The pixels of an image of a document."""
+    """The pixels of a material's image."""
     return image_of_bytes(*image_bytes(document, found.image), f"{document.file}: images {found.image}")
 
 
@@ -93,9 +95,9 @@ def png_bytes(image: Image) -> bytes:
 
 
 def with_copied_materials(document: Document, copies: Sequence[tuple[str, str]]) -> Document:
-    """A document with copies of materials (name, name of the copy), whose textures have no transform and the first UVs.
+    """A document with copies of materials (name, new name), without texture transforms and with the first UV set.
 
-    A copy of the same name takes the place of its material.
+    A copy with an unchanged name replaces its material.
     """
     top = json.loads(json.dumps(document.json))
     for name, new_name in copies:
@@ -134,7 +136,7 @@ def _image(document: Document, material: str, slot: str, holder: dict[str, Any])
 
 
 def _transform(document: Document, stated: dict[str, Any], where: str) -> FloatArray:
-    """Scale, rotate, shift, for (u, v, 1) as rows, v down (KHR_texture_transform)."""
+    """Matrix (3, 3) of KHR_texture_transform: scales, rotates, shifts (u, v, 1) as rows, v down."""
     offset = document.numbers(stated.get("offset", [0, 0]), f"{where}: offset", 2)
     scale = document.numbers(stated.get("scale", [1, 1]), f"{where}: scale", 2)
     angle = float(document.numbers([stated.get("rotation", 0)], f"{where}: rotation", 1)[0])

@@ -12,22 +12,22 @@ from cagemap.character.values import Rig
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# Of the length of a transform's axes.
+# Relative to the length of a transform's axes.
 _SHEAR, _ROUNDING = 1e-4, 1e-9
 _REST = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3}
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """All nodes of a document."""
+    """Nodes of a document with their transforms."""
 
-    order: tuple[int, ...]  # all nodes, parents before their children
-    in_scene: frozenset[int]  # those of the scene that is shown
+    order: tuple[int, ...]  # all nodes, parents before children
+    in_scene: frozenset[int]  # nodes of the displayed scene
     parents: IndexArray = field(repr=False)  # (n,) -1 for a root
     # `local`, `world`: (n, 4, 4) from a node's space to its parent's, and to the world
     local: FloatArray = field(repr=False)
     world: FloatArray = field(repr=False)
-    names: tuple[str, ...] = field(repr=False)  # different ones; nodes without a name have one of their number
+    names: tuple[str, ...] = field(repr=False)  # unique; unnamed nodes are called by their number
 
 
 def read_nodes(document: Document) -> Nodes:
@@ -35,8 +35,8 @@ def read_nodes(document: Document) -> Nodes:
     count = len(document.entries("nodes"))
     children = [_children(document, number) for number in range(count)]
     parents = np.full(count, -1, dtype=np.int64)
-    for number, own in enumerate(children):
-        for child in own:
+    for number, listed in enumerate(children):
+        for child in listed:
             if parents[child] >= 0:
                 document.refuse(f"nodes {child}", f"has two parents, {parents[child]} and {number}")
             parents[child] = number
@@ -56,9 +56,9 @@ def read_nodes(document: Document) -> Nodes:
 
 
 def distinct(names: list[str]) -> tuple[str, ...]:
-    """Names with a number behind those that came before."""
+    """Unique names: repeated ones get a number appended."""
     used: set[str] = set()
-    made = []
+    unique = []
     counts: dict[str, int] = {}
     for name in names:
         word = name
@@ -66,32 +66,32 @@ def distinct(names: list[str]) -> tuple[str, ...]:
             counts[name] = counts.get(name, 1) + 1
             word = f"{name}_{counts[name]}"
         used.add(word)
-        made.append(word)
-    return tuple(made)
+        unique.append(word)
+    return tuple(unique)
 
 
 def _children(document: Document, number: int) -> list[int]:
     where = f"nodes {number}"
-    own = document.entries("children", document.entry("nodes", number), where)
-    return [document.whole(child, f"{where}: child", 0, len(document.entries("nodes")) - 1) for child in own]
+    children = document.entries("children", document.entry("nodes", number), where)
+    return [document.whole(child, f"{where}: child", 0, len(document.entries("nodes")) - 1) for child in children]
 
 
 def _below(roots: list[int], children: list[list[int]]) -> list[int]:
-    """Nodes from the roots down, depth first."""
-    found, open_nodes = [], list(reversed(roots))
+    """The roots and all nodes below them, depth first."""
+    ordered, open_nodes = [], list(reversed(roots))
     seen: set[int] = set()
     while open_nodes:
         number = open_nodes.pop()
         if number in seen:
             continue
         seen.add(number)
-        found.append(number)
+        ordered.append(number)
         open_nodes.extend(reversed(children[number]))
-    return found
+    return ordered
 
 
 def _roots(document: Document, parents: IndexArray) -> list[int]:
-    """Root nodes of the scene that is shown; without scenes all nodes are."""
+    """Root nodes of the displayed scene; all root nodes if there are no scenes."""
     if not document.entries("scenes"):
         return np.flatnonzero(parents < 0).tolist()
     scene = document.entry("scenes", document.json.get("scene", 0))
@@ -103,14 +103,14 @@ def _local(document: Document, number: int) -> FloatArray:
     entry = document.entry("nodes", number)
     where = f"nodes {number}"
     if entry.get("matrix") is not None:
-        # By columns for points as columns: the rows of a matrix for points as rows.
+        # Stored by columns for points as columns, so read by rows it acts on points as rows.
         return document.numbers(entry["matrix"], f"{where}: matrix", 16).reshape(4, 4)
     stated = {name: rest if entry.get(name) is None else entry[name] for name, rest in _REST.items()}
     return transform(*(document.numbers(stated[name], f"{where}: {name}", len(rest)) for name, rest in _REST.items()))
 
 
 def rotation_matrix(quaternion: FloatArray) -> FloatArray:
-    """(..., 3, 3) rotations, for points as rows, of quaternions (..., 4): x, y, z, w of any length but 0."""
+    """(..., 3, 3) rotations, for points as rows, of quaternions (..., 4) x, y, z, w of any length but 0."""
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     x, y, z, w = np.moveaxis(quaternion / np.where(length > 0.0, length, 1.0), -1, 0)
     rows = [
@@ -122,15 +122,15 @@ def rotation_matrix(quaternion: FloatArray) -> FloatArray:
 
 
 def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray) -> FloatArray:
-    """(4, 4) matrix for points as rows: scaled, turned, moved."""
-    made = np.eye(4)
-    made[:3, :3] = scale[:, None] * rotation_matrix(quaternion)
-    made[3, :3] = translation
-    return made
+    """(4, 4) matrix for points as rows: scales, rotates, translates."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale[:, None] * rotation_matrix(quaternion)
+    matrix[3, :3] = translation
+    return matrix
 
 
 def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
-    """Translation, rotation and scale of a transform (4, 4), as a node states them; ``matrix`` where it has shear."""
+    """Translation, rotation and scale of a transform (4, 4), as in a node's entry; ``matrix`` if it has shear."""
     scale = np.linalg.norm(matrix[:3, :3], axis=1)
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         scale = -scale
@@ -142,13 +142,13 @@ def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
     return {name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _ROUNDING}
 
 
-# Of the size of the joints: transforms that differ less are one, rounded.
+# Relative to the size of the skeleton: transforms that differ by less are equal up to rounding.
 _SAME_TRANSFORM = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """One skin of a document."""
+    """A skin of a document."""
 
     nodes: IndexArray  # (k,) its joints
     inverse_bind: FloatArray = field(repr=False)  # (k, 4, 4) from the mesh's stored positions to each joint's space
@@ -157,17 +157,17 @@ class Skin:
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """All joints of a document."""
+    """Joints of all skins as one rig."""
 
     rig: Rig
-    joint_of: IndexArray = field(repr=False)  # (n,) joint that each node is, -1 where it is none
-    # (n, 4, 4) from the space in which a joint's own translation, rotation and scale are stated to that of
-    # ``Rig.local``: what lies between it and its parent in the rig
+    joint_of: IndexArray = field(repr=False)  # (n,) joint of each node, -1 for other nodes
+    # (n, 4, 4) from the space of a node's own translation, rotation and scale to that of ``Rig.local``: transforms of
+    # the nodes between it and its parent in the rig
     above: FloatArray = field(repr=False)
 
 
 def read_skins(document: Document, nodes: Nodes) -> tuple[Skin, ...]:
-    """Skins of a document, with different joints each."""
+    """Skins of a document; the joints of each are unique."""
     return tuple(_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
 
 
@@ -195,7 +195,7 @@ def _skin(document: Document, nodes: Nodes, number: int) -> Skin:
 
 
 def invertible(matrices: FloatArray) -> NDArray[np.bool_]:
-    """Whether each matrix has an inverse that is no mere rounding."""
+    """(k,) whether each matrix can be inverted safely in floating point."""
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
         volume = np.abs(np.linalg.det(matrices[:, :3, :3] / np.where(size > 0, size, 1.0)[:, None, None]))
@@ -203,9 +203,9 @@ def invertible(matrices: FloatArray) -> NDArray[np.bool_]:
 
 
 def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> FloatArray:
-    """From stored positions to the world, as most joints place them at rest; else as the topmost one does.
+    """Transform of stored positions to the world on which most joints at rest agree; else that of the topmost joint.
 
-    Where the nodes at rest are in the bind pose, every joint places them alike.
+    If the nodes at rest are in the bind pose, all joints place them alike.
     """
     placed = inverse @ world
     heads = np.linalg.inv(inverse)[:, 3, :3]
@@ -214,13 +214,15 @@ def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> Float
     order = np.argsort(rank)
     corners = (frame @ placed[order])[:, :, :3].reshape(len(order), 12)
     scale = max(float(np.ptp(corners.reshape(-1, 4, 3), axis=1).max()), 1e-30)
-    alike = np.array([np.sum(np.abs(corners - one).max(axis=1) < _SAME_TRANSFORM * scale) for one in corners])
+    alike = np.array(
+        [np.sum(np.abs(corners - placed_corners).max(axis=1) < _SAME_TRANSFORM * scale) for placed_corners in corners]
+    )
     chosen = placed[order[alike.argmax()]]
     return rounded(chosen, np.eye(4), frame)
 
 
 def rounded(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> FloatArray:
-    """The exact matrix where a matrix differs from it by rounding only, for points (p, 4)."""
+    """``exact``, if a matrix moves points (p, 4) to the same places up to rounding; otherwise ``matrix``."""
     meant = frame @ exact
     size = float(np.ptp(meant[:, :3], axis=0).max())
     return exact if np.abs(frame @ matrix - meant).max() < _SAME_TRANSFORM * size else matrix
@@ -229,8 +231,8 @@ def rounded(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> FloatAr
 def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Joints | None:
     """Joints of all skins as one rig; None without skins.
 
-    A node above a joint is a joint too where it is animated or has no similarity as transform. Others are part of the
-    transforms of the joints below them.
+    A node above a joint becomes a joint if it is animated or its transform is no similarity. Transforms of other nodes
+    are applied to the joints below them.
     """
     if not skins:
         return None
@@ -259,7 +261,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
 
 
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:
-    """Nodes that are joints, parents before their children."""
+    """Nodes that become joints, parents before children."""
     stated = {int(node) for skin in skins for node in skin.nodes}
     targets = [
         document.table(channel, "target", "animations").get("node")
@@ -283,12 +285,12 @@ def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> l
 
 
 def _nearest(nodes: Nodes, joint_of: IndexArray, node: int) -> int:
-    """The joint that a node is, or the nearest above it; -1 where there is none."""
+    """The joint of a node or of its nearest ancestor; -1 if none of them is a joint."""
     while node >= 0 and joint_of[node] < 0:
         node = int(nodes.parents[node])
     return int(joint_of[node]) if node >= 0 else -1
 
 
 def nearest_joint(nodes: Nodes, joints: Joints, node: int) -> int:
-    """The joint nearest above a node; -1 where there is none."""
+    """The joint of a node's nearest ancestor; -1 if no ancestor is a joint."""
     return _nearest(nodes, joints.joint_of, int(nodes.parents[node]))

@@ -38,17 +38,17 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class ReadPart:
-    """A mesh node."""
+    """A mesh node as a part of a character."""
 
     part: Part
     node: int  # its number in the document
-    stored: int  # vertices in the file
-    notes: tuple[str, ...] = field(repr=False)  # what was welded
+    stored: int  # number of vertices in the file
+    notes: tuple[str, ...] = field(repr=False)  # notes on welded vertices
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What `read_scene` finds."""
+    """Nodes, joints and parts of a document."""
 
     document: Document
     nodes: Nodes
@@ -57,10 +57,10 @@ class Scene:
 
 
 def read_scene(document: Document) -> Scene:
-    """Mesh nodes of the scene that is shown, and the joints of all skins.
+    """Mesh nodes of the displayed scene as parts, and the joints of all skins.
 
-    Skinned meshes are in their bind pose, their node's own transform is ignored, as glTF has it. Several skins share
-    one bind pose: meshes bound in another one are posed. A mesh below a joint follows that joint.
+    Skinned meshes are in their bind pose; as glTF demands, their node's transform is ignored. All skins share one bind
+    pose: meshes that were bound in another pose are moved to it. A mesh below a joint follows that joint.
     """
     nodes = read_nodes(document)
     skins = read_skins(document, nodes)
@@ -82,17 +82,17 @@ def read_scene(document: Document) -> Scene:
 
 
 def _distinct(parts: list[ReadPart]) -> list[ReadPart]:
-    names = distinct([one.part.name for one in parts])
+    names = distinct([read_part.part.name for read_part in parts])
     return [
-        replace(one, part=replace(one.part, name=name, mesh=replace(one.part.mesh, name=name)))
-        for name, one in zip(names, parts, strict=True)
+        replace(read_part, part=replace(read_part.part, name=name, mesh=replace(read_part.part.mesh, name=name)))
+        for name, read_part in zip(names, parts, strict=True)
     ]
 
 
 def _placed(
     document: Document, nodes: Nodes, skins: tuple[Skin, ...], joints: Joints | None, node: int, arrays: VertexArrays
 ) -> ReadPart | None:
-    """A mesh node's part; None for one that is scaled to nothing."""
+    """A mesh node as a part in world space; None if it is scaled to nothing."""
     stated = document.entry("nodes", node).get("skin")
     weights, changes, whole = None, None, nodes.world[node]
     if stated is not None and joints is not None:
@@ -141,7 +141,7 @@ def _weights(document: Document, arrays: VertexArrays, skin: Skin, joints: Joint
 
 
 def _bound(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
-    """A node's transform in the bind pose of the joint that it follows."""
+    """A node's transform to the world, in the bind pose of the joint that it follows."""
     if not invertible(rest[None]).all():
         return world
     return rounded(world @ np.linalg.inv(rest) @ bind, world, _as_rows(arrays))
@@ -154,9 +154,9 @@ def _as_rows(arrays: VertexArrays) -> FloatArray:
 def _transformed(
     arrays: VertexArrays, whole: FloatArray, weights: sparse.csr_array | None, changes: FloatArray | None
 ) -> VertexArrays:
-    """A mesh in the world; by each joint's own transform where a skin was bound in another pose than the rig."""
+    """A mesh in world space; blended from the joints' transforms if its skin was bound in another pose."""
     points = _as_rows(arrays)
-    alike = changes is None or all(rounded(one, whole, points) is whole for one in _used(weights, changes))
+    alike = changes is None or all(rounded(change, whole, points) is whole for change in _used(weights, changes))
     if alike and np.array_equal(whole, np.eye(4)):
         return arrays
     if weights is None or changes is None or alike:
@@ -176,19 +176,19 @@ def _transformed(
 
 
 def turned_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
-    """Normals (n, 3) of a surface whose points are multiplied, as rows, by (3, 3) or (n, 3, 3)."""
+    """Normals (n, 3) of a surface after its points, as rows, are multiplied by (3, 3) or (n, 3, 3)."""
     cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
     signs = np.sign(np.linalg.det(linear))[..., None, None]
     return normalize_rows(np.einsum("na,...ab->nb" if linear.ndim == 2 else "na,nab->nb", normals, signs * cofactors))
 
 
 def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
-    """Transforms of the joints that move anything."""
+    """Transforms of the joints with weights."""
     return changes if weights is None else changes[np.unique(weights.indices)]
 
 
 def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -> ReadPart:
-    """The surface with UV seams: copies of a vertex are one, with weights and offsets of the first."""
+    """The part with copies of a vertex welded; weights and offsets are those of the first copy."""
     given = arrays.control
     offsets = np.column_stack(list(arrays.shapes.values())) if arrays.shapes else None
     welded = weld_mesh(_with_stored(given), offsets=offsets)
@@ -210,7 +210,7 @@ def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -
 
 
 def _with_stored(mesh: ControlMesh) -> ControlMesh:
-    """With a UV set, as they go along with corners, that holds the stored vertex of each."""
+    """The mesh with an added UV set that holds each corner's stored vertex: UVs survive welding."""
     numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
     if mesh.uvs is None:
         return replace(mesh, uvs=numbers, uv_indices=mesh.face_indices)
@@ -218,7 +218,7 @@ def _with_stored(mesh: ControlMesh) -> ControlMesh:
 
 
 def _without_stored(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
-    """Without that set, and what it holds: (c,) stored vertex of every corner."""
+    """The mesh without the UV set of `_with_stored`, and the stored vertex (c,) of every corner from it."""
     if mesh.uv_sets:
         *others, last = mesh.uv_sets
         return replace(mesh, uv_sets=tuple(others)), last.uvs[last.uv_indices, 0].astype(np.int64)
@@ -227,10 +227,11 @@ def _without_stored(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
 
 
 def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
-    """Corners of one vertex with equal texture coordinates share them: normals alone make no UV seam."""
+    """The mesh with equal texture coordinates of a vertex merged: a hard edge alone makes no UV seam."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return mesh
     first, *others = (
-        UvSet(one.name, *merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in mesh.all_uv_sets
+        UvSet(uv_set.name, *merged_corners(mesh.face_indices, uv_set.uvs[uv_set.uv_indices]))
+        for uv_set in mesh.all_uv_sets
     )
     return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))

@@ -1,4 +1,4 @@
-"""Meshes of glTF as arrays: triangles of all their primitives, with everything that belongs to a vertex."""
+"""Meshes of glTF as arrays: faces of all primitives, with weights, shapes and normals of vertices."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _log = logging.getLogger(__name__)
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 _LINES = (0, 1, 2, 3)  # points and lines
-# Of one vertex; files have one or two sets of four.
+# Sets of four influences of a vertex; files have one or two.
 _MOST_SETS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class VertexArrays:
-    """A mesh as stored: vertices split at seams, in the mesh's own space."""
+    """A mesh as stored: in object space, vertices split at seams."""
 
     control: ControlMesh  # triangles, or polygons, with materials, UV sets and colours
-    # (n, q) numbers in the skin's list of joints; no columns where a mesh has none
+    # (n, q) numbers in the skin's list of joints; no columns without skinning
     joints: IndexArray = field(repr=False)
     weights: FloatArray = field(repr=False)  # (n, q)
     shapes: dict[str, FloatArray] = field(repr=False)  # offsets (n, 3) by name
@@ -38,13 +38,13 @@ class VertexArrays:
 
 
 def material_names(document: Document) -> tuple[str, ...]:
-    """Different names of all materials; those without have one of their number."""
+    """Unique names of all materials; unnamed ones are called by their number."""
     count = len(document.entries("materials"))
     return distinct([document.name("materials", number) or f"material {number}" for number in range(count)])
 
 
 def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
-    """Different names of a mesh's morph targets: ``targetNames`` of the mesh's extras, or numbers."""
+    """Unique names of a mesh's morph targets: ``targetNames`` of the mesh's extras, or numbers."""
     extras = document.entry("meshes", number).get("extras")
     stated = extras.get("targetNames") if isinstance(extras, dict) else None
     stated = stated if isinstance(stated, list) else []
@@ -54,9 +54,9 @@ def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
 
 
 def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArrays | None:
-    """A mesh of a document; None where it has no triangles.
+    """A mesh of a document; None if it has no triangles.
 
-    Primitives that share their vertices share them here.
+    Primitives with the same attributes share vertices.
     """
     where = f"meshes {number}"
     primitives = document.entries("primitives", document.entry("meshes", number), where)
@@ -69,22 +69,22 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
             continue
         groups.setdefault(repr((primitive.get("attributes"), primitive.get("targets"))), []).append(primitive)
     read = [_group(document, where, number, group, name) for group in groups.values()]
-    read = [one for one in read if one.control.n_faces]
+    read = [arrays for arrays in read if arrays.control.n_faces]
     if not read:
         return None
     if len(read) == 1:
         return read[0]
-    width = max(one.joints.shape[1] for one in read)
-    sizes = [one.control.n_vertices for one in read]
-    names = dict.fromkeys(shape for one in read for shape in one.shapes)
-    normals = [one.normals for one in read if one.normals is not None]
+    width = max(arrays.joints.shape[1] for arrays in read)
+    sizes = [arrays.control.n_vertices for arrays in read]
+    names = dict.fromkeys(shape for arrays in read for shape in arrays.shapes)
+    normals = [arrays.normals for arrays in read if arrays.normals is not None]
     return VertexArrays(
-        join_meshes([one.control for one in read]),
-        np.concatenate([np.pad(one.joints, ((0, 0), (0, width - one.joints.shape[1]))) for one in read]),
-        np.concatenate([np.pad(one.weights, ((0, 0), (0, width - one.weights.shape[1]))) for one in read]),
+        join_meshes([arrays.control for arrays in read]),
+        np.concatenate([np.pad(arrays.joints, ((0, 0), (0, width - arrays.joints.shape[1]))) for arrays in read]),
+        np.concatenate([np.pad(arrays.weights, ((0, 0), (0, width - arrays.weights.shape[1]))) for arrays in read]),
         {
             shape: np.concatenate(
-                [one.shapes.get(shape, np.zeros((size, 3))) for one, size in zip(read, sizes, strict=True)]
+                [arrays.shapes.get(shape, np.zeros((size, 3))) for arrays, size in zip(read, sizes, strict=True)]
             )
             for shape in names
         },
@@ -93,7 +93,7 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
 
 
 def _group(document: Document, where: str, number: int, group: list[dict[str, Any]], name: str) -> VertexArrays:
-    """Primitives with the same vertices."""
+    """Arrays of primitives that have the same attributes."""
     attributes = document.table(group[0], "attributes", where)
     if "POSITION" not in attributes:
         document.refuse(where, "has a primitive without positions")
@@ -107,23 +107,23 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
     sizes, corners = zip(*(_faces(document, where, primitive, count) for primitive in group), strict=True)
     offsets = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
     control = ControlMesh(positions, offsets, np.concatenate(corners), scheme=Plain(), name=name)
-    counts = [len(own) for own in sizes]
+    counts = [len(primitive_sizes) for primitive_sizes in sizes]
     control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], counts)
     sets = [attribute for attribute in attributes if attribute.startswith("TEXCOORD_")]
     for attribute in sorted(sets, reverse=True):
         # glTF counts v from the top.
         uvs = read(attribute, "VEC2") * [1.0, -1.0] + [0.0, 1.0]
-        others = () if control.uvs is None else (UvSet(control.uv_name, control.uvs, control.face_indices),)
+        earlier = () if control.uvs is None else (UvSet(control.uv_name, control.uvs, control.face_indices),)
         control = replace(
-            control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*others, *control.uv_sets)
+            control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*earlier, *control.uv_sets)
         )
     if "COLOR_0" in attributes:
         control = replace(control, vertex_colors=read("COLOR_0", "VEC3", "VEC4")[:, :3])
     joints, weights = [np.zeros((count, 0))], [np.zeros((count, 0))]
-    for one in range(_MOST_SETS):
-        if {f"JOINTS_{one}", f"WEIGHTS_{one}"} <= set(attributes):
-            joints.append(read(f"JOINTS_{one}", "VEC4"))
-            weights.append(read(f"WEIGHTS_{one}", "VEC4"))
+    for set_number in range(_MOST_SETS):
+        if {f"JOINTS_{set_number}", f"WEIGHTS_{set_number}"} <= set(attributes):
+            joints.append(read(f"JOINTS_{set_number}", "VEC4"))
+            weights.append(read(f"WEIGHTS_{set_number}", "VEC4"))
     return VertexArrays(
         control,
         np.concatenate(joints, axis=1).astype(np.int64),
@@ -137,14 +137,14 @@ def _shapes(
     document: Document, where: str, number: int, primitive: dict[str, Any], count: int
 ) -> dict[str, FloatArray]:
     targets = document.entries("targets", primitive, where)
-    found = {}
+    shapes = {}
     for name, target in zip(shape_names(document, number, len(targets)), targets, strict=True):
         if not isinstance(target, dict):
             document.refuse(where, f"expected an object as a morph target, got {shown(target)}")
         if "POSITION" in target:
             offsets = read_accessor(document, target["POSITION"], f"{where}: shape {name}", ("VEC3",), count)
-            found[name] = offsets.astype(np.float64)
-    return found
+            shapes[name] = offsets.astype(np.float64)
+    return shapes
 
 
 def _with_materials(
@@ -176,7 +176,7 @@ def _color(document: Document, material: dict[str, Any], where: str) -> list[flo
 
 
 def _faces(document: Document, where: str, primitive: dict[str, Any], count: int) -> tuple[IndexArray, IndexArray]:
-    """Sizes of a primitive's faces, and the vertices of all their corners: polygons where it says that it has some."""
+    """Sizes (m,) of a primitive's faces, and vertices (c,) of their corners; polygons if the primitive marks them."""
     triangles = _triangles(document, where, primitive, count)
     begins = np.ones(len(triangles), dtype=bool)
     polygons = NGONS in document.table(primitive, "extensions", where)
@@ -201,7 +201,7 @@ def _faces(document: Document, where: str, primitive: dict[str, Any], count: int
 
 
 def _triangles(document: Document, where: str, primitive: dict[str, Any], count: int) -> IndexArray:
-    """(t, 3) vertices; strips and fans as separate triangles, without those that only turn a strip."""
+    """(t, 3) vertices; strips and fans as separate triangles, without degenerate ones of strips."""
     stated = primitive.get("indices")
     if stated is None:
         indices = np.arange(count)

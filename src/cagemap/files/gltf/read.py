@@ -1,4 +1,4 @@
-"""Meshes, values and a list of the contents of glTF files; vertices are welded at the seams that the format splits."""
+"""Meshes, weights, shapes and skeletons of glTF and FBX files, welded at seams; a list of a file's contents."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ _log = logging.getLogger(__name__)
 
 
 def read_gltf(path: str | Path) -> ControlMesh:
-    """Read the meshes of a ``.glb``, ``.gltf``, ``.vrm`` or ``.fbx`` file as one, in world space, in the bind pose.
+    """Read the meshes of a ``.glb``, ``.gltf``, ``.vrm`` or ``.fbx`` file as one, in the bind pose in world space.
 
-    Mesh nodes become objects. Vertices that the file splits at seams are joined; they are numbered as
-    `cagemap.files.gltf.character.read_character` numbers its parts, one part after the other. The scheme is
-    none: triangles of a glTF are the surface itself.
+    Mesh nodes become objects. Vertices that the file splits at seams are welded. They are numbered as by
+    `cagemap.files.gltf.character.read_character`, one part after the other. The scheme is ``none``: triangles of glTF
+    are the surface itself.
     """
     scene = read_scene(read_document(path))
-    for one in scene.parts:
-        for note in one.notes:
+    for read_part in scene.parts:
+        for note in read_part.notes:
             _log.info("%s: %s", path, note)
     return scene_mesh(scene)
 
 
 def scene_mesh(scene: Scene) -> ControlMesh:
-    """All meshes of a scene as one."""
+    """All meshes of a scene joined into one, with an object for each."""
     parts = scene.parts
-    joined = join_meshes([_object(one) for one in parts]) if len(parts) > 1 else parts[0].part.mesh
+    joined = join_meshes([_object(read_part) for read_part in parts]) if len(parts) > 1 else parts[0].part.mesh
     return replace(joined, name=scene.document.file.name, file_vertices=None, file_faces=None, file_copies=None)
 
 
@@ -56,18 +56,20 @@ def _object(one: ReadPart) -> ControlMesh:
 
 
 def gltf_weights(path: str | Path) -> FloatArray:
-    """Weights (n, j) of the joints of `gltf_skeleton`, at the vertices of `read_gltf`; 0 for meshes without a skin."""
+    """Weights (n, j) of the joints of `gltf_skeleton` at the vertices of `read_gltf`; 0 on unskinned meshes."""
     scene, rig = _rigged(path)
     tables = [
-        np.zeros((one.part.mesh.n_vertices, len(rig.names))) if one.part.weights is None else one.part.weights.toarray()
-        for one in scene.parts
+        np.zeros((read_part.part.mesh.n_vertices, len(rig.names)))
+        if read_part.part.weights is None
+        else read_part.part.weights.toarray()
+        for read_part in scene.parts
     ]
     return np.concatenate(tables)
 
 
 def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
-    """Offsets (n, 3) of the blend shapes by name, at the vertices of `read_gltf`; shapes of one name are one."""
-    parts = [one.part for one in read_scene(read_document(path)).parts]
+    """Offsets (n, 3) of blend shapes by name, at the vertices of `read_gltf`; equal names are merged."""
+    parts = [read_part.part for read_part in read_scene(read_document(path)).parts]
     names = dict.fromkeys(name for part in parts for name in part.shapes)
     return {
         name: np.concatenate([part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in parts])
@@ -76,7 +78,7 @@ def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
 
 
 def gltf_skeleton(path: str | Path) -> Skeleton:
-    """Joints of all skins in the bind pose; tails lie where the children are."""
+    """Joints of all skins in the bind pose; the tail of a joint is at its children."""
     rig = _rigged(path)[1]
     parents = tuple(rig.names[parent] if parent >= 0 else "" for parent in rig.parents)
     axes = rig.bind[:, :3, :3] / np.linalg.norm(rig.bind[:, :3, :3], axis=2, keepdims=True)
@@ -92,25 +94,25 @@ def _rigged(path: str | Path) -> tuple[Scene, Rig]:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a glTF or FBX file holds."""
+    """Summary of a glTF or FBX file."""
 
-    body: str  # the mesh that `cagemap.character.roles.find_body` finds
+    body: str  # the body mesh, by `cagemap.character.roles.find_body`
     passengers: tuple[str, ...]  # all other meshes
-    # `vertices`, `stored`: vertices after welding, and in the file
+    # `vertices`, `stored`: numbers of vertices after welding, and in the file
     vertices: int
     stored: int
     joints: int
-    influences: int  # joints that move a vertex, at most
-    humanoid: int  # joints whose names are those of humanoid bones, in a VRM's table or by `humanoid_joints`
+    influences: int  # largest number of joints with weights at a vertex
+    humanoid: int  # joints that are humanoid bones, by the table of a VRM or by `humanoid_joints`
     shapes: tuple[str, ...]
     textures: tuple[str, ...]  # material, slot and format
     animations: tuple[tuple[str, float], ...]  # name and seconds
-    extensions: tuple[str, ...]  # those that are kept as they are
-    welded: tuple[str, ...]  # what was welded, a line for each mesh
+    extensions: tuple[str, ...]  # extensions that are kept unchanged
+    welded: tuple[str, ...]  # notes on welded vertices, one for each mesh
 
     @property
     def is_character(self) -> bool:
-        """Whether it has a skeleton, or clothes, eyes and such by their names."""
+        """Whether it has a skeleton, or meshes named as clothes, eyes or the like."""
         return bool(self.joints or any(map(passenger_word, self.passengers)))
 
     def __str__(self) -> str:
@@ -137,9 +139,9 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
 
 
 def contents_of(scene: Scene) -> Contents:
-    """What a file holds."""
+    """The summary of a file's scene."""
     document = scene.document
-    parts = [one.part for one in scene.parts]
+    parts = [read_part.part for read_part in scene.parts]
     body = find_body(parts)
     rig = None if scene.joints is None else scene.joints.rig
     weights = [part.weights for part in parts if part.weights is not None]
@@ -148,7 +150,7 @@ def contents_of(scene: Scene) -> Contents:
         body=body.name,
         passengers=tuple(part.name for part in parts if part is not body),
         vertices=sum(part.mesh.n_vertices for part in parts),
-        stored=sum(one.stored for one in scene.parts),
+        stored=sum(read_part.stored for read_part in scene.parts),
         joints=0 if rig is None else len(rig.names),
         influences=max((int(np.diff(table.indptr).max()) for table in weights), default=0),
         humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_joints(rig))),
@@ -156,17 +158,17 @@ def contents_of(scene: Scene) -> Contents:
         textures=_textures(document),
         animations=tuple(zip(animation_names(document), animation_lengths(document), strict=True)),
         extensions=tuple(map(whole_characters, named)),
-        welded=tuple(note for one in scene.parts for note in one.notes),
+        welded=tuple(note for read_part in scene.parts for note in read_part.notes),
     )
 
 
 def _textures(document: Document) -> tuple[str, ...]:
-    """Every slot that has a texture."""
-    found = []
+    """Material, slot and format of every texture."""
+    textures = []
     for number, name in enumerate(material_names(document)):
         for slot, holder in texture_slots(document.entry("materials", number)):
             texture = document.entry("textures", holder["index"], f"materials {number}")
             source = texture.get("source")
             suffix = "" if source is None else f" ({image_bytes(document, source)[1][1:]})"
-            found.append(f"{name} {slot.removesuffix('Texture')}{suffix}")
-    return tuple(found)
+            textures.append(f"{name} {slot.removesuffix('Texture')}{suffix}")
+    return tuple(textures)

@@ -1,4 +1,4 @@
-"""Textures of materials in glTF documents, and materials of one document in another one."""
+"""Textures of materials in glTF documents; copies of materials from one document to another."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _COLOR = "baseColorTexture"
 
 
 def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Slots of a material that have a texture, those of extensions too: name, and the object that says which."""
+    """Texture slots in use of a material and its extensions: name, and the object that refers to the texture."""
     for name, value in material.items():
         if not isinstance(value, dict):
             continue
@@ -27,10 +27,10 @@ def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, 
 
 
 def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> Document:
-    """A document with images (PNG or JPEG) in slots of materials, by the names of both.
+    """A document with new images (PNG or JPEG), given by material and slot names.
 
-    The sampler and the other settings of a slot stay. A material without that slot gets it; only
-    ``baseColorTexture``, ``normalTexture``, ``occlusionTexture`` and ``emissiveTexture`` can be added.
+    The sampler and the other settings of a slot are kept. A missing slot is added if it is ``baseColorTexture``,
+    ``normalTexture``, ``occlusionTexture`` or ``emissiveTexture``.
     """
     if not images:
         return document
@@ -47,22 +47,22 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
             raise FormatError(f"{document.file}: expected a PNG or JPEG image for {slot} of {name}, got other data.")
         picture = {"bufferView": binary.view(data), "mimeType": image_type(suffix)}
         texture = document.entry("textures", holder["index"], name) if "index" in holder else {}
-        # Extensions of a texture name other images.
+        # Extensions of a texture refer to other images.
         texture = {key: value for key, value in texture.items() if key != "extensions"}
-        own = texture.get("source")
+        image = texture.get("source")
         if "index" not in holder or _users(top, holder["index"]) > 1:
             holder["index"] = len(textures)
             textures.append(texture)
-        if own is None or sum(other.get("source") == own for other in textures) > 1:
-            own = len(pictures)
+        if image is None or sum(entry.get("source") == image for entry in textures) > 1:
+            image = len(pictures)
             pictures.append({})
-        pictures[own] = {key: value for key, value in pictures[own].items() if key not in ("uri", "name")} | picture
-        textures[holder["index"]] = texture | {"source": own}
+        pictures[image] = {key: value for key, value in pictures[image].items() if key not in ("uri", "name")} | picture
+        textures[holder["index"]] = texture | {"source": image}
     return binary.document(top)
 
 
 def _users(top: dict[str, Any], texture: int) -> int:
-    """Number of slots that have a texture."""
+    """Number of slots that use a texture."""
     slots = (holder for material in top["materials"] for _, holder in texture_slots(material))
     return sum(holder["index"] == texture for holder in slots)
 
@@ -76,24 +76,24 @@ def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, 
     elif slot not in ("normalTexture", "occlusionTexture", "emissiveTexture"):
         raise FormatError(f"{document.file}: expected a texture slot of glTF, got {slot!r}.")
     material[slot] = {}
-    found: dict[str, Any] = material[slot]
-    return found
+    added: dict[str, Any] = material[slot]
+    return added
 
 
-# Extensions of materials and textures; "..._" is a family.
+# Extensions of materials and textures, or their beginnings.
 _OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", "EXT_texture_webp")
 
 
 def with_materials_of(document: Document, given: Document, names: Sequence[str]) -> tuple[Document, dict[str, str]]:
-    """A document with materials of another one.
+    """A document with materials of another one added, and their new names.
 
-    ``names``: of materials of ``given``, as `cagemap.files.gltf.primitives.material_names` has them. Returns the name
-    that each has there: another one where the document has a material of that name.
+    ``names``: materials of ``given``, named as by `cagemap.files.gltf.primitives.material_names`. A new name differs
+    only if the document has a material of that name.
     """
     binary, top = Binary(document), json.loads(json.dumps(document.json))
     known = material_names(given)
-    there = material_names(document)
-    added = distinct([*there, *names])[len(there) :]
+    present = material_names(document)
+    added = distinct([*present, *names])[len(present) :]
     taken: dict[int, int] = {}
     for name, new in zip(names, added, strict=True):
         entry = json.loads(json.dumps(given.entry("materials", known.index(name)))) | {"name": new}
@@ -109,7 +109,7 @@ def with_materials_of(document: Document, given: Document, names: Sequence[str])
 
 
 def _with_texture(binary: Binary, top: dict[str, Any], given: Document, number: int) -> int:
-    """Add a texture of the other document, with its sampler and image; returns its number."""
+    """Add a texture of ``given`` with its sampler and image; returns its number."""
     entry = json.loads(json.dumps(given.entry("textures", number)))
     for holder in (entry, *entry.get("extensions", {}).values()):
         if holder.get("source") is not None:

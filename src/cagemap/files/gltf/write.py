@@ -1,4 +1,4 @@
-"""Control meshes and characters as glTF documents; everything else as in a document given."""
+"""Control meshes and characters as glTF documents, alone or in place of meshes of a given document."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from cagemap.numerics.arrays import FloatArray
 
 
 def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | None = None, force: bool = False) -> None:
-    """Write a mesh as glTF: polygons as fans of triangles, one primitive a material, vertices parted at UV seams.
+    """Write a mesh as glTF: polygons as fans of triangles, a primitive for each material, split at UV seams.
 
-    Positions are single precision in the mesh's own unit. Creases have no place in it.
+    Positions are single precision in the mesh's own unit. Creases are not written; glTF has no place for them.
 
-    ``to_metres``: (4, 4), from the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of
-    its node.
+    ``to_metres``: (4, 4) transform of the node, for points as rows: from the mesh's space to metres with Y up, as glTF
+    demands.
     """
     write_whole(path, _packed(mesh, to_metres), force=force)
 
 
 def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
-    # Columns one after the other, for points as columns: the rows of a matrix for points as rows.
+    # Stored by columns for points as columns: the rows of a matrix for points as rows.
     placed = {} if to_metres is None else {"matrix": to_metres.ravel().tolist()}
     binary = Binary()
     count = 0 if mesh.face_materials is None else len(mesh.material_names)
@@ -58,14 +58,14 @@ def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
 
 
 def material_entry(mesh: ControlMesh, number: int) -> dict[str, Any]:
-    """Entry of ``materials`` with the name and the colour that a mesh states."""
+    """Entry of ``materials`` with a material's name and colour."""
     surface: dict[str, Any] = {"metallicFactor": 0.0}
     if mesh.material_colors is not None and np.isfinite(mesh.material_colors[number]).all():
         surface["baseColorFactor"] = [*np.clip(mesh.material_colors[number], 0.0, 1.0).tolist(), 1.0]
     return {"name": mesh.material_names[number], "pbrMetallicRoughness": surface}
 
 
-# Of the largest number of a transform: what differs less is as the document has it.
+# Relative to the largest number of a transform: with a smaller change the document's transform stays.
 _SAME = 1e-6
 
 
@@ -74,27 +74,26 @@ def character_glb(
     materials_from: Document | None = None,
     images: Mapping[tuple[str, str], bytes] | None = None,
 ) -> Document:
-    """A character as a glTF document, which `cagemap.files.gltf.document.write_document` writes.
+    """A character as a glTF document, for `cagemap.files.gltf.document.write_document`.
 
-    With a document given, parts, joints and animations replace those of the same names in it. Its mesh nodes that are
-    no parts of the character are emptied; materials, textures, cameras, lights, extensions (VRM) and animations of
-    other things stay.
+    Parts, joints and animations replace those of the same names in a given document. Its other mesh nodes lose their
+    meshes. Materials, textures, cameras, lights, extensions (VRM) and animations of other things are kept.
 
-    ``character``: positions and bind pose in metres, Y up, as read.
-    ``images``: PNG or JPEG files for textures, such as ``("body", "baseColorTexture")``. The slot keeps its other
-        settings.
+    ``character``: positions and bind pose as read, in metres with Y up.
+    ``images``: PNG or JPEG files by material and slot, such as ``("body", "baseColorTexture")``; other settings of a
+        slot are kept.
     """
     scene = None if materials_from is None else read_scene(materials_from)
-    made = _Made(scene)
-    made.rig(character.rig)
+    writer = _Made(scene)
+    writer.rig(character.rig)
     for part in character.parts:
-        made.part(part, character.rig)
-    made.animations(character)
-    return without_unused(with_images(made.document(), images or {}))
+        writer.part(part, character.rig)
+    writer.animations(character)
+    return without_unused(with_images(writer.document(), images or {}))
 
 
 class _Made:
-    """A document to which a character's values are added one after the other."""
+    """A glTF document to which the rig, parts and animations of a character are added."""
 
     def __init__(self, scene: Scene | None) -> None:
         self._scene = scene
@@ -120,7 +119,7 @@ class _Made:
             self._meshes_used, self._mesh_of_node = [], {}
 
     def rig(self, rig: Rig | None) -> None:
-        """Place the joints and state the skin that all parts share."""
+        """Set the joints' transforms and the skin that all parts share."""
         self.top.pop("skins", None)
         if rig is None:
             return
@@ -146,27 +145,29 @@ class _Made:
         mesh, shapes, normals = part.mesh, part.shapes, part.normals
         skinned = part.weights is not None and rig is not None
         if not skinned and self._scene is not None and node < len(self._scene.nodes.names):
-            away = np.linalg.inv(self._scene.nodes.world[node])
-            mesh = mesh.with_positions(mesh.positions @ away[:3, :3] + away[3, :3])
-            shapes = {name: offsets @ away[:3, :3] for name, offsets in shapes.items()}
-            if np.linalg.det(away[:3, :3]) < 0.0:
+            to_node = np.linalg.inv(self._scene.nodes.world[node])
+            mesh = mesh.with_positions(mesh.positions @ to_node[:3, :3] + to_node[3, :3])
+            shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
+            if np.linalg.det(to_node[:3, :3]) < 0.0:
                 mesh, normals = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), None
             elif normals is not None:
-                normals = turned_normals(normals, away[:3, :3])
+                normals = turned_normals(normals, to_node[:3, :3])
         weights = part.weights if skinned else None
-        made = mesh_entry(self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals)
+        mesh_data = mesh_entry(
+            self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals
+        )
         entry = self._nodes[node]
         if skinned:
             entry["skin"] = 0
-        entry["mesh"] = self._mesh_number(node, made)
+        entry["mesh"] = self._mesh_number(node, mesh_data)
 
     def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
-        """Where a mesh of the document belonged to this node alone its place, and what else is said of it."""
-        own = self._mesh_of_node.get(node)
-        if own is None or self._meshes_used.count(own) > 1:
+        """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
+        number = self._mesh_of_node.get(node)
+        if number is None or self._meshes_used.count(number) > 1:
             self._meshes.append(made)
             return len(self._meshes) - 1
-        before = self._meshes[own]
+        before = self._meshes[number]
         extras = before.get("extras")
         kept = (
             {name: value for name, value in extras.items() if name != "targetNames"} if isinstance(extras, dict) else {}
@@ -178,22 +179,22 @@ class _Made:
             entry["extras"] = kept | made.get("extras", {})
         if isinstance(stated, list) and len(stated) == count:
             entry["weights"] = stated
-        self._meshes[own] = entry
-        return int(own)
+        self._meshes[number] = entry
+        return int(number)
 
     def _materials(self, part: Part) -> list[int | None]:
-        """Numbers of a part's materials in the document; those that it has not are added."""
+        """Numbers of a part's materials in the document; missing ones are added."""
         names = () if self._scene is None else material_names(self._scene.document)
         known = {name: number for number, name in enumerate(names)}
         entries: list[Any] = self.top.setdefault("materials", [])
         known |= {entry["name"]: number for number, entry in enumerate(entries) if number >= len(names)}
-        found: list[int | None] = []
+        numbers: list[int | None] = []
         for number, name in enumerate(part.mesh.material_names):
             if name and name not in known:
                 entries.append(material_entry(part.mesh, number))
                 known[name] = len(entries) - 1
-            found.append(known.get(name))
-        return found
+            numbers.append(known.get(name))
+        return numbers
 
     def animations(self, character: Character) -> None:
         """Replace the tracks of joints."""
@@ -202,10 +203,10 @@ class _Made:
         given = None if self._scene is None else self._scene.document
         before = self.top.get("animations", [])
         counts = [self._targets(node) for node in range(len(self._nodes))]
-        made = animation_entries(self._binary, character.animations, nodes, above, before, given, counts)
+        entries = animation_entries(self._binary, character.animations, nodes, above, before, given, counts)
         self.top.pop("animations", None)
-        if made:
-            self.top["animations"] = made
+        if entries:
+            self.top["animations"] = entries
 
     def _targets(self, node: int) -> int:
         """Number of blend shapes of a node's mesh."""
@@ -214,23 +215,23 @@ class _Made:
         return len(primitives[0].get("targets", ())) if primitives else 0
 
     def document(self) -> Document:
-        """What came out."""
+        """The finished document."""
         for name in ("materials", "meshes"):
             if not self.top.get(name):
                 self.top.pop(name, None)
         return self._binary.document(self.top)
 
     def _scene_roots(self) -> list[Any]:
-        """Root nodes of the scene that is shown."""
+        """Root nodes of the displayed scene."""
         if self._scene is None:
             self.top |= {"scene": 0, "scenes": [{"nodes": []}]}
         scenes = self.top.get("scenes")
-        if not scenes:  # all roots are shown
+        if not scenes:  # without scenes, all roots are displayed
             assert self._scene is not None
             roots = [int(node) for node in self._scene.nodes.order if self._scene.nodes.parents[node] < 0]
             self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
-        found: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
-        return found
+        listed: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
+        return listed
 
     def _new_node(self, entry: dict[str, Any], parent: int | None) -> int:
         self._nodes.append(entry)
@@ -239,7 +240,7 @@ class _Made:
         return len(self._nodes) - 1
 
     def _place(self, node: int, local: FloatArray) -> None:
-        """State a joint's transform, where it is another than that of the document."""
+        """Set a joint's transform if it differs from that of the document."""
         if self._scene is not None and node < len(self._scene.nodes.names):
             joints, nodes = self._scene.joints, self._scene.nodes
             above = np.eye(4) if joints is None else joints.above[node]
@@ -256,14 +257,14 @@ _log = logging.getLogger(__name__)
 
 
 def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
-    """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file where it has their vertices and faces.
+    """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file if vertices and faces match.
 
-    Materials, textures, skins, blend shapes, animations and extensions of the file are kept then. Another mesh is
-    written alone, with a warning where the file has a skeleton, shapes or animations.
+    The file's materials, textures, skins, blend shapes, animations and extensions are kept then. A mesh that does not
+    match is written alone, with a warning if the file has a skeleton, shapes or animations.
     """
     try:
         document = read_document(like)
-    except FormatError:  # gone or changed since
+    except FormatError:  # removed or changed meanwhile
         write_glb(path, mesh, force=force)
         return
     character = character_of(document)

@@ -1,1 +1,1 @@
-"""Images in files."""
+"""Reading and writing of images."""

@@ -1,8 +1,8 @@
-"""Images through OpenImageIO: pixels come and go in the number type of the file, rows from the top.
+"""Images through OpenImageIO: pixels in the number type of the file, rows from the top.
 
-Traps that this module keeps away from its callers: OpenImageIO multiplies colours by alpha when it reads a PNG (asked
-not to, so that texels come through unchanged), takes a 2-dimensional uint16 array for something else (arrays are
-always (h, w, c) here), and writes what a format cannot hold as something it can (refused here).
+Pitfalls of OpenImageIO that are handled here: it multiplies colours by alpha when it reads a PNG (switched off, so
+that texels stay unchanged); it misreads a 2-dimensional uint16 array (arrays are always (h, w, c) here); it converts
+pixels that a format cannot store (refused here).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from cagemap.numerics.kinds import kinds_checked
 Pixels = NDArray[Any]
 
 UDIM_MARK = "<UDIM>"
-# What each format holds exactly. Wider types are refused rather than rounded behind the user's back.
+# Pixel types that each format stores exactly. Wider types are refused rather than rounded silently.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),
     ".jpg": ("uint8",),
@@ -49,25 +49,25 @@ _READ_AS = {"float16": "half", "float32": "float"}
 _TIFF, _JPEG = (".tif", ".tiff"), (".jpg", ".jpeg")
 # Texels of a written image that are read back at a time.
 _VERIFIED_TEXELS = 1 << 22
-_HEADER = 1 << 16  # bytes of a file beside its texels
-# What file systems answer that cannot reserve room.
+_HEADER = 1 << 16  # most bytes of a file besides its texels
+# Errors of file systems that cannot reserve space.
 _NO_RESERVING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels, and what the file says about them.
+    """Pixels of an image, with its channel names and colour encoding.
 
     Attributes
     ----------
     pixels : (h, w, c) uint8, uint16, float16 or float32
         Row 0 at the top. Colours are not multiplied by alpha.
     channel_names : tuple of str
-        One a channel.
+        One name for each channel.
     color_space : str
-        The file's word for how colours are encoded ("sRGB", "Linear", ...), empty if it says nothing.
+        The file's name for the encoding of colours ("sRGB", "Linear", ...), empty without one.
     associated : bool
-        Whether colours are multiplied by alpha, as a TIFF may say; formats that have no word for it hold others.
+        Whether colours are multiplied by alpha; only a TIFF can state this.
     """
 
     pixels: Pixels
@@ -76,8 +76,8 @@ class Image:
     associated: bool = False
 
     def __repr__(self) -> str:
-        said = f", {self.color_space}" if self.color_space else ""
-        return f"Image({' x '.join(map(str, self.pixels.shape))} {self.pixels.dtype}{said})"
+        encoding = f", {self.color_space}" if self.color_space else ""
+        return f"Image({' x '.join(map(str, self.pixels.shape))} {self.pixels.dtype}{encoding})"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -97,12 +97,12 @@ def read_image(path: str | Path) -> Image:
     file = Path(path)
     try:
         return _read(file)
-    except UnicodeDecodeError as error:  # words in the file that OpenImageIO cannot hand on
+    except UnicodeDecodeError as error:  # text in the file that OpenImageIO cannot decode
         raise FormatError(f"{file}: the image is damaged: {error}. Export it again.") from error
 
 
 def image_of_bytes(data: bytes, suffix: str, name: str) -> Image:
-    """An image from the content of a file; messages have the name given."""
+    """An image from the content of a file; ``name`` is used in messages."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"image{suffix}"
         file.write_bytes(data)
@@ -132,7 +132,7 @@ def _read(file: Path) -> Image:
 
 
 def _open(file: Path) -> tuple[Any, str]:
-    """An image's reader, its header checked, and the number type of its pixels."""
+    """The reader of an image with a checked header, and the number type of its pixels."""
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
     require_file(file, "an image")
@@ -146,7 +146,7 @@ def _open(file: Path) -> tuple[Any, str]:
     kind = str(spec.format)
     known = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
     if spec.channelformats:
-        kind = "float"  # channels of several types: the widest of them, without loss
+        kind = "float"  # channels of several types: the widest type, without loss
     if kind not in known or not 1 <= spec.nchannels <= _LARGEST_CHANNELS or spec.depth > 1:
         opened.close()
         raise FormatError(
@@ -162,7 +162,7 @@ def _open(file: Path) -> tuple[Any, str]:
 
 
 def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
-    """Number type and number of channels of an image, or of the first tile of a set, from its header alone."""
+    """Number type and number of channels of an image, or of a set's first tile, from its header."""
     opened, kind = _open(next(iter(tile_files(path).values())))
     channels = int(opened.spec().nchannels)
     opened.close()
@@ -171,9 +171,9 @@ def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
 
 @kinds_checked
 def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False) -> None:
-    """Write an image, whole or not at all; the suffix chooses the format.
+    """Write an image by `atomic_path`; the suffix gives the format.
 
-    An image that cagemap did not write is replaced with ``force`` only.
+    An image that cagemap did not write is replaced only with ``force``.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
         spec.attribute("oiio:ColorSpace", given.color_space)
-    if file.suffix.lower() != ".png":  # there the mark gets a chunk of its own when the file is whole
+    if file.suffix.lower() != ".png":  # in a PNG the mark is added as a chunk to the finished file
         spec.attribute("Software", mark())
     if file.suffix.lower() in _JPEG:
         spec.attribute("CompressionQuality", 95)
@@ -210,7 +210,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
 
 
 def _holds(pixels: Pixels, path: Path) -> bool:
-    """Whether an image can be read whole and has these pixels; of a JPEG, which changes them, their number."""
+    """Whether an image can be read completely and has these pixels; for a JPEG only their number is compared."""
     try:
         opened, kind = _open(path)
     except FormatError:
@@ -232,9 +232,9 @@ def _holds(pixels: Pixels, path: Path) -> bool:
 
 
 def _reserve(path: Path, size: int) -> None:
-    """Make sure that a file has room: where the disk is full, the library of JPEG ends the whole process.
+    """Reserve disk space for a file: on a full disk, the JPEG library ends the whole process.
 
-    Where the file system cannot tell, it is written as it is.
+    Nothing is reserved if the file system cannot do it.
     """
     if hasattr(os, "posix_fallocate"):
         with path.open("rb+") as stream:
@@ -246,24 +246,24 @@ def _reserve(path: Path, size: int) -> None:
 
 
 def straight(image: Image) -> Image:
-    """An image whose colours are not multiplied by its alpha, where it has one."""
+    """An image with colours not multiplied by alpha."""
     if image.associated and image.pixels.ndim == 3 and image.pixels.shape[2] in (2, 4):
         return replace(image, pixels=_divided(image.pixels), associated=False)
     return replace(image, associated=False)
 
 
 def _divided(pixels: Pixels) -> Pixels:
-    """Colours that are multiplied by alpha, the last channel, without it."""
-    one = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
-    share = pixels[..., -1:].astype(np.float64) / one
+    """Colours divided by alpha, the last channel."""
+    full = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
+    share = pixels[..., -1:].astype(np.float64) / full
     colors = np.divide(pixels[..., :-1], share, out=pixels[..., :-1].astype(np.float64), where=share > 0)
     if pixels.dtype.kind == "u":
-        colors = np.rint(np.minimum(colors, one))
+        colors = np.rint(np.minimum(colors, full))
     return np.concatenate([colors.astype(pixels.dtype), pixels[..., -1:]], axis=2)
 
 
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
-    """Refuse, before any work is done, an image that its format cannot hold."""
+    """Refuse, before any work is done, an image that its format cannot store."""
     file = Path(path)
     text_name(file.absolute())
     suffix = file.suffix.lower()
@@ -284,31 +284,28 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
 
 
 def read_texture(path: str | Path) -> Image | dict[int, Image]:
-    """Read a texture: one image, or with ``<UDIM>`` in the file's name the tiles found beside each other.
-
-    Tiles are by UDIM number.
-    """
-    found = tile_files(path)
+    """Read a texture: an image, or all tiles by UDIM number if the name has ``<UDIM>``."""
+    files = tile_files(path)
     if UDIM_MARK not in with_udim_mark(Path(path)).name:
-        return read_image(found[FIRST_TILE])
-    return {number: read_image(tile) for number, tile in found.items()}
+        return read_image(files[FIRST_TILE])
+    return {number: read_image(tile) for number, tile in files.items()}
 
 
 def with_udim_mark(path: Path) -> Path:
-    """A name with ``%(UDIM)d`` in place of the tile's number, as some programs write it, in the one spelling."""
+    """A path with ``%(UDIM)d`` (the form of some programs) replaced by ``<UDIM>``."""
     return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK)) if path.name else path
 
 
 def tile_files(path: str | Path) -> dict[int, Path]:
-    """Files of a texture by UDIM number; one image is the first tile."""
+    """Files of a texture by UDIM number; a single image is the first tile."""
     file = with_udim_mark(Path(path))
     if UDIM_MARK not in file.name:
         return {FIRST_TILE: file}
-    found = _tiles(file)
-    if not found:
+    tiles = _tiles(file)
+    if not tiles:
         first = udim_path(path, FIRST_TILE)
         raise FormatError(f"{path}: expected tiles such as {first}, found none. Check the name.")
-    return found
+    return tiles
 
 
 def texture_files(path: str | Path) -> list[Path]:
@@ -325,7 +322,7 @@ def _tiles(path: Path) -> dict[int, Path]:
 
 
 def udim_path(path: str | Path, tile: int) -> Path:
-    """File of one tile: ``<UDIM>`` replaced by its number, or the number put before the suffix; tile 0 changes nothing.
+    """File of a tile: its number in place of ``<UDIM>`` or before the suffix; no change for tile 0.
 
     Examples
     --------
@@ -339,25 +336,25 @@ def udim_path(path: str | Path, tile: int) -> Path:
 
 
 def tile_pattern(path: str | Path) -> Path:
-    """The name of all files of `udim_path`: with ``<UDIM>`` where the tile's number stands."""
+    """The pattern of all files of `udim_path`, with ``<UDIM>`` in place of the tile's number."""
     file = with_udim_mark(Path(path))
     return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
 
 
 def first_image(texture: Image | Mapping[int, Image]) -> Image:
-    """The image, or that of the first tile: all tiles have its form."""
+    """The image, or that of the first tile; all tiles have the same pixel type and channels."""
     return texture if isinstance(texture, Image) else next(iter(texture.values()))
 
 
 def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, Pixels]:
-    """Pixels alone, as the bakes of `cagemap.transfer` take them."""
+    """The pixels of an image or of tiles, as the bakes of `cagemap.transfer` take them."""
     if isinstance(texture, Image):
         return texture.pixels
     return {tile: image.pixels for tile, image in texture.items()}
 
 
 def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
-    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float."""
+    """Number type for bits of a channel: 8 and 16 are integers (16 in EXR: half float), 32 is float."""
     names = {8: "uint8", 16: "float16" if suffix.lower() == ".exr" else "uint16", 32: "float32"}
     if bits not in names:
         raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}. Choose one of them.")
@@ -365,6 +362,6 @@ def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
 
 
 def _reason(message: str) -> str:
-    """One line of a library's error message."""
+    """A library's error message as one line with a full stop."""
     text = " ".join(str(message).split())
     return (text or "no reason given").rstrip(".") + "."

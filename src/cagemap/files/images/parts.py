@@ -1,4 +1,4 @@
-"""What image files hold besides one image: parts and pages, a window on the texels, a rotation, other colours."""
+"""Checks and corrections of image files: several parts or pages, display windows, orientation, LAB colours."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LAB = (8, 9, 10)
 def require_one_picture(file: Path, opened: Any) -> None:
     """Refuse an EXR of several parts or without a window, a TIFF of several pages, and LAB colours.
 
-    Smaller pages behind the first one are thumbnails or halvings of it.
+    Later pages that are smaller are thumbnails or reduced copies of the first one, and accepted.
     """
     spec, kind = opened.spec(), str(opened.format_name())
     if kind == "openexr":
@@ -38,8 +38,8 @@ def require_one_picture(file: Path, opened: Any) -> None:
             raise FormatError(f"{file}: expected RGB or grey, found a TIFF of LAB colours. Convert it to RGB first.")
         page, smaller = 1, True
         while smaller and opened.seek_subimage(page, 0):
-            there = opened.spec()
-            page, smaller = page + 1, there.width < spec.width and there.height < spec.height
+            next_page = opened.spec()
+            page, smaller = page + 1, next_page.width < spec.width and next_page.height < spec.height
         if not smaller:
             raise FormatError(
                 f"{file}: expected one picture, found a TIFF of several pages. Export the one that is meant."
@@ -48,7 +48,7 @@ def require_one_picture(file: Path, opened: Any) -> None:
 
 
 def on_display(pixels: Pixels, spec: Any) -> Pixels:
-    """What lies in the display window of an EXR: its data window may be smaller, with nothing beside it, or larger."""
+    """Pixels in the display window of an EXR, 0 outside its data window, which may be smaller or larger."""
     rows, columns = (
         (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)
         for lo, size, full, count in (
@@ -59,16 +59,16 @@ def on_display(pixels: Pixels, spec: Any) -> Pixels:
     if pixels.shape[:2] == (rows[3], columns[3]) and (rows[1], columns[1]) == (rows[2], columns[2]):
         return pixels
     shown = np.zeros((rows[3], columns[3], pixels.shape[2]), dtype=pixels.dtype)
-    there, here = (
+    window, data = (
         tuple(slice(part.start - start, max(part.stop, part.start) - start) for part, start in pairs)
         for pairs in (((rows[0], rows[2]), (columns[0], columns[2])), ((rows[0], rows[1]), (columns[0], columns[1])))
     )
-    shown[there] = pixels[here]
+    shown[window] = pixels[data]
     return shown
 
 
 def upright(pixels: Pixels, orientation: int) -> Pixels:
-    """Rows of an image as they are meant to be seen: turned and mirrored as EXIF and TIFF say it (1 to 8)."""
+    """Pixels rotated and mirrored by the orientation (1 to 8) of EXIF and TIFF, for display."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     rows = -1 if orientation in (3, 4, 7, 8) else 1

@@ -1,1 +1,1 @@
-"""Landmarks, curves and symmetries in files."""
+"""Reading and writing of landmarks, curves and symmetries."""

@@ -1,8 +1,8 @@
-"""Curves in landmark files: chains of control vertices, edges in any order, or places in space.
+"""Curves in landmark files: chains of control vertices, edges in any order, or positions.
 
 A file of pairs has ``"curves": [{"name": "lips", "source": [3, 4, 9], "target": [7, 8, 2], "closed": true}, ...]``, a
-file of one mesh ``"curves": [{"name": "lips", "vertices": [3, 4, 9], "closed": true}, ...]``, with ``"positions"`` for
-places in space. A list of pairs of vertices is one of edges, whose order is found.
+file of one mesh ``"curves": [{"name": "lips", "vertices": [3, 4, 9], "closed": true}, ...]``, or ``"positions"``
+instead of ``"vertices"``. A list of vertex pairs is a list of edges, which are put in order.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LARGEST = 2**62
 
 
 def pair_curves(path: Path, items: Any) -> Curves:
-    """Curves of a file of pairs."""
+    """Curves of a landmark file with pairs of two meshes."""
     names, sides, closed = [], {"target": [], "source": []}, {"target": [], "source": []}  # type: ignore[var-annotated]
     for number, item in enumerate(_listed(path, items, FORM)):
         name, entry = _named(path, number, item, FORM)
@@ -39,7 +39,7 @@ def pair_curves(path: Path, items: Any) -> Curves:
 
 
 def pair_entries(path: str | Path, curves: Curves) -> list[str]:
-    """Undo `pair_curves`: an entry each, as JSON."""
+    """Entries of curves as JSON, as `pair_curves` reads them."""
     entries = []
     for i, name in enumerate(curves.names):
         chains = [side.at([i]).points.vertices for side in (curves.source, curves.target)]
@@ -54,20 +54,20 @@ def pair_entries(path: str | Path, curves: Curves) -> list[str]:
 
 
 def mesh_curves(path: Path, items: Any) -> tuple[NamedCurve, ...]:
-    """Curves of a file of one mesh."""
-    found = []
+    """Curves of a landmark file of one mesh."""
+    curves = []
     for number, item in enumerate(_listed(path, items, MESH_FORM)):
         name, entry = _named(path, number, item, MESH_FORM)
         if "positions" in entry:
-            found.append(curve_through(path, name, entry["positions"], bool(entry.get("closed", False))))
+            curves.append(curve_through(path, name, entry["positions"], bool(entry.get("closed", False))))
             continue
         chain, closed = _chain(path, name, "vertices", entry.get("vertices"), entry.get("closed"), MESH_FORM)
-        found.append(NamedCurve(name, chain, np.full((len(chain), 3), np.nan), closed))
-    return tuple(found)
+        curves.append(NamedCurve(name, chain, np.full((len(chain), 3), np.nan), closed))
+    return tuple(curves)
 
 
 def mesh_entries(curves: Sequence[NamedCurve]) -> list[str]:
-    """Undo `mesh_curves`: an entry each, as JSON. A curve with any place in space is written by places alone."""
+    """Entries of curves as JSON, as `mesh_curves` reads them; positions unless all points are vertices."""
     entries = []
     for curve in curves:
         by_vertices = bool((curve.vertices >= 0).all())
@@ -77,7 +77,7 @@ def mesh_entries(curves: Sequence[NamedCurve]) -> list[str]:
 
 
 def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurve:
-    """A curve through places in space."""
+    """A curve through positions."""
     try:
         positions = np.array(places, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -101,10 +101,10 @@ def _named(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str
 
 
 def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, form: str) -> tuple[IndexArray, bool]:
-    """Vertices of a chain and whether it is closed, from vertices in order or edges in any order."""
+    """Vertices of a curve in order, and whether it is closed, from ordered vertices or unordered edges."""
     values = values if isinstance(values, list) else []
     if values and all(_is_vertex(value) for value in values):
-        if len(values) > 1 and values[0] == values[-1]:  # a loop that says so by coming back
+        if len(values) > 1 and values[0] == values[-1]:  # the first vertex repeated at the end: closed
             values, closed = values[:-1], True
         return np.array(values, dtype=np.int64), bool(closed)
     edges = values and all(isinstance(e, list) and len(e) == 2 and all(map(_is_vertex, e)) for e in values)

@@ -1,4 +1,4 @@
-"""Landmark files: JSON with two meshes' names, pairs of 0-based control vertices or points between, and of curves."""
+"""Landmark files (JSON): pairs of 0-based control vertices or points of two meshes, and pairs of curves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FORM = (
     '{"source": "a.obj", "target": "b.obj", "pairs": [{"name": "nose", "source": 3, "target": 7}, ...]}, or '
     '{"corners": [3, 4, 9], "weights": [0.2, 0.5, 0.3]} in place of a vertex'
 )
-# By how much written weights may miss a sum of 1, or be negative.
+# Tolerance of weights: their sum may differ from 1 by this, and they may be as negative.
 _ROUNDING = 1e-4
 
 End = tuple[tuple[int, int, int], tuple[float, float, float]]
@@ -37,22 +37,22 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
     path : path
         The JSON file.
     target, source : str or path
-        Names of the two meshes; folders and extensions are left out of comparisons.
+        Names of the two meshes; folders and extensions are not compared.
 
     Returns
     -------
     landmarks : Landmarks
-        The pairs as the file says, not yet checked against the meshes (`cagemap.mesh.landmarks.check_landmarks`).
+        The pairs of the file, not yet checked against the meshes (`cagemap.mesh.landmarks.check_landmarks`).
     notes : tuple of str
-        What the reader of a report should know: the file was made for meshes of other names, since the same landmarks
-        serve every pose or identity of a cage.
+        Notes for the report, such as that the file names other meshes. This is no error: the same landmarks serve
+        every pose or identity of a cage.
 
     Raises
     ------
     FormatError
-        If the file is not of that form; the pair is named by its number.
+        If the file has another form; the message names the pair by its number.
     DirectionError
-        If the file names the two meshes the other way round.
+        If the file names the two meshes in exchanged order.
     """
     file = Path(path)
     landmarks = entered(file, _parse(file, read_text(file, "a landmark file")))
@@ -60,7 +60,7 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
 
 
 def entered(file: Path, data: dict[str, Any]) -> Landmarks:
-    """Landmarks that the content of a landmark file, or of one like it, says."""
+    """Landmarks from the parsed JSON of a landmark file."""
     pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
     landmarks = Landmarks.of_points(
         tuple(name for name, _, _ in pairs),
@@ -73,7 +73,7 @@ def entered(file: Path, data: dict[str, Any]) -> Landmarks:
 
 
 def entries(landmarks: Landmarks) -> list[str]:
-    """What a landmark file holds of every pair, as JSON."""
+    """Entries of all pairs as JSON."""
     ends = zip(landmarks.names, _ends(landmarks.source_points), _ends(landmarks.target_points), strict=True)
     return [
         json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
@@ -115,7 +115,7 @@ def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
 
 
 def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
-    """Name, end on the target and end on the source of a pair."""
+    """Name of a pair, its point on the target and its point on the source."""
     if not isinstance(item, dict):
         raise FormatError(
             f"{path}: pair {number} (0-based): expected an object, got {shown(item)}. The form is {_FORM}."
@@ -137,7 +137,7 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
 
 
 def _end(value: Any) -> End | None:
-    """Corners and weights of one end of a pair; None if it is neither a vertex nor a point."""
+    """Corners and weights of one point of a pair; None if the value is neither a vertex nor a point."""
     if _is_vertex(value):
         return (value, value, value), (1.0, 0.0, 0.0)
     corners, weights = (value.get(key) if isinstance(value, dict) else None for key in ("corners", "weights"))
@@ -153,7 +153,7 @@ def _end(value: Any) -> End | None:
 
 
 def _is_vertex(value: Any) -> bool:
-    # JSON's true and false are integers to Python.
+    # In Python, JSON's true and false are integers.
     return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
 
 
@@ -163,7 +163,7 @@ def _points(ends: list[End]) -> CagePoints:
 
 
 def _ends(points: CagePoints) -> list[int | dict[str, Any]]:
-    """What a file says of points: a vertex where one lies on it."""
+    """Entries of points for JSON: the number of a vertex, or corners and weights."""
     return [
         vertex if vertex >= 0 else {"corners": corners, "weights": weights}
         for vertex, corners, weights in zip(
@@ -173,10 +173,10 @@ def _ends(points: CagePoints) -> list[int | dict[str, Any]]:
 
 
 def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -> tuple[str, ...]:
-    """Refuse exchanged meshes, and note names that do not match.
+    """Refuse exchanged meshes; returns notes on names that differ.
 
-    Exchanged means that a column is said to be of the mesh that is used on the other side; or that this holds for both
-    columns with only the text before the first '_' compared, which by custom names the cage (``base_neutral.obj``).
+    Meshes are exchanged if both names are those of the other side; or, for two different cages, if more names match
+    crossed than straight, or both cages do. A name up to the first '_' is the cage's by custom (``base_neutral.obj``).
     """
     file_target, file_source = _stem(landmarks.target_name), _stem(landmarks.source_name)
     if not file_target or not file_source:

@@ -1,4 +1,4 @@
-"""Writers of the forms of landmark points that `cagemap.files.landmarks.points` reads, and what each can carry."""
+"""Writers of the file formats that `cagemap.files.landmarks.points` reads, and what each format can store."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import build_tree, closest_points
 
-# By this word, no address of today, 3D Slicer tells a file of markups from other JSON; some of its versions ask for it.
+# 3D Slicer recognises its markups by this text; some versions demand it. The address itself no longer works.
 _MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
@@ -32,49 +32,49 @@ _MARKUPS_SCHEMA = (
 
 @dataclass(frozen=True)
 class PointForm:
-    """One form."""
+    """A file format of landmark points."""
 
-    ending: str  # of the names of its files
-    title: str  # what people call it
-    # `names`, `curves`: whether it can carry them
+    ending: str  # ending of file names
+    title: str  # name for users
+    # `names`, `curves`: whether it can store them
     names: bool
     curves: bool
-    text: Callable[[NamedPoints, ControlMesh], str]  # content of a file for points of a mesh
+    text: Callable[[NamedPoints, ControlMesh], str]  # content of a file, from points and their mesh
 
     def lost(self, points: NamedPoints) -> tuple[str, ...]:
-        """What of some points it cannot carry, in sentences."""
-        said = []
+        """What the format cannot store of these points, in sentences."""
+        sentences = []
         if not self.names and len(points.names):
-            said.append(f"{self.title} has no names: points are told apart by their order alone")
+            sentences.append(f"{self.title} has no names: points are told apart by their order alone")
         if not self.curves and points.curves:
-            said.append(f"{self.title} has no curves: {', '.join(curve.name for curve in points.curves)} left out")
-        return tuple(said)
+            sentences.append(f"{self.title} has no curves: {', '.join(curve.name for curve in points.curves)} left out")
+        return tuple(sentences)
 
 
 def is_of_pairs(path: str | Path) -> bool:
-    """Whether a file's name means pairs of two meshes (`files.landmarks.pairs`), not points of one."""
+    """Whether a file's name is that of pairs of two meshes (`files.landmarks.pairs`), not of points of one."""
     name = Path(path).name.lower()
     return name.endswith(".json") and not any(name.endswith(form.ending) for form in POINT_FORMS)
 
 
 def point_form(path: str | Path) -> PointForm:
-    """The form that a file's name asks for; our own for every other ``.json``."""
+    """The format of a file by its name; cagemap's own for any other ``.json``."""
     name = Path(path).name.lower()
-    found = next((form for form in POINT_FORMS if name.endswith(form.ending)), None)
-    if found is None and name.endswith(".json"):
-        found = POINT_FORMS[0]
-    if found is None:
+    chosen = next((form for form in POINT_FORMS if name.endswith(form.ending)), None)
+    if chosen is None and name.endswith(".json"):
+        chosen = POINT_FORMS[0]
+    if chosen is None:
         known = ", ".join(f"{form.ending} ({form.title})" for form in POINT_FORMS)
         raise FormatError(
             f"{path}: expected a file of landmark points that ends in one of {known}. Choose such a name."
         )
-    return found
+    return chosen
 
 
 def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write named points in the form that the file's name asks for.
+    """Write named points in the format given by the file's name.
 
-    ``mesh``: other programs' points are places in space: those of its vertices, or, for Wrap, of its triangles.
+    ``mesh``: the mesh of the points. Formats of other programs store positions; Wrap's stores its triangles.
     """
     form = point_form(path)
     if points.curves and not form.curves:
@@ -104,7 +104,7 @@ def _meshlab(points: NamedPoints, mesh: ControlMesh) -> str:
 
 
 def _markups(points: NamedPoints, mesh: ControlMesh) -> str:
-    """3D Slicer's markups, in LPS, the space of the mesh files it reads: points, and every curve as one of its own."""
+    """3D Slicer's markups, in LPS as its mesh files: one of all points, and one for every curve."""
     markups = [_markup("Fiducial", "landmarks", points.names, _places(points, mesh))]
     for curve in points.curves:
         labels = tuple(f"{curve.name}-{number}" for number in range(1, 1 + len(curve.vertices)))
@@ -123,7 +123,7 @@ def _markup(kind: str, name: str, labels: tuple[str, ...], places: FloatArray) -
 
 
 def _fiducials(points: NamedPoints, mesh: ControlMesh) -> str:
-    """3D Slicer's older table."""
+    """3D Slicer's older table (fcsv)."""
     rows = [
         [f"vtk{number}", *map(repr, place), "0", "0", "0", "1", "1", "1", "0", name, "", ""]
         for number, (name, place) in enumerate(zip(points.names, _places(points, mesh).tolist(), strict=True))
@@ -134,7 +134,7 @@ def _fiducials(points: NamedPoints, mesh: ControlMesh) -> str:
 
 
 def _table(points: NamedPoints, mesh: ControlMesh) -> str:
-    """Columns vertex, where a point is one, x, y, z, and name last: a line that begins with # is a comment."""
+    """Columns vertex, x, y, z and name, which is last, since a line that begins with # is a comment."""
     rows = [
         ["" if vertex < 0 else str(vertex), *map(repr, place), name]
         for name, vertex, place in zip(
@@ -145,30 +145,30 @@ def _table(points: NamedPoints, mesh: ControlMesh) -> str:
 
 
 def _wrap(points: NamedPoints, mesh: ControlMesh) -> str:
-    """Triangles of the triangulated mesh with two coordinates each."""
+    """Wrap's list: a triangle of the triangulated mesh and two barycentric coordinates for each point."""
     if not points.names:
         return "[]\n"
     triangles, _ = cage_triangles(mesh)
-    held, weights, _ = closest_points(build_tree(mesh.positions, triangles), _places(points, mesh))
-    rows = [[triangle, u, v] for triangle, (_, u, v) in zip(held.tolist(), weights.tolist(), strict=True)]
+    on_triangles, weights, _ = closest_points(build_tree(mesh.positions, triangles), _places(points, mesh))
+    rows = [[triangle, u, v] for triangle, (_, u, v) in zip(on_triangles.tolist(), weights.tolist(), strict=True)]
     return json.dumps(rows) + "\n"
 
 
 def _places(points: NamedPoints | NamedCurve, mesh: ControlMesh) -> FloatArray:
-    """(q, 3) places in space, of vertices too."""
+    """(q, 3) positions of points, and of vertices on the mesh."""
     vertices = points.vertices
     places = mesh.positions[np.maximum(vertices, 0)]
     return np.where(vertices[:, None] >= 0, places, points.positions)
 
 
 def _csv(rows: list[list[str]]) -> str:
-    made = io.StringIO()
-    csv.writer(made, lineterminator="\n").writerows(rows)
-    return made.getvalue()
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
 
 
 def _attribute(text: str) -> str:
-    """Text as the value of an XML attribute."""
+    """Text escaped as the value of an XML attribute."""
     return escape(text).replace("\n", "&#10;").replace("\r", "&#13;").replace("\t", "&#9;")
 
 

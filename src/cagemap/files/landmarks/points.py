@@ -1,7 +1,7 @@
-"""Points, curves and symmetries of one mesh, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
+"""Points, curves and symmetries of one mesh, read from cagemap's JSON, MeshLab, 3D Slicer, Wrap and CSV files.
 
-A file per mesh instead of one per pair: N meshes need N files, and any two of them are matched by the names they share.
-`cagemap.files.landmarks.point_formats` writes them.
+One file for each mesh: any two meshes are matched by the names that their files share.
+`cagemap.files.landmarks.point_formats` writes such files.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ FORMS = (
 def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoints:
     """Read the named points of one mesh.
 
-    ``path``: a .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
-    ``mesh``: Wrap's points are triangles of it, with coordinates; other forms do not ask.
+    ``path``: cagemap's .json, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list (.json or .txt).
+    ``mesh``: the mesh of the points, needed only for Wrap's list, which refers to triangles.
     """
     file = Path(path)
     name = file.name.lower()
     text = read_text(file, "a file of landmark points")
     if name.endswith(".pp"):
-        found = _meshlab(file, text)
+        named = _meshlab(file, text)
     elif name.endswith(".fcsv"):
-        found = _fiducials(file, text)
+        named = _fiducials(file, text)
     elif name.endswith(".csv"):
-        found = _table(file, text)
+        named = _table(file, text)
     else:
         return _json(file, text, mesh)
-    return _points(found, "")
+    return _points(named, "")
 
 
 def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -> NamedPoints:
@@ -75,8 +75,8 @@ def _json(path: Path, text: str, mesh: ControlMesh | None) -> NamedPoints:
     if isinstance(data, dict) and isinstance(data.get("markups"), list):
         return _markups(path, data["markups"])
     if isinstance(data, dict) and isinstance(data.get("points", data.get("curves")), list):
-        found = [_own(path, number, item) for number, item in enumerate(data.get("points", []))]
-        return _points(found, str(data.get("mesh", "")), mesh_curves(path, data.get("curves", [])))
+        named = [_own(path, number, item) for number, item in enumerate(data.get("points", []))]
+        return _points(named, str(data.get("mesh", "")), mesh_curves(path, data.get("curves", [])))
     raise FormatError(f"{path}: expected landmark points, got other JSON. Known are {FORMS}.")
 
 
@@ -93,11 +93,11 @@ def _own(path: Path, number: int, item: Any) -> tuple[str, int, tuple[float, flo
 
 
 def _wrap(path: Path, data: list[Any], mesh: ControlMesh | None) -> Named:
-    """Points as triangle of the triangulated mesh and two coordinates, P = (1 - u - v) A + u B + v C."""
+    """Wrap's points: a triangle of the triangulated mesh and u, v: P = (1 - u - v) A + u B + v C."""
     if mesh is None:
         raise FormatError(f"{path}: expected the mesh beside Wrap's points, which are triangles of it, got none.")
     triangles = cage_triangles(mesh)[0]
-    found: Named = []
+    named: Named = []
     for number, item in enumerate(data):
         triangle, u, v = _place(path, f"point {number}", item)
         if triangle != int(triangle) or not 0 <= triangle < len(triangles):
@@ -107,14 +107,14 @@ def _wrap(path: Path, data: list[Any], mesh: ControlMesh | None) -> Named:
             )
         a, b, c = mesh.positions[triangles[int(triangle)]]
         x, y, z = ((1 - u - v) * a + u * b + v * c).tolist()
-        found.append((f"point {number}", -1, (x, y, z)))
-    return found
+        named.append((f"point {number}", -1, (x, y, z)))
+    return named
 
 
 def _markups(path: Path, markups: list[Any]) -> NamedPoints:
-    """3D Slicer's control points; LPS is the space of the mesh files it reads, RAS has x and y the other way.
+    """Points and curves of 3D Slicer's markups, in LPS as its mesh files; RAS has x and y negated.
 
-    The points of a curve, open or closed, are its control points, not places of their own.
+    Points of an open or closed curve become the curve, not landmarks.
     """
     every: Named = []
     curves: list[NamedCurve] = []
@@ -123,18 +123,18 @@ def _markups(path: Path, markups: list[Any]) -> NamedPoints:
         if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
             raise FormatError(f"{path}: expected markups with a list of controlPoints, got others. Known are {FORMS}.")
         turned = str(markup.get("coordinateSystem", "LPS")).upper() == "RAS"
-        found: Named = []
+        named: Named = []
         for number, point in enumerate(points):
             if point.get("positionStatus", "defined") != "defined":
                 continue
             name = str(point.get("label") or point.get("id") or f"point {number}")
-            found.append((name, -1, _in_lps(_place(path, name, point.get("position")), turned)))
+            named.append((name, -1, _in_lps(_place(path, name, point.get("position")), turned)))
         kind = str(markup.get("type", ""))
         if kind in ("Curve", "ClosedCurve"):
             title = whole_characters(str(markup.get("name") or path.name.partition(".")[0]))
-            curves.append(curve_through(path, title, [place for _, _, place in found], kind == "ClosedCurve"))
+            curves.append(curve_through(path, title, [place for _, _, place in named], kind == "ClosedCurve"))
         else:
-            every += found
+            every += named
     return _points(every, "", tuple(curves))
 
 
@@ -146,9 +146,9 @@ def _rows(path: Path, text: str) -> list[list[str]]:
 
 
 def _fiducials(path: Path, text: str) -> Named:
-    """3D Slicer's older table: id, x, y, z, ... with the label in column 12; a comment names the space."""
+    """Points of 3D Slicer's older table: id, x, y, z, ..., label in column 12; a comment states LPS or RAS."""
     turned = False
-    found: Named = []
+    named: Named = []
     for row in _rows(path, text):
         if row and row[0].startswith("#"):
             if "coordinatesystem" in (line := row[0].replace(" ", "").lower()):
@@ -156,26 +156,26 @@ def _fiducials(path: Path, text: str) -> Named:
             continue
         if len(row) >= 4:
             name = row[11] if len(row) > 11 and row[11] else row[0]
-            found.append((name, -1, _in_lps(_place(path, name, row[1:4]), turned)))
-    return found
+            named.append((name, -1, _in_lps(_place(path, name, row[1:4]), turned)))
+    return named
 
 
 def _table(path: Path, text: str) -> Named:
-    """Columns name and x, y, z, or name and vertex, named by the first line; without such a line name, x, y, z."""
+    """Points of a table with columns name and x, y, z, or name and vertex; without a header: name, x, y, z."""
     rows = [row for row in _rows(path, text) if row and not row[0].startswith("#")]
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if not {"name", "label"} & set(head):
         head, rows = ["name", "x", "y", "z"], [[], *rows]
     title = "name" if "name" in head else "label"
-    found: Named = []
+    named: Named = []
     for number, row in enumerate(rows[1:]):
         cells = dict(zip(head, (cell.strip() for cell in row), strict=False))
         name = cells.get(title) or f"point {number}"
         if re.fullmatch("[0-9]{1,18}", cells.get("vertex", "")):
-            found.append((name, int(cells["vertex"]), None))
+            named.append((name, int(cells["vertex"]), None))
         else:
-            found.append((name, -1, _place(path, name, [cells.get(axis) for axis in "xyz"])))
-    return found
+            named.append((name, -1, _place(path, name, [cells.get(axis) for axis in "xyz"])))
+    return named
 
 
 def _meshlab(path: Path, text: str) -> Named:
@@ -185,12 +185,12 @@ def _meshlab(path: Path, text: str) -> Named:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise FormatError(f"{path}: expected MeshLab's picked points, got broken XML ({error}).") from None
-    found: Named = []
+    named: Named = []
     for number, point in enumerate(root.iter("point")):
         name = point.get("name") or f"point {number}"
         if point.get("active", "1") != "0":
-            found.append((name, -1, _place(path, name, [point.get(axis) for axis in "xyz"])))
-    return found
+            named.append((name, -1, _place(path, name, [point.get(axis) for axis in "xyz"])))
+    return named
 
 
 def _in_lps(place: tuple[float, float, float], turned: bool) -> tuple[float, float, float]:
@@ -216,7 +216,7 @@ _SYMMETRY_REMEDY = (
 
 
 def read_symmetry(path: Path) -> IndexArray:
-    """Read the image of every control vertex from ``.npy``, ``.json`` or text."""
+    """Read the mirror image of every control vertex from ``.npy``, ``.json`` or text."""
     content = read_bytes(path, "a symmetry file")
     if path.suffix == ".npy":
         values = read_npy(content, path, _SYMMETRY_REMEDY)
@@ -234,11 +234,11 @@ def read_symmetry(path: Path) -> IndexArray:
 
 
 def symmetry_on(images: IndexArray, control: ControlMesh) -> IndexArray:
-    """Images of a file's vertices on a mesh that is welded, or a part of the file; others as they are."""
+    """A file's mirror images for a welded mesh or a part of the file; for other meshes unchanged."""
     first = control.file_vertices
     if first is None or len(images) == control.n_vertices or len(images) <= first.max():
         return images
-    number = np.full(len(images) + 1, -1, dtype=np.int64)  # the last: where the image is not known
+    number = np.full(len(images) + 1, -1, dtype=np.int64)  # the last entry: images that are not known
     number[first] = np.arange(control.n_vertices)
     if control.file_copies is not None:
         number[control.file_copies[:, 1]] = control.file_copies[:, 0]

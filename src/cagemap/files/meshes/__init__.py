@@ -1,1 +1,1 @@
-"""Control meshes in files: OBJ, PLY, OFF, STL, MakeHuman's .mhclo."""
+"""Reading and writing of control meshes: OBJ, PLY, OFF, STL, MakeHuman's .mhclo."""

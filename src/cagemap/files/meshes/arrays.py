@@ -1,4 +1,4 @@
-"""Control meshes and schemes as named arrays and plain entries, as archives store them."""
+"""Control meshes, points, curves and schemes as named arrays and JSON entries for archives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.schemes import SCHEMES, Scheme, scheme_name
 
-# Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
+# Letters of sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
 CONTROL_FORMS = {
     "positions": ArraySpec(("c", 3)),
     "face_offsets": ArraySpec(("f+1",), below="q+1"),
@@ -40,15 +40,15 @@ CONTROL_FORMS = {
     "file_copies": ArraySpec(("copies", 2), below="file_c", optional=True),
 }
 CONTROL_ARRAYS = tuple(CONTROL_FORMS)
-# Names beside those of materials; each an array of text.
+# Names other than those of materials; each an array of text.
 _NAMES = ("object_names", "group_names")
 _UV_NAME = "uv_name"
-# How many vertices or faces the file had that a mesh is a part of: not known, and nothing is indexed by them here.
+# Numbers of vertices and faces in the file of a mesh that is a part of it: unknown, so a bound that never limits.
 _ANY = 2**40
 
 
 def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
-    """Arrays of a control mesh, those that it has."""
+    """Arrays of a control mesh, without absent ones."""
     arrays = {f"{prefix}{name}": getattr(control, name) for name in CONTROL_ARRAYS}
     arrays |= {f"{prefix}{name}": np.array(getattr(control, name)) for name in _NAMES if getattr(control, name)}
     if control.uv_name:
@@ -65,7 +65,7 @@ def control_from_arrays(
     remedy: str,
     scheme: Scheme | None = None,
 ) -> ControlMesh:
-    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with."""
+    """A control mesh from the arrays of `control_to_arrays`; ``scheme`` is the one it was refined with."""
     stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
     texts: dict[str, Any] = {
         key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
@@ -74,13 +74,13 @@ def control_from_arrays(
     sizes |= {"file_c": _ANY, "file_f": _ANY}
     values: dict[str, Any] = check_arrays(path, stored, CONTROL_FORMS, sizes, remedy)
     check_offsets(path, f"{prefix}face_offsets", values["face_offsets"], sizes["q"], remedy)
-    for one, other in (
+    for first, second in (
         ("uvs", "uv_indices"),
         ("crease_edges", "crease_sharpness"),
         ("corner_vertices", "corner_sharpness"),
     ):
-        if (one in values) != (other in values):
-            raise FormatError(f"{path}: {prefix}{one} and {prefix}{other} belong together, one is missing. {remedy}")
+        if (first in values) != (second in values):
+            raise FormatError(f"{path}: {prefix}{first} and {prefix}{second} belong together, one is missing. {remedy}")
     copies = values.get("file_copies")
     if copies is not None and (copies[:, 0] >= sizes["c"]).any():
         raise FormatError(f"{path}: {prefix}file_copies name vertices that are not there. {remedy}")
@@ -102,7 +102,7 @@ def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tu
 
 
 def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
-    """Points of a control mesh whose arrays have their specs already, if there are any."""
+    """Points of a control mesh from checked arrays; None if absent."""
     corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
     if corners is None and weights is None:
         return None
@@ -112,7 +112,7 @@ def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remed
 
 
 def curves_to_arrays(curves: Curves) -> dict[str, Any]:
-    """Arrays of curves; none where there are none."""
+    """Arrays of curves; empty if there are none."""
     arrays: dict[str, Any] = {}
     for side, lines in (("target", curves.target), ("source", curves.source)) if len(curves) else ():
         parts = {"corners": lines.points.corners, "weights": lines.points.weights, "starts": lines.starts}
@@ -124,9 +124,9 @@ def curves_to_arrays(curves: Curves) -> dict[str, Any]:
 def curves_from_arrays(
     path: Path, arrays: Mapping[str, Any], names: Sequence[str], vertices: tuple[int, int], remedy: str
 ) -> Curves:
-    """Undo `curves_to_arrays`.
+    """Curves from the arrays of `curves_to_arrays`.
 
-    ``vertices``: (int, int), number of control vertices of target and source.
+    ``vertices``: numbers of control vertices of target and source.
     """
     if not names:
         return Curves.none()
@@ -139,13 +139,13 @@ def curves_from_arrays(
             f"{prefix}starts": ArraySpec(("q+1",), below="p+1"),
             f"{prefix}closed": ArraySpec(("q",), below="two"),
         }
-        found = check_arrays(path, arrays, specs, {"c": count, "q": len(names), "two": 2}, remedy)
-        points = points_from_arrays(path, found, prefix, remedy)
-        starts = found[f"{prefix}starts"]
-        check_offsets(path, f"{prefix}starts", starts, len(found[f"{prefix}corners"]), remedy)
+        checked = check_arrays(path, arrays, specs, {"c": count, "q": len(names), "two": 2}, remedy)
+        points = points_from_arrays(path, checked, prefix, remedy)
+        starts = checked[f"{prefix}starts"]
+        check_offsets(path, f"{prefix}starts", starts, len(checked[f"{prefix}corners"]), remedy)
         if points is None or np.any(np.diff(starts) < 2):
             raise FormatError(f"{path}: {prefix}starts leave curves of fewer than two points. {remedy}")
-        sides.append(CageCurves(points, starts, found[f"{prefix}closed"] == 1))
+        sides.append(CageCurves(points, starts, checked[f"{prefix}closed"] == 1))
     return Curves(tuple(names), sides[0], sides[1])
 
 
@@ -155,7 +155,7 @@ def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
 
 
 def scheme_from_entry(path: Path, entry: Mapping[str, Any], remedy: str) -> Scheme:
-    """Undo `scheme_to_entry`."""
+    """A scheme from the entry of `scheme_to_entry`."""
     settings = dict(entry)
     try:
         return SCHEMES[settings.pop("name")](**settings)

@@ -1,4 +1,4 @@
-"""Colours in mesh files: shares or bytes, ZBrush's polypaint, materials' diffuse colour in .mtl files."""
+"""Colours in mesh files: fractions or bytes, ZBrush's polypaint, diffuse colours in .mtl files."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from cagemap.files.text import at_line, read_text
 from cagemap.numerics.arrays import FloatArray
 
 _BYTE = 255.0
-# No light is so many times as bright as white, and bytes that end below are all but black.
+# Colours above this are bytes: light is never so many times as bright as white, and bytes below are nearly black.
 _BRIGHTEST = 16.0
 
 
 def as_shares(colors: FloatArray, largest: float | None = None) -> FloatArray:
-    """Colours where 1 is full.
+    """Colours scaled so that 1 is full intensity.
 
-    ``colors``: (n, 3), NaN where a vertex has none.
-    ``largest``: what stands for 1, where the file says it. Otherwise whole numbers that go beyond 1, and all that go
-        far beyond (means of bytes), are taken for bytes.
+    ``colors``: (n, 3), NaN at vertices without a colour.
+    ``largest``: the value of full intensity, if the file states it. Otherwise colours are taken for bytes if they are
+        whole numbers above 1, or far above 1 (means of bytes).
     """
     known = colors[np.isfinite(colors)]
     if largest is None:
-        most = known.max(initial=0.0)
-        bytes_ = most > _BRIGHTEST or bool(most > 1.0 and np.all(known == np.rint(known)))
+        brightest = known.max(initial=0.0)
+        bytes_ = brightest > _BRIGHTEST or bool(brightest > 1.0 and np.all(known == np.rint(known)))
         largest = _BYTE if bytes_ else 1.0
     return colors / largest
 
@@ -38,10 +38,10 @@ _VALUE = 4  # bytes: mask, red, green, blue
 
 
 def polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], FormatError]) -> FloatArray | None:
-    """Colours (n, 3) of ZBrush's lines ``#MRGB``, up to 64 values MMRRGGBB each, from 0 to 1; None without such lines.
+    """Colours (n, 3) from 0 to 1 of ZBrush's lines ``#MRGB``; None without such lines.
 
-    ``lines``: all that begin with `KEYWORD`.
-    ``fail``: makes the error about a line, given its number among these and what was expected.
+    ``lines``: all lines that begin with `KEYWORD`, with up to 64 values MMRRGGBB each.
+    ``fail``: makes the error for line number i of ``lines``, given what was expected.
     """
     if not lines:
         return None
@@ -65,7 +65,7 @@ _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))
 
 
 def read_material_colors(path: Path) -> dict[str, Color]:
-    """Diffuse colour of every material of a ``.mtl`` file; NaN where it gives none as RGB."""
+    """Diffuse colour of every material of a ``.mtl`` file; NaN without one in RGB."""
     colors: dict[str, Color] = {}
     name = None
     for number, line in enumerate(read_text(path, "a material file").split("\n"), start=1):
@@ -85,7 +85,7 @@ def _parse_color(path: Path, number: int, line: str, fields: list[str]) -> Color
         values = [float(field) for field in fields[:3]]
     except ValueError:
         values = []
-    if len(values) == 1:  # one number stands for grey
+    if len(values) == 1:  # a single number is grey
         values *= 3
     if len(values) != 3 or not np.isfinite(values).all():
         raise FormatError(at_line(path, number, "'Kd' and three finite numbers", line, "Export the materials again."))
@@ -93,7 +93,7 @@ def _parse_color(path: Path, number: int, line: str, fields: list[str]) -> Color
 
 
 def write_materials(path: Path, names: Sequence[str], colors: FloatArray | None, *, force: bool = False) -> None:
-    """Write a ``.mtl`` file; a material of unknown colour gets no ``Kd``."""
+    """Write a ``.mtl`` file; materials of unknown colour get no ``Kd``."""
     lines = [f"# {mark()}\n"]
     for i, name in enumerate(names):
         is_known = colors is not None and np.isfinite(colors[i]).all()

@@ -1,4 +1,4 @@
-"""Reading and writing control meshes by the extension of the file."""
+"""Reading and writing of control meshes in all formats, chosen by the file's extension."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 @kinds_checked
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a mesh of an OBJ, PLY, OFF, STL, glTF, VRM, FBX or USD file, as numbered there; arrays are read-only.
+    """Read a mesh from an OBJ, PLY, OFF, STL, glTF, VRM, FBX or USD file in its own numbering; arrays are read-only.
 
     Raises
     ------
     FormatError
-        If the extension is another one, or the file cannot be read.
+        If the extension is unknown, or the file cannot be read.
     """
     mesh = _READERS[_extension(path)](path)
     for value in vars(mesh).values():
@@ -53,7 +53,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
 
 
 def read_whole(path: Path) -> ControlMesh:
-    """Read a mesh as `read_mesh` does, also a USD file whose meshes are subdivided in several ways."""
+    """Read a mesh as `read_mesh` does; a USD file may mix subdivision schemes."""
     return read_usd(path, mixed=True) if path.suffix.lower() in USD_SUFFIXES else read_mesh(path)
 
 
@@ -66,16 +66,16 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     path : path
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
     like : path, optional
-        The file that it was read from: between USD files units, up axis and the prim's transform are kept, and a
-        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps all else that is in it,
-        where vertices and faces are the same.
+        The file that the mesh was read from. From USD to USD, units, up axis and the prim's transform are kept; a
+        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything else in it,
+        if vertices and faces are the same.
     force : bool
 
     Raises
     ------
     FormatError
-        If the extension is another one, the file cannot be written, or cagemap did not write the one that is there
-        and ``force`` is not given.
+        If the extension is unknown, the file cannot be written, or an existing file was not written by cagemap and
+        ``force`` is not given.
     """
     suffix = _extension(path, _WRITERS)
     original = Path(like) if like is not None and Path(like).suffix.lower() in USD_SUFFIXES else None
@@ -90,13 +90,13 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
 
 
 def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
-    """Files that `write_mesh` writes for a mesh."""
+    """Files that `write_mesh` writes for a mesh, materials included."""
     file = Path(path)
     return obj_files(file, mesh) if _extension(file, _WRITERS) == ".obj" else [file]
 
 
 def check_mesh_path(path: str | Path) -> None:
-    """Refuse a file name that `write_mesh` would refuse, before any work is done for it."""
+    """Refuse a file name that `write_mesh` would refuse, before any work is done."""
     _extension(path, _WRITERS)
 
 

@@ -1,4 +1,4 @@
-"""MakeHuman's ``.mhclo``: a mesh that follows a base mesh, by three base vertices, weights and an offset a vertex."""
+"""MakeHuman's ``.mhclo``: each vertex follows three vertices of a base mesh, by weights and an offset."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """A mesh bound to a base mesh."""
+    """The binding of a mesh to a base mesh."""
 
     vertices: IndexArray  # (n, 3) base vertices that each vertex follows
     weights: FloatArray  # (n, 3) rows sum to 1; may be negative
-    offsets: FloatArray  # (n, 3) added, scaled axis by axis
-    scales: IndexArray  # (3, 2) two base vertices for each axis, whose distance along it scales the offsets
-    lengths: FloatArray  # (3,) that distance in the base mesh at rest
+    offsets: FloatArray  # (n, 3) added to the weighted positions, scaled along each axis
+    scales: IndexArray  # (3, 2) two base vertices for each axis; their distance along it scales the offsets
+    lengths: FloatArray  # (3,) these distances in the base mesh at rest
 
     def positions(self, base: FloatArray) -> FloatArray:
-        """(n, 3) where the mesh goes for base positions (n2, 3): what MakeHuman and MPFB do with the file."""
+        """(n, 3) positions for base positions (n2, 3), as MakeHuman and MPFB compute them from the file."""
         ends = base[self.scales, np.arange(3)[:, None]]
         factors = np.abs(ends[:, 0] - ends[:, 1]) / self.lengths
         return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
 
 
 def bind_on(positions: FloatArray, base: Surface, triangle: IndexArray) -> Binding:
-    """Bind a mesh to the control vertices of a surface, each vertex to the face that a finest triangle (n,) is of."""
+    """Bind each vertex to the control face of its finest triangle (n,) of a surface."""
     finest = base.refinement.finest
     per_face = len(base.finest_triangles.triangles) // finest.n_faces
     return bind(positions, base.control, finest.face_parents[triangle // per_face])
 
 
 def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:
-    """Bind a mesh to the control vertices of a base mesh that it lies on.
+    """Bind a mesh to the control vertices of a base mesh near its surface.
 
     ``positions``: (n, 3), of the mesh, in the base's units.
-    ``faces``: (n,), face of the base that each vertex belongs to; of its triangles the nearest one is taken.
+    ``faces``: (n,), base face of each vertex; the nearest triangle of its corners is used.
     """
     corners, sizes = base.face_indices, base.face_sizes[faces]
     begin = base.face_offsets[faces]
     best = np.full(len(positions), np.inf)
     vertices, weights = np.zeros((len(positions), 3), dtype=np.int64), np.zeros((len(positions), 3))
-    # All triples of a face's corners that follow each other, so that no diagonal is preferred.
+    # All triples of consecutive corners of a face are tried, so that no diagonal is preferred.
     for first in range(int(sizes.max())):
         rows = np.flatnonzero(sizes > first)
         triple = np.stack([corners[begin[rows] + (first + k) % sizes[rows]] for k in range(3)], axis=1)
@@ -69,14 +69,14 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
 
 
 def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
-    """(n, 3) barycentric coordinates of the feet of points on the planes of triangles."""
+    """(n, 3) barycentric coordinates of points (n, 3), projected to the planes of triangles."""
     frames = triangle_frames(places, triangles)
     inside = np.einsum("nkd,nd->nk", frames[:, 1:], points - frames[:, 0])
     return np.column_stack([1 - inside.sum(axis=1), inside])
 
 
 def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
-    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``."""
+    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body) file for the mesh in ``obj``."""
     file = Path(path)
     if file.suffix.lower() not in (".mhclo", ".proxy"):
         raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: polygons of any size, UV seams and material colours, kept in the file's own order."""
+"""Reader of Wavefront OBJ: polygons of any size, UV seams and material colours, in the file's order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 _KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5, "o": 6, "g": 7, "t": 8}
 _POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE, _OBJECT, _GROUP, _TAG = range(1, 9)
 
-# Bytes of a face line: what separates corners, what separates the numbers of one corner, and what makes a number.
+# Classes of bytes in a face line: separators of corners, separators within a corner, parts of numbers.
 _BLANK, _SLASH, _NUMBER = 1, 2, 3
 _BYTE_CLASS = np.zeros(256, dtype=np.int8)
 _BYTE_CLASS[[ord(" "), ord("\n")]] = _BLANK
@@ -37,7 +37,7 @@ _IS_DIGIT = (np.arange(256) >= ord("0")) & (np.arange(256) <= ord("9"))
 
 @dataclass(frozen=True, eq=False)
 class _Statements:
-    """The statements of a file, without comments' whole lines; ``numbers`` are the physical line numbers, from 1."""
+    """Statements of a file without comment lines; ``numbers`` are line numbers from 1."""
 
     path: Path
     lines: list[str]
@@ -54,12 +54,11 @@ class _Statements:
 def read_obj(path: str | Path) -> ControlMesh:
     """Read a control mesh from an OBJ file.
 
-    Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons, texture coordinates
-    keep their own indices, ``usemtl`` becomes a per-face material with the ``Kd`` colour of its ``.mtl`` (NaN where
-    that is missing), ``o`` and ``g`` a per-face object and group, six or seven numbers on a ``v`` line a position and
-    a colour (else ZBrush's polypaint, `obj_polypaint`), and ``t`` lines creases, corners, holes and
-    options (`obj_tags`). Normals, points, lines and smoothing groups are ignored; several objects become
-    one mesh.
+    Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons; texture coordinates keep
+    their own indices. ``usemtl`` gives the faces' materials, with ``Kd`` of the ``.mtl`` as colour (NaN if missing),
+    ``o`` and ``g`` their objects and groups. A ``v`` line of six or seven numbers has a position and a colour; without
+    such lines ZBrush's polypaint gives colours. ``t`` lines are creases, corners, holes and options (`obj_tags`).
+    Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
     """
     file = Path(path)
     statements = _split_statements(file, read_text(file, "an OBJ file"))
@@ -98,11 +97,11 @@ def read_obj(path: str | Path) -> ControlMesh:
 
 
 def _split_statements(path: Path, text: str) -> _Statements:
-    """Join continued lines and sort the statements by keyword."""
+    """Join continued lines and classify the statements by keyword."""
     text = text.replace("\t", " ")
     continuations = None
     if "\\" in text:
-        # A comment may end in a backslash (a Windows path) without swallowing the line that follows.
+        # A comment that ends in a backslash (a Windows path) does not continue on the next line.
         text = re.sub(rf"(?m)^(?! *{KEYWORD})( *(?:(?:vt?|vn|fo?|l|p) [^#\n]*)?)#.*$", r"\1", text)
         text = re.sub(r"\\ *(?:\n|\Z)", "\0", text)
         continuations = np.array([line.count("\0") for line in text.split("\n")], dtype=np.int64)
@@ -116,7 +115,7 @@ def _split_statements(path: Path, text: str) -> _Statements:
 
 
 def _read_table(statements: _Statements, kind: int, keyword: str, *, required: int, kept: int) -> FloatArray:
-    """Read the first ``kept`` numbers of every line of a kind; what follows (weights, colours) is left alone."""
+    """Read the first ``kept`` numbers of every line of a kind; later ones (weights, colours) are ignored."""
     rows = statements.rows(kind)
     lines = [statements.lines[row] for row in rows]
     try:
@@ -132,10 +131,10 @@ def _read_table(statements: _Statements, kind: int, keyword: str, *, required: i
 
 
 def _read_numbers(statements: _Statements, row: int, keyword: str, required: int, kept: int) -> list[float]:
-    """Read one line of a table whose lines differ in length, or name the one that is malformed."""
+    """Read one line of a table of unequal line lengths; raises the error if it is malformed."""
     fields = statements.lines[row].partition("#")[0].split()[1 : kept + 1]
     try:
-        # Python's float takes 1_000 and other alphabets' digits, which the fast path refuses.
+        # Python's float also takes 1_000 and digits of other alphabets, which numpy.loadtxt refuses.
         values = [float(field) if field.isascii() and "_" not in field else float("") for field in fields]
     except ValueError:
         values = []
@@ -147,7 +146,7 @@ def _read_numbers(statements: _Statements, row: int, keyword: str, required: int
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """Corners of all faces as written: 1-based or negative numbers, 0 where a corner has no texture coordinate."""
+    """Corners of all faces as written: 1-based or negative numbers, 0 without a texture coordinate."""
 
     rows: IndexArray
     sizes: IndexArray
@@ -163,7 +162,7 @@ class _Corners:
 def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
     """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face, in any mixture.
 
-    The text of all faces is one array of bytes; where corners and numbers begin follows from comparing neighbours.
+    The text of all faces is one array of bytes: corners and numbers begin where the class of bytes changes.
     """
     bodies = [statements.lines[row].partition("#")[0].partition(" ")[2] for row in rows]
     text = "\n".join(bodies) + "\n"
@@ -173,7 +172,7 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
     line_of_byte = np.cumsum(data == ord("\n"), dtype=np.int32)
 
     def fail(byte: int) -> FormatError:
-        # The newline itself belongs to the line before it; the bytes here never are one.
+        # A newline counts as a byte of the line after it, but ``byte`` is never one.
         row = rows[line_of_byte[byte]]
         return statements.fail(row, "'f' and corners such as 3, 3/7, 3//2 or 3/7/2", "Export the control mesh again.")
 
@@ -208,15 +207,14 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
 def _malformed(data: NDArray[np.uint8], kind: NDArray[np.int8], before: NDArray[np.int8]) -> NDArray[np.bool_]:
     """Bytes that cannot be part of a corner: other characters, and signs that do not begin a number.
 
-    What passes is read by `numpy.fromstring` to its end; a number too large for int64 comes out as its limit, which no
-    mesh has.
+    `numpy.fromstring` then reads everything. It limits numbers too large for int64, and no mesh has so many vertices.
     """
     sign = (kind == _NUMBER) & ~_IS_DIGIT[data]
     return (kind == 0) | (sign & ((before == _NUMBER) | ~_IS_DIGIT[np.roll(data, -1)]))
 
 
 def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, kind: int, what: str) -> IndexArray:
-    """Turn 1-based numbers, and negative ones that count back from their own line, into 0-based indices."""
+    """0-based indices from 1-based numbers, or negative ones that count back from their line."""
     before = np.cumsum(statements.kinds == kind)
     count = int(before[-1])
     indices = np.where(numbers < 0, before[np.repeat(corners.rows, corners.sizes)] + numbers, numbers - 1)
@@ -232,7 +230,7 @@ def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, ki
 
 
 def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | None, IndexArray | None]:
-    """Read texture coordinates; corners of faces without any get `NO_UV`, with a warning."""
+    """Read texture coordinates; faces without any get `NO_UV`, with a warning."""
     if not corners.has_uv.any():
         return None, None
     if corners.has_uv.all():
@@ -253,13 +251,13 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
 
 
 def warn_of_bare_faces(path: Path, count: int, n_faces: int) -> None:
-    """Warn of faces without texture coordinates in a file that has some."""
+    """Warn of faces without texture coordinates, if there are any."""
     if count:
         _log.warning("%s: %d of %d faces have no texture coordinates: no image is baked there", path, count, n_faces)
 
 
 def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:
-    """Material, object or group of every face: the last name above it; faces above the first one get the name ''."""
+    """Material, object or group of every face: the last name stated before it, '' before the first."""
     rows = statements.rows(kind)
     if len(rows) == 0:
         return (), None
@@ -272,10 +270,10 @@ def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tu
 
 
 def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:
-    """(n, 3) the numbers after a position, where a line has six or seven; else polypaint; None if there is neither.
+    """(n, 3) colours from ``v`` lines of six or seven numbers, else from polypaint; None without colours.
 
-    A seventh number is the opacity, which is left out, or the weight of the position, which stands before the colour:
-    the weight where all fourth numbers are 1 and the last are not.
+    A line of seven numbers has an opacity last, or the position's weight before the colour. It is the weight if all
+    fourth numbers are 1 and some last ones are not.
     """
     texts = [statements.lines[row] for row in statements.rows(_POSITION)]
     several = max((text.count(" ") for text in texts), default=0) >= 6
@@ -315,7 +313,7 @@ def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> d
 
 
 def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
-    """(q, 3) diffuse colours of the materials from the ``mtllib`` files; the first file that knows a name wins."""
+    """(q, 3) diffuse colours of materials from the ``mtllib`` files; the first file with a name wins."""
     known: dict[str, tuple[float, float, float]] = {}
     for row in statements.rows(_MATERIAL_FILE):
         for file in _material_files(statements.path.parent, statements.lines[row]):
@@ -325,22 +323,22 @@ def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
 
 
 def _material_files(folder: Path, line: str) -> list[Path]:
-    """Files that an ``mtllib`` line names and that exist: the whole rest of the line, else each word of it."""
+    """Existing files that an ``mtllib`` line names: the whole rest of the line, else each of its words."""
     whole, *words = _material_names(line)
     for names in ([whole], words):
-        found = [file for file in (folder / name for name in names if name) if file.is_file()]
-        if found:
-            return found
+        present = [file for file in (folder / name for name in names if name) if file.is_file()]
+        if present:
+            return present
     return []
 
 
 def _material_names(line: str) -> list[str]:
-    """Names that an ``mtllib`` line may mean: the whole rest of it, and each word."""
+    """Possible names in an ``mtllib`` line: the whole rest of it, then each word."""
     stated = line.partition(" ")[2].strip().replace("\\", "/")
     return [stated, *stated.split()]
 
 
 def named_material_files(name: str, content: bytes) -> list[str]:
-    """Every name of a material file that `read_obj` would look for, if an OBJ file of this content were read."""
+    """All names of material files that `read_obj` would search for an OBJ file of this content."""
     statements = _split_statements(Path(name), decoded(content, Path(name), "an OBJ file"))
-    return [one for row in statements.rows(_MATERIAL_FILE) for one in _material_names(statements.lines[row])]
+    return [library for row in statements.rows(_MATERIAL_FILE) for library in _material_names(statements.lines[row])]

@@ -1,4 +1,4 @@
-"""Subdivision tags in OBJ files, as in OpenSubdiv's shape files: ``t name ints/floats/strings values...``, 0-based.
+"""Subdivision tags in OBJ files, as by OpenSubdiv's shapes: ``t name ints/floats/strings values...``, 0-based.
 
 =================================== ==========================================================
 ``t crease 2/1/0 v0 v1 s``          edge of sharpness s
@@ -44,10 +44,10 @@ _COUNTS = {"crease": (2, 1, 0), "corner": (1, 1, 0)}
 def parse_tags(
     lines: Sequence[str], fail: Callable[[int, str], FormatError], n_vertices: int, n_faces: int, *, triangles: bool
 ) -> dict[str, Any]:
-    """Read all tag lines of a file, as fields of a control mesh; tags of other names are left alone.
+    """Fields of a control mesh from all tag lines of a file; tags of unknown names are ignored.
 
     ``fail``: makes the error for line number i of ``lines``, given what was expected.
-    ``triangles``: whether all faces are: then options without a scheme are Loop's.
+    ``triangles``: whether all faces are triangles; options without a scheme are Loop's then.
     """
     sharp: dict[str, list[tuple[list[int], float]]] = {"crease": [], "corner": []}
     holes: list[int] = []
@@ -73,18 +73,18 @@ def parse_tags(
             if len(words) != 1 or words[0] not in meanings:
                 raise fail(row, f"'t {name} 0/0/1' and one of {', '.join(meanings)}")
             options[option] = meanings[words[0]]
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, where in (("crease", "crease_edges"), ("corner", "corner_vertices")):
         if sharp[name]:
             numbers = np.array([ints for ints, _ in sharp[name]], dtype=np.int64)
-            found[where] = numbers if name == "crease" else numbers[:, 0]
-            found[f"{name}_sharpness"] = np.array([sharpness for _, sharpness in sharp[name]])
+            values[where] = numbers if name == "crease" else numbers[:, 0]
+            values[f"{name}_sharpness"] = np.array([sharpness for _, sharpness in sharp[name]])
     if holes:
-        found["hole_faces"] = np.unique(np.array(holes, dtype=np.int64))
+        values["hole_faces"] = np.unique(np.array(holes, dtype=np.int64))
     if options:
         kind = SCHEMES[options.pop("scheme")] if "scheme" in options else Loop if triangles else CatmullClark
-        found["scheme"] = kind(**options)  # type: ignore[arg-type]
-    return found
+        values["scheme"] = kind(**options)  # type: ignore[arg-type]
+    return values
 
 
 def _parse_line(line: str, fail: Callable[[str], FormatError]) -> tuple[str, list[int], list[float], list[str]]:
@@ -112,7 +112,7 @@ def _check_range(numbers: Sequence[int], count: int, what: str, fail: Callable[[
 
 
 def format_tags(mesh: ControlMesh) -> str:
-    """Write the tags of a mesh, one a line; options only where they are not the defaults."""
+    """Tags of a mesh, one a line, without options that have their defaults."""
     lines, scheme = [], mesh.scheme
     if scheme is not None:
         default = CatmullClark()

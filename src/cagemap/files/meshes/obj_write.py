@@ -1,4 +1,4 @@
-"""Wavefront OBJ written: a mesh, or another file's text with other UVs or positions."""
+"""Writer of Wavefront OBJ: a mesh, or a copy of a file with new UVs or positions."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from cagemap.numerics.arrays import FloatArray
 
 
 def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
+    """Write a mesh as OBJ, with a ``.mtl`` of the same stem if it has materials.
 
-    Numbers are written with as many digits as it takes to read the same float64 back.
+    Numbers have as many digits as are needed to read the same float64 back.
     """
     file = Path(path)
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
@@ -70,7 +70,7 @@ def _format_vertices(mesh: ControlMesh) -> str:
 
 
 def _format_faces(mesh: ControlMesh) -> list[str]:
-    """Format the faces in order, with an ``o``, ``g`` or ``usemtl`` wherever the name changes."""
+    """Lines of the faces in order, with ``o``, ``g`` or ``usemtl`` wherever the name changes."""
     indices = mesh.face_indices[:, None] + 1
     corner = " %d"
     if mesh.uv_indices is not None:
@@ -91,17 +91,17 @@ def _format_faces(mesh: ControlMesh) -> list[str]:
         for keyword, numbers, names in labels:
             name = names[numbers[first]]
             changed = not first or numbers[first] != numbers[first - 1]
-            # Faces above the first statement are those without a name.
+            # Faces before the first statement have no name.
             if changed and (first or name or len(names) == 1):
                 parts.append(f"{keyword} {name}\n")
         pattern = "".join([patterns[size] for size in sizes[first:last]])
-        numbers_here = indices[mesh.face_offsets[first] : mesh.face_offsets[last]]
-        parts.append(pattern % tuple(numbers_here.ravel().tolist()))
+        corner_numbers = indices[mesh.face_offsets[first] : mesh.face_offsets[last]]
+        parts.append(pattern % tuple(corner_numbers.ravel().tolist()))
     return parts
 
 
 _UV_LINE = re.compile(r"(?m)^[ \t]*vt\b[^\n]*\n?")
-# A position may be continued on the next line; what follows its three numbers is kept.
+# A position may continue on the next line; the text after its three numbers is kept.
 _POSITION_LINE = re.compile(r"(?m)^[ \t]*v(?:(?:[ \t]|\\[ \t]*\n)+[^\s\\]+){3}([^\n]*)")
 _NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
 _WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
@@ -113,11 +113,11 @@ _OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
 def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMesh, *, force: bool = False) -> None:
     """Write a copy of an OBJ file with the texture coordinates of ``laid_out``.
 
-    Groups, objects, normals, names, materials, comments and the number of every vertex and face stay. Material
+    Groups, objects, normals, names, materials, comments and the numbering of vertices and faces are kept. Material
     libraries are named relative to the new file.
 
     ``original``: the file that ``laid_out`` was read from.
-    ``laid_out``: with texture coordinates.
+    ``laid_out``: the mesh with texture coordinates.
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:
@@ -139,8 +139,8 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
 def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:
     """Write a copy of an OBJ file with the positions of ``moved``.
 
-    Groups, objects, texture coordinates, materials, creases, comments and the number of every vertex and face stay.
-    Normals go: they were those of the old shape. What follows a position on its line (a colour) stays.
+    Groups, objects, texture coordinates, materials, creases, comments and the numbering of vertices and faces are kept,
+    also the text after a position (a colour). Normals are removed, since they are those of the old shape.
 
     ``original``: the file that ``moved`` was read from.
     """
@@ -156,7 +156,7 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
 
 
 def _text_for(file: Path, original: Path) -> str:
-    """The text of an OBJ file for a copy that may stand in another folder, without our own mark."""
+    """The text of an OBJ file for a copy in another folder, without cagemap's mark."""
     text = _OLD_MARK.sub("", read_text(original, "an OBJ file"))
     return _LIBRARY.sub(lambda found: found[1] + _moved(found[2], original.parent, file.parent), text)
 
@@ -166,19 +166,19 @@ def _without_normal(corner: re.Match[str]) -> str:
 
 
 def _renumbered(line: str, numbers: Iterator[int]) -> str:
-    """A face statement whose corners ``v/vt/vn`` get new texture vertices."""
+    """A face statement with new texture vertices at its corners ``v/vt/vn``."""
     body, hash_mark, comment = re.sub(r"\\[ \t]*\n", " ", line).partition("#")
     keyword, *corners = body.split()
     words = []
     for corner in corners:
-        vertex, *others = corner.split("/")
-        normal = f"/{others[1]}" if len(others) > 1 and others[1] else ""
+        vertex, *fields = corner.split("/")
+        normal = f"/{fields[1]}" if len(fields) > 1 and fields[1] else ""
         words.append(f"{vertex}/{next(numbers)}{normal}")
     return " ".join([keyword, *words]) + (f" {hash_mark}{comment}" if hash_mark else "")
 
 
 def _moved(stated: str, before: Path, after: Path) -> str:
-    """The name of a material library as seen from another folder; a name of nothing stays."""
+    """The name of a material library relative to another folder; unchanged if there is no such file."""
     if not (before / stated.replace("\\", "/")).is_file():
         return stated
     try:

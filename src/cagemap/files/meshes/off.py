@@ -1,4 +1,4 @@
-"""OFF: vertices and polygons as text, the form of most research data sets."""
+"""OFF: vertices and polygons as text, the format of most research data sets."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# With texture coordinates, colours or normals behind every place; some files have the counts right behind it.
+# The prefixes mean texture coordinates, colours or normals; in some files the counts follow without a space.
 _FIRST_WORD = re.compile(r"(ST)?C?N?OFF(?=\d*\Z)", re.IGNORECASE)
 _FORM = "OFF, then the numbers of vertices, faces and edges, then a line each: x y z, and 3 a b c"
 
 
 def read_off(path: str | Path) -> ControlMesh:
-    """Read a control mesh from an OFF file in the file's own order; normals, colours and the like are ignored."""
+    """Read a control mesh from an OFF file in the file's order; normals and colours are ignored."""
     file = Path(path)
     rows = [words for line in read_text(file, "an OFF file").splitlines() if (words := line.partition("#")[0].split())]
     first = _FIRST_WORD.match(rows[0][0]) if rows else None
@@ -51,7 +51,7 @@ def read_off(path: str | Path) -> ControlMesh:
 
 
 def write_off(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write positions and faces of a mesh; nothing else has a place in an OFF file."""
+    """Write positions and faces of a mesh; OFF stores nothing else."""
     lines = [f"{x!r} {y!r} {z!r}" for x, y, z in mesh.positions.tolist()]
     corners = np.split(mesh.face_indices, mesh.face_offsets[1:-1])
     lines += [f"{len(face)} {' '.join(map(str, face.tolist()))}" for face in corners]
@@ -70,7 +70,7 @@ def _positions(file: Path, rows: list[list[str]]) -> FloatArray:
 
 
 def _faces(file: Path, rows: list[list[str]]) -> tuple[IndexArray, IndexArray]:
-    """Number of corners of every face, and all corners."""
+    """Number of corners of every face, and the vertices of all corners."""
     try:
         sizes = np.array([row[0] for row in rows], dtype=np.int64)
         lengths = np.array([len(row) for row in rows])
@@ -79,9 +79,9 @@ def _faces(file: Path, rows: list[list[str]]) -> tuple[IndexArray, IndexArray]:
         starts = np.concatenate([[0], np.cumsum(sizes)])
         indices = np.empty(int(starts[-1]), dtype=np.int64)
         for size in np.unique(sizes):
-            own = np.flatnonzero(sizes == size)
-            corners = np.array([rows[i][1 : size + 1] for i in own], dtype=np.int64)
-            indices[starts[own][:, None] + np.arange(size)] = corners
+            rows_of_size = np.flatnonzero(sizes == size)
+            corners = np.array([rows[i][1 : size + 1] for i in rows_of_size], dtype=np.int64)
+            indices[starts[rows_of_size][:, None] + np.arange(size)] = corners
     except (ValueError, OverflowError):
         raise FormatError(f"{file}: expected a number of corners and as many vertices for every face.") from None
     return sizes, indices

@@ -1,6 +1,6 @@
-"""PLY: polygons of any size with optional texture coordinates, text or binary.
+"""PLY: polygons of any size with optional texture coordinates and vertex colours, text or binary.
 
-Written here rather than with a library: the one that keeps quads is under the GPL.
+Not read by a library, since the one that keeps quads is under the GPL.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
 def read_ply(path: str | Path) -> ControlMesh:
-    """Read a control mesh from a PLY file, text or binary, in the file's own order.
+    """Read a control mesh from a text or binary PLY file in the file's order.
 
-    Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
-    ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where that
-    has one or two bytes, else from 0 to 1, or bytes where they go beyond as those do. Normals and other elements are
-    ignored.
+    Texture coordinates are those of the faces' ``texcoord`` lists, else of the vertices (``s t``, ``u v`` or
+    ``texture_u texture_v``). Vertex colours ``red green blue`` are divided by the largest number of their type if it
+    has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Other elements are ignored.
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))
     faces = columns.get("face", {})
-    # Places and colours are a number a vertex; lists of that name are something else.
+    # Positions and colours are scalars; lists with these names are ignored.
     vertices = {name: column for name, column in columns.get("vertex", {}).items() if np.all(column.lengths == 1)}
     positions = _table(file, vertices, ("x", "y", "z"), "positions")
     if positions is None or len(positions) == 0:
@@ -60,7 +59,7 @@ def read_ply(path: str | Path) -> ControlMesh:
 
 
 def _vertex_colors(vertices: dict[str, Column]) -> FloatArray | None:
-    """Colours of the vertices, NaN where one has none; None where none has."""
+    """Colours of the vertices, NaN at vertices without one; None if the file has no colours."""
     names = next((names for names in _VERTEX_COLORS if all(name in vertices for name in names)), None)
     if names is None:
         return None
@@ -71,7 +70,7 @@ def _vertex_colors(vertices: dict[str, Column]) -> FloatArray | None:
 
 
 def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:
-    """Columns side by side as float64, None if one is missing."""
+    """Columns side by side as float64; None if one is missing."""
     if not all(name in columns for name in names):
         return None
     table = np.column_stack([columns[name].values.astype(np.float64) for name in names])
@@ -87,7 +86,7 @@ def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what:
 def _indices(path: Path, corners: Column, count: int) -> IndexArray:
     faces = np.repeat(np.arange(len(corners.lengths)), corners.lengths)
     values = corners.values
-    # Text bodies arrive as float64; comparing before the conversion catches NaN, fractions and what int64 cannot hold.
+    # Text bodies are float64: comparing before the conversion finds NaN, fractions and numbers too large for int64.
     with np.errstate(invalid="ignore"):
         outside = ~((values >= 0) & (values < count) & (values == np.floor(values)))
     empty = np.flatnonzero(corners.lengths == 0)
@@ -103,7 +102,7 @@ def _indices(path: Path, corners: Column, count: int) -> IndexArray:
 def _uvs(
     path: Path, vertices: dict[str, Column], texcoord: Column | None, sizes: IndexArray, indices: IndexArray
 ) -> tuple[FloatArray | None, IndexArray | None]:
-    """Texture coordinates of the corners, `NO_UV` on faces without; equal ones of a vertex are one texture vertex."""
+    """Texture coordinates of the corners, `NO_UV` on faces without; equal ones of a vertex are merged."""
     if texcoord is not None and len(texcoord.values):
         bare = texcoord.lengths == 0
         unfit = np.flatnonzero(~bare & (texcoord.lengths != 2 * sizes))
@@ -133,17 +132,16 @@ def _uvs(
 
 
 def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write a mesh as PLY (binary little-endian), with float64 positions and per-corner ``texcoord``.
+    """Write a mesh as binary little-endian PLY, with float64 positions and ``texcoord`` at corners.
 
-    Vertex colours are bytes, which every program reads.
-    Materials have no place in this format and are left out.
+    Vertex colours are bytes, which every program reads. PLY has no materials; they are not written.
     """
     content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
     write_whole(path, content, force=force)
 
 
 def _count_type(mesh: ControlMesh) -> tuple[str, str]:
-    """Type of list lengths; a byte, which every reader knows, as long as it can hold two numbers per corner."""
+    """Type of list lengths: a byte, which every reader supports, if it can hold two numbers per corner."""
     return ("uchar", "u1") if mesh.face_sizes.max(initial=0) <= 127 else ("uint", "<u4")
 
 
@@ -165,7 +163,7 @@ def _header(mesh: ControlMesh) -> str:
 
 
 def _color_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
-    """(n, 3) vertex colours, None where some vertices have none."""
+    """(n, 3) vertex colours as bytes; None if a vertex has no colour."""
     colors = mesh.vertex_colors
     known = colors is not None and np.isfinite(colors).all()
     return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8) if colors is not None and known else None
@@ -181,7 +179,7 @@ def _binary_vertices(mesh: ControlMesh) -> bytes:
 
 
 def _binary_faces(mesh: ControlMesh) -> bytes:
-    """Bytes of all faces in order: the records of each face size are filled together."""
+    """Bytes of all faces in order; records of equal face sizes are filled together."""
     uvs = None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
     count_type = _count_type(mesh)[1]
     sizes = mesh.face_sizes

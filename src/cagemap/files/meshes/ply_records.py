@@ -1,7 +1,7 @@
-"""The PLY container: header, and elements as columns; text and binary bodies go through one decoder.
+"""The PLY container: header, and elements as columns, decoded from text or binary bodies.
 
-A text body is first turned into a packed binary one in which every number is a float64, so that the rules about lists,
-counts and ends of file exist once.
+A text body is first packed as a binary one of float64 numbers, so that the rules for lists, counts and the end of the
+file exist once.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _END_LINE = re.compile(rb"(?<=[\r\n])end_header")  # a comment may have the word
 
 @dataclass(frozen=True)
 class Property:
-    """A property of an element; a list where ``count_type`` is given. Types as in NumPy, with byte order."""
+    """A property of an element; a list if it has a ``count_type``. Types are NumPy's, with byte order."""
 
     name: str
     type: str
@@ -51,9 +51,9 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values of one property for all records: ``lengths[i]`` of them for record i (1 for a scalar), concatenated.
+    """Concatenated values of a property for all records: ``lengths[i]`` values of record i (1 for a scalar).
 
-    ``stated`` is the type in the header, which the values of a text file do not show.
+    ``stated`` is the type in the header; values of a text file are float64.
     """
 
     lengths: IndexArray
@@ -62,27 +62,27 @@ class Column:
 
 
 def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
-    """Decode a PLY file into columns by element and property name."""
+    """Columns of a PLY file by element and property name."""
     order, elements, start = _read_header(path, content)
     body = content[start:] if order else _pack_text(path, content[start:])
     columns, position = {}, 0
     for element in elements:
-        found, position = _read_element(
+        properties, position = _read_element(
             path, body, position, element if order else _with_types(element, lambda _: "<f8")
         )
-        columns[element.name] = {p.name: replace(found[p.name], stated=p.type) for p in element.properties}
+        columns[element.name] = {p.name: replace(properties[p.name], stated=p.type) for p in element.properties}
     return columns
 
 
 def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
-    """Parse the header; returns the byte order ('' for text), the elements and where the body starts."""
+    """Parse the header; returns the byte order ('' for text), the elements and the start of the body."""
     if not content.startswith(b"ply"):
         raise FormatError(f"{path}: expected a PLY file, which begins with 'ply', got {content[:16]!r}. {_REMEDY}")
     end_line = _END_LINE.search(content)
     if end_line is None:
         raise FormatError(f"{path}: expected a PLY header that ends with 'end_header', found no end. {_REMEDY}")
     end, start = end_line.span()
-    # Where lines end in a carriage return alone, a line feed is the body's first byte.
+    # If lines end in a carriage return alone, a following line feed is the first byte of the body.
     alone = content.startswith(b"ply\r") and not content.startswith(b"ply\r\n")
     for line_end in (b"\r",) if alone else (b"\r\n", b"\n", b"\r"):
         if content.startswith(line_end, start):
@@ -130,7 +130,7 @@ def _with_property(element: Element, added: Property) -> Element:
 
 
 def _with_types(element: Element, change: Callable[[str], str]) -> Element:
-    """An element whose numbers, and lengths of lists, have other types."""
+    """An element with converted types of values and list lengths."""
     changed = (Property(p.name, change(p.type), p.count_type and change(p.count_type)) for p in element.properties)
     return replace(element, properties=tuple(changed))
 
@@ -148,7 +148,7 @@ def _pack_text(path: Path, body: bytes) -> bytes:
 
 
 def _read_element(path: Path, body: bytes, position: int, element: Element) -> tuple[dict[str, Column], int]:
-    """Read all records of an element: as one table if they are all laid out like the first, else one by one."""
+    """Read all records of an element: as one table if their lists have equal lengths, else one by one."""
     if element.count == 0 or not element.properties:
         return {p.name: Column(np.zeros(0, np.int64), np.zeros(0, p.type)) for p in element.properties}, position
     lengths, _ = _record_layout(path, body, position, element, 0)
@@ -161,7 +161,7 @@ def _read_element(path: Path, body: bytes, position: int, element: Element) -> t
     if position + element.count * record.itemsize <= len(body):
         table = np.frombuffer(body, record, element.count, position)
         counts = [(table[f"count{i}"], lengths[i]) for i, item in enumerate(element.properties) if item.count_type]
-        if all(bool(np.all(found == length)) for found, length in counts):
+        if all(bool(np.all(stated == length)) for stated, length in counts):
             columns = {
                 item.name: Column(np.full(element.count, lengths[i]), table[f"value{i}"].ravel())
                 for i, item in enumerate(element.properties)
@@ -171,10 +171,10 @@ def _read_element(path: Path, body: bytes, position: int, element: Element) -> t
 
 
 def _read_records(path: Path, body: bytes, position: int, element: Element) -> tuple[dict[str, Column], int]:
-    """Walk over records of different length, noting where values are; then gather them all at once."""
+    """Read records of different lengths: find where their values are, then gather them all at once."""
     starts: list[list[int]] = []
     lengths: list[list[int]] = []
-    for i in range(element.count):  # only for mixed polygons, that is control meshes
+    for i in range(element.count):  # slow, but only for control meshes of mixed polygons
         record_lengths, record_starts = _record_layout(path, body, position, element, i)
         lengths.append(record_lengths)
         starts.append(record_starts[:-1])
@@ -193,7 +193,7 @@ def _read_records(path: Path, body: bytes, position: int, element: Element) -> t
 def _record_layout(
     path: Path, body: bytes, position: int, element: Element, number: int
 ) -> tuple[list[int], list[int]]:
-    """Lengths of one record's properties, and the byte where the values of each start; last the record's end."""
+    """Lengths of a record's properties, and the byte where each one's values start; last the end of the record."""
     lengths, starts = [], []
     for item in element.properties:
         length = 1

@@ -1,4 +1,4 @@
-"""STL: triangles without vertex numbers, binary or text."""
+"""Reader of STL: triangles without shared vertices, binary or text."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _HEAD = 84
 _NUMBER = rb"[-+.0-9eEinfaINFA]+"
 _VERTEX = re.compile(rb"(?i)\bvertex\s+(%s)\s+(%s)\s+(%s)" % (_NUMBER, _NUMBER, _NUMBER))
 _VERTICES = re.compile(rb"(?i)\bvertex\b")
-# The name of a solid, up to the line's end or the first facet, may have the word as well; words may share lines.
+# The name of a solid, up to the line's end or the first facet, may contain "vertex"; statements may share lines.
 _NAME = re.compile(rb"(?i)\b(?:end)?solid\b(?:(?!\bfacet\s+normal\b)[^\n])*")
 
 
 def read_stl(path: str | Path) -> ControlMesh:
-    """Read a triangle mesh from an STL file; corners at the very same place are one vertex.
+    """Read a triangle mesh from an STL file; corners at exactly the same position are one vertex.
 
-    Vertices are numbered as they first appear in the file; normals and attributes are ignored.
+    Vertices are numbered by first appearance; normals and attributes are ignored.
     """
     file = Path(path)
     content = read_bytes(file, "an STL file")
@@ -35,7 +35,7 @@ def read_stl(path: str | Path) -> ControlMesh:
         corners = _text(file, content)
     if not len(corners) or not np.isfinite(corners).all():
         raise FormatError(f"{file}: expected triangles with finite corners, got {len(corners) // 3}. {_REMEDY}")
-    places = corners + 0.0  # of two zeros, one
+    places = corners + 0.0  # -0.0 becomes 0.0
     order = np.lexsort(places.T)  # stable: of equal corners the first in the file comes first
     fresh = np.concatenate([[True], np.any(places[order][1:] != places[order][:-1], axis=1)])
     first = order[fresh]
@@ -46,7 +46,7 @@ def read_stl(path: str | Path) -> ControlMesh:
 
 
 def _binary(content: bytes) -> FloatArray | None:
-    """(3 t, 3) corners of a binary file, None if its length is not that of one."""
+    """(3 t, 3) corners of a binary file; None if the length does not fit its count."""
     if len(content) < _HEAD:
         return None
     count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
@@ -61,10 +61,12 @@ def _text(file: Path, content: bytes) -> FloatArray:
     if not content.lstrip()[:5].lower() == b"solid" or b"endsolid" not in content.lower():
         raise FormatError(f"{file}: expected an STL file, got something else, or one that is cut short. {_REMEDY}")
     content = _NAME.sub(b"", content)
-    found = _VERTEX.findall(content)
-    if len(found) % 3 or len(found) != len(_VERTICES.findall(content)):
-        raise FormatError(f"{file}: expected three vertices of three numbers a triangle, got {len(found)}. {_REMEDY}")
+    vertices = _VERTEX.findall(content)
+    if len(vertices) % 3 or len(vertices) != len(_VERTICES.findall(content)):
+        raise FormatError(
+            f"{file}: expected three vertices of three numbers a triangle, got {len(vertices)}. {_REMEDY}"
+        )
     try:
-        return np.array(found, dtype=np.float64).reshape(-1, 3)
+        return np.array(vertices, dtype=np.float64).reshape(-1, 3)
     except ValueError as error:
         raise FormatError(f"{file}: expected numbers, got others ({error}). {_REMEDY}") from None

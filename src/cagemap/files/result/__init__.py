@@ -1,1 +1,1 @@
-"""The RESULT folder of a match, stored surfaces and point maps."""
+"""Reading and writing of RESULT folders, prepared surfaces and point maps."""

@@ -1,6 +1,6 @@
 """The RESULT folder of a match: ``manifest.json`` for people, ``map.npz`` for programs.
 
-It holds all that transfer and report need, so that neither computes a map again nor looks for the input meshes.
+It has everything for transfers and reports; these compute no map and read no input meshes.
 """
 
 from __future__ import annotations
@@ -66,31 +66,31 @@ _SPECS = {
     "source_shared": ArraySpec(("n2",), optional=True),
     "runner_up_images": ArraySpec(("r", "c1", 3), optional=True),
 }
-# What stored vertices may differ from those that the control mesh gives, of its size: other libraries round otherwise.
+# Tolerance of stored vertices, relative to the mesh's size: other versions of libraries round differently.
 _DRIFT = 1e-6
 _SPECTRAL_ARRAYS = ("functional_map", "target_eigenvalues", "source_eigenvalues")
-# Entries of a manifest that are fields of a match, or say how the folder was written.
+# Entries of a manifest that are fields of a match, or state how the folder was written.
 _TYPED = {"quality", "landmark_check", "confidence", "timings", "bases", "target", "source", "landmark_names", "curves"}
 _TYPED |= {"level_maps", "shared_area", "written_by", "format", "format_version", "versions", "files"}
 
 
 @kinds_checked
 def write_result(folder: str | Path, result: MatchResult, *, force: bool = False) -> None:
-    """Write a RESULT folder; an older result there is replaced, and only when the new one is complete.
+    """Write a RESULT folder; an older result is replaced when the new one is complete.
 
-    Other files in the folder stay as they are. The functional map is stored if both surfaces are prepared.
+    Other files in the folder are kept. The functional map is stored if both surfaces are prepared.
 
     Parameters
     ----------
     folder : path
     result : MatchResult
     force : bool
-        Write into a folder, and over files of the same names, that cagemap did not write.
+        Also write into a folder, or replace files, that cagemap did not write.
 
     Raises
     ------
     FormatError
-        If the folder cannot be written, or holds something that is not a result.
+        If the folder cannot be written, or has files but no result.
     """
     arrays: dict[str, Any] = {
         "source_triangles": _numbers(result.source_triangles),
@@ -122,22 +122,22 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         write_npz(temporary / ARRAYS, arrays, lambda: {name: getattr(result.spectral, name) for name in names})
         seal(temporary / ARRAYS)
         manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
-        # The manifest comes last: a folder with one is complete, whoever copies it.
+        # The manifest is written last: a folder that has one is complete.
         (temporary / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
 
 
 def _numbers(indices: IndexArray) -> NDArray[np.int32]:
-    """Numbers of finest vertices and triangles as files hold them: they are below 2^31."""
+    """Indices of finest vertices and triangles as stored: int32, as they are below 2^31."""
     return indices.astype(np.int32)
 
 
 def check_result_folder(folder: str | Path, *, force: bool = False) -> None:
-    """Refuse a folder that `write_result` would refuse, before any work is done for it."""
+    """Refuse a folder that `write_result` would refuse, before any work is done."""
     require_own_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own)
 
 
 def _is_own(path: Path) -> bool:
-    """Whether cagemap wrote a file of a RESULT folder; versions before 0.2 left no mark but their manifest's format."""
+    """Whether cagemap wrote a file of a RESULT folder; before version 0.2 only the manifest's format shows it."""
     if stated_checksum(path) is not None:
         return is_own(path)
     try:
@@ -148,26 +148,26 @@ def _is_own(path: Path) -> bool:
 
 @kinds_checked
 def read_result(folder: str | Path) -> MatchResult:
-    """Read a RESULT folder: the match that was written, without what a new match or functional map would need.
+    """Read the match in a RESULT folder, without prepared surfaces.
 
-    That is made when it is asked for: by `cagemap.update_match`, or as ``result.functional_map`` where it is not
-    stored. Everything in the folder is checked: types, shapes, ranges, and that the parts belong together.
+    They are prepared when needed: by `cagemap.update_match`, or for a ``result.functional_map`` that is not stored.
+    Everything is checked: types, shapes, ranges, and that the files belong together.
 
     Raises
     ------
     FormatError
-        If it is missing, incomplete, damaged, or written by a newer version in another format.
+        If the folder is missing, incomplete, damaged, or in the format of a newer version.
     """
     root = Path(folder)
     manifest = read_manifest(root)
     record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
     stored = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
     sizes: dict[str, int] = {}
-    read = [
+    sides = [
         _read_side(root, prefix, entry, stored, sizes)
         for prefix, entry in (("target", record.target), ("source", record.source))
     ]
-    target, source = in_threads(lambda side: side.surface(root / ARRAYS, record), read)
+    target, source = in_threads(lambda side: side.surface(root / ARRAYS, record), sides)
     finest = target.finest_triangles, source.finest_triangles
     sizes["t2"] = len(finest[1].triangles)
     arrays = check_arrays(root / ARRAYS, stored, _SPECS, sizes, REMEDY)
@@ -175,9 +175,11 @@ def read_result(folder: str | Path) -> MatchResult:
     point_map = PointMap.from_arrays(*finest, arrays["triangle"], arrays["barycentric"])
     counts = target.control.n_vertices, source.control.n_vertices
     curves = curves_from_arrays(root / ARRAYS, stored, [curve.name for curve in record.curves], counts, REMEDY)
-    landmarks = stored_landmarks(record.landmark_names, (read[0].points, read[1].points), (read[0].name, read[1].name))
+    landmarks = stored_landmarks(
+        record.landmark_names, (sides[0].points, sides[1].points), (sides[0].name, sides[1].name)
+    )
     check = stored_check(record.landmark_check, arrays["landmark_errors"])
-    others = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
+    other_answers = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
     functional_map = arrays.get("functional_map")
     return MatchResult(
         target,
@@ -188,16 +190,16 @@ def read_result(folder: str | Path) -> MatchResult:
         {stage: seconds or 0.0 for stage, seconds in record.timings.items()},
         check,
         read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
-        stored_confidence(record.confidence, point_map, counts[0], others),
-        masks=Masks(read[0].mask, read[1].mask),
+        stored_confidence(record.confidence, point_map, counts[0], other_answers),
+        masks=Masks(sides[0].mask, sides[1].mask),
         shared=_shared(finest, arrays),
-        known_spectral=_spectral(functional_map, *(side.eigenvalues for side in read)),
+        known_spectral=_spectral(functional_map, *(side.eigenvalues for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
 
 def _shared(finest: tuple[TriangleSurface, TriangleSurface], arrays: dict[str, Any]) -> SharedArea | None:
-    """What is stored of the shared area; None where it was not asked for."""
+    """The stored shared area; None if the match did not compute it."""
     target, source = arrays.get("target_shared"), arrays.get("source_shared")
     return None if target is None or source is None else SharedArea.of_vertices(finest, (target, source))
 
@@ -205,7 +207,7 @@ def _shared(finest: tuple[TriangleSurface, TriangleSurface], arrays: dict[str, A
 def _spectral(
     functional_map: FloatArray | None, target: FloatArray | None, source: FloatArray | None
 ) -> SpectralMap | None:
-    """What is stored of a functional map; None if any of it is missing."""
+    """The stored functional map; None if a part of it is missing."""
     if functional_map is None or target is None or source is None:
         return None
     return SpectralMap(functional_map, target, source)
@@ -213,7 +215,7 @@ def _spectral(
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """One surface of a RESULT folder, as it is stored."""
+    """A stored surface of a RESULT folder."""
 
     prefix: str
     control: ControlMesh
@@ -230,19 +232,19 @@ class _Side:
         return self.control.name
 
     def surface(self, path: Path, record: ResultRecord) -> Surface:
-        """The surface, refined again; refuses vertices and faces that this does not give."""
+        """The surface, refined again; refuses stored vertices and faces that differ from it."""
         count = None if self.eigenvalues is None else len(self.eigenvalues)
         refinement = refine(self.control, self.level, self.scheme)
         surface = Surface(refinement, stored_basis(record.bases.get(self.prefix), count))
         size = float(np.ptp(self.control.positions, axis=0).max())
-        same = np.array_equal(surface.faces, self.faces)
-        if not same or np.abs(surface.vertices - self.vertices).max() > _DRIFT * size:
+        same_faces = np.array_equal(surface.faces, self.faces)
+        if not same_faces or np.abs(surface.vertices - self.vertices).max() > _DRIFT * size:
             raise FormatError(f"{path}: {self.prefix}_vertices or faces are not those of the control mesh. {REMEDY}")
         return surface
 
 
 def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any], sizes: dict[str, int]) -> _Side:
-    """One surface, with sizes of its own prefix added to those known."""
+    """A stored surface; adds its sizes to ``sizes``."""
     path = root / ARRAYS
     scheme = scheme_from_entry(root / MANIFEST, entry.scheme, REMEDY)
     names = entry.material_names
@@ -281,7 +283,7 @@ def _side_specs(number: int) -> dict[str, ArraySpec]:
 
 
 def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArray, record: ResultRecord) -> None:
-    """Refuse parts that are sound but do not belong together."""
+    """Refuse arrays and records that do not belong together."""
     pairs = len(arrays["landmark_errors"])
     faults = {
         "source_triangles are not those of source_faces": not np.array_equal(
@@ -293,8 +295,8 @@ def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArra
             suspect.pair >= pairs for suspect in (record.landmark_check.suspects if record.landmark_check else [])
         ),
     }
-    for fault, found in faults.items():
-        if found:
+    for fault, present in faults.items():
+        if present:
             raise FormatError(f"{root}: {fault}; the files do not belong together. {REMEDY}")
 
 

@@ -1,4 +1,4 @@
-"""``manifest.json`` of a RESULT folder: what was matched, how, and what came of it, for people and programs."""
+"""``manifest.json`` of a RESULT folder: inputs, parameters and outcome of a match, for people and programs."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ _LIBRARIES = ("numpy", "scipy", "numba", "rslab", "OpenImageIO", "embreex", "xat
 
 
 def stated_path(path: str | Path, folder: str | Path) -> str:
-    """How a manifest names a file: relative to the RESULT folder, so that both can be moved together.
+    """A file's path in a manifest: relative to the RESULT folder, so that both can be moved together.
 
-    A file on another drive, which no relative path reaches, is named by its file name alone.
+    A file on another drive, which has no relative path, is stated by its name alone.
     """
     file, root = os.path.realpath(path), os.path.realpath(folder)
     try:
@@ -67,17 +67,17 @@ def stated_path(path: str | Path, folder: str | Path) -> str:
 
 
 def stated(value: Any, folder: str | Path) -> Any:
-    """A value of a manifest or job file; paths in it, or in lists of it, by `stated_path`."""
+    """A value for a manifest or job file; paths, also in lists, by `stated_path`."""
     if isinstance(value, list | tuple):
         return [stated(item, folder) for item in value]
     return stated_path(value, folder) if isinstance(value, Path) else value
 
 
 def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str, str]]:
-    """How a manifest names what a result is made from: a file's name, its place, and the hash of its content.
+    """Entries of a manifest for input files: name, path, and hash of the content.
 
-    To be asked before the files are read: one that is replaced meanwhile is then told from what was read. Files that
-    are none are for their readers to refuse.
+    Compute them before the files are read, so that a file replaced meanwhile is detected. Missing files are skipped;
+    readers report them.
     """
     return {
         name: {"file": path.name, "path": stated_path(path, folder), "sha256": file_hash(path)}
@@ -87,7 +87,7 @@ def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str
 
 
 def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path | None:
-    """The mesh file that a result was made from, if it is still where it was and has not changed."""
+    """The mesh file that a result was made from; None if it was moved or changed."""
     entry = (manifest.get("inputs") or {}).get(side) or {}
     path, digest = entry.get("path"), entry.get("sha256")
     if not isinstance(path, str) or not isinstance(digest, str):
@@ -97,7 +97,7 @@ def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path 
 
 
 def read_files(folder: str | Path, manifest: dict[str, Any]) -> list[Path]:
-    """Every file that a result was made from, where it was then: no output may take its place."""
+    """All files that a result was made from, by their paths then; outputs must not replace them."""
     entries = (manifest.get("inputs") or {}).values()
     return [Path(folder) / entry["path"] for entry in entries if isinstance(entry.get("path"), str)]
 
@@ -109,7 +109,7 @@ def file_hash(path: str | Path) -> str:
 
 
 def mesh_hash(control: ControlMesh) -> str:
-    """SHA-256 of a control mesh's arrays, for meshes that never were a file."""
+    """SHA-256 of a control mesh's arrays, for meshes without a file."""
     digest = hashlib.sha256()
     for name in CONTROL_ARRAYS:
         array = getattr(control, name)
@@ -119,7 +119,7 @@ def mesh_hash(control: ControlMesh) -> str:
 
 
 def peak_memory() -> int | None:
-    """Largest resident memory of this process so far, in bytes; None where the system does not tell."""
+    """Peak resident memory of this process in bytes; None if the system does not report it."""
     try:
         import resource
     except ImportError:  # Windows
@@ -129,25 +129,29 @@ def peak_memory() -> int | None:
 
 
 def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
-    """Add to a result's manifest what was made with it: "kind", "output" and others; the same output replaces.
+    """Add an output ("kind", "output", ...) to a result's manifest; replaces the entry of the same output.
 
-    Paths are noted by `stated_path`. A folder that cannot be written to is warned of.
+    Paths are stated by `stated_path`. If the folder cannot be written, this only warns.
     """
     root = Path(folder)
     entry = {name: stated(value, root) for name, value in entry.items()}
     with one_at_a_time(root):
         manifest = read_manifest(root)
         record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
-        kept = [one.model_dump(exclude_unset=True) for one in record.transfers if one.output != entry["output"]]
+        kept = [
+            transfer.model_dump(exclude_unset=True)
+            for transfer in record.transfers
+            if transfer.output != entry["output"]
+        ]
         manifest |= {"transfers": [*kept, entry], "written_by": mark()}
         try:
             write_whole(root / MANIFEST, to_json(manifest), force=True)
-        except FormatError as error:  # the output itself is there; a RESULT may be somebody else's
+        except FormatError as error:  # the output is written; the RESULT may belong to another user
             _log.warning("%s What was made with it is not noted there.", error)
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
-    """What ``manifest.json`` of a RESULT folder holds."""
+    """The content of a RESULT folder's ``manifest.json``."""
     path = root / MANIFEST
     if not path.is_file():
         found = f"no {MANIFEST} in it" if root.is_dir() else "a file" if root.exists() else "nothing of that name"
@@ -170,7 +174,7 @@ def read_manifest(root: Path) -> dict[str, Any]:
 
 
 def written_with() -> dict[str, Any]:
-    """Entries of a manifest that say what wrote it."""
+    """Entries of a manifest for its format, and for versions of cagemap, Python and libraries."""
     return {
         "written_by": mark(),
         "format": FORMAT,
@@ -191,7 +195,7 @@ def _library_versions() -> dict[str, str]:
 
 
 def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
-    """How a surface was prepared; of a result that does not say, with as many functions as it has eigenvalues."""
+    """Parameters of a surface's basis; for old results without a record, the default with ``count`` functions."""
     if record is None:
         return MAP_BASIS if not count else BasisConfig(count=count)
     schedule = None if record.schedule is None else tuple(record.schedule)
@@ -202,13 +206,13 @@ def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
 
 
 def stored_landmarks(names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str]) -> Landmarks:
-    """Landmarks at points of both meshes; without names they are numbered."""
+    """Landmarks at points of both meshes; numbered if they have no names."""
     titles = tuple(names) or tuple(f"pair {i}" for i in range(len(points[0].corners)))
     return Landmarks.of_points(titles, *points, *meshes)
 
 
 def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> LandmarkCheck:
-    """What was found about landmarks, whose errors (p,) are those of all pairs."""
+    """The check of landmarks, with suspects' errors from those (p,) of all pairs."""
     if record is None:
         return LandmarkCheck()
     suspects = tuple(
@@ -221,7 +225,7 @@ def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> Land
 def stored_quality(
     record: QualityRecord | None, check: LandmarkCheck, errors: FloatArray, trust: FloatArray
 ) -> QualityFigures:
-    """Figures of a map, whose landmark errors (p,) are those of all pairs."""
+    """Quality figures of a map, with landmark errors from those (p,) of all pairs."""
     trusted = np.setdiff1d(np.arange(len(errors)), [suspect.pair for suspect in check.suspects])
     summary: dict[str, Any] = {} if record is None else record.model_dump()
     return QualityFigures.of_summary(summary, errors[trusted], trust)
@@ -230,14 +234,14 @@ def stored_quality(
 def stored_confidence(
     record: ConfidenceRecord | None, answer: PointMap, controls: int, others: FloatArray
 ) -> Confidence | None:
-    """The verdict on an answer; no longer sure where a sign is beyond the bound of now, or none was written.
+    """The confidence in an answer; "sure" is withdrawn if a sign exceeds its present bound or none is stored.
 
-    ``controls``: control vertices n_0 of the target.
-    ``others``: (r, n_0, 3), where the other answers put them, in the file's lengths.
+    ``controls``: number n_0 of the target's control vertices.
+    ``others``: (r, n_0, 3), positions in the other answers, in the file's units.
     """
     if record is None:
         return None
-    places = [answer.images.at(slice(controls)).positions, *(answer.source.scale * other for other in others)]
+    places = [answer.images.at(slice(controls)).positions, *(answer.source.scale * positions for positions in others)]
     nowhere = np.zeros((0, 3))
     answers = tuple(
         Placement(
@@ -253,18 +257,18 @@ def stored_confidence(
     return Confidence(verdict, answers, record.signs or {}, record.deciding, record.file_vertex, record.part)
 
 
-# Mean distance, of sqrt(area), from which a curve counts as missed.
+# Mean distance, in units of sqrt(area), from which a curve counts as missed.
 _CURVE_MISSED = 0.005
 
 
 def assurance(manifest: dict[str, Any]) -> str:
-    """What a manifest says of a map with few landmarks or none that is sure, which warns of nothing; else nothing."""
+    """Message of a manifest that a map without enough landmarks is sure; '' otherwise."""
     confidence = manifest.get("confidence") or {}
     return str(confidence.get("message", "")) if confidence.get("verdict") == SURE else ""
 
 
 def landmark_messages(manifest: dict[str, Any]) -> list[str]:
-    """What a manifest warns of about landmarks: a map that is not sure without them, what is left out or missed."""
+    """Warnings of a manifest about landmarks: doubtful maps, pairs left out, curves missed."""
     check, confidence = manifest.get("landmark_check") or {}, manifest.get("confidence") or {}
     doubt = [str(confidence["message"])] if "message" in confidence and not assurance(manifest) else []
     left_out = [str(suspect["message"]) for suspect in check.get("suspects", [])]
@@ -277,9 +281,9 @@ def landmark_messages(manifest: dict[str, Any]) -> list[str]:
     return doubt + left_out + missed + list(map(str, check.get("notes", [])))
 
 
-@cache  # the code that runs is that of the start
+@cache  # a process runs the code that it imported at its start
 def code_version() -> str:
-    """Version of the package and 16 hexadecimal digits that change with any of its Python files."""
+    """Version of the package, and 16 hexadecimal digits that change with any of its Python files."""
     digest = hashlib.sha256()
     for name, content in _sources(resources.files("cagemap"), ""):
         digest.update(f"{name}:{len(content)};".encode())
@@ -288,11 +292,11 @@ def code_version() -> str:
 
 
 def _sources(folder: Traversable, prefix: str) -> list[tuple[str, bytes]]:
-    """Name and content of the Python files below a folder, in the order of their names."""
-    found: list[tuple[str, bytes]] = []
+    """Name and content of the Python files below a folder, sorted by name."""
+    sources: list[tuple[str, bytes]] = []
     for entry in sorted(folder.iterdir(), key=lambda item: item.name):
         if entry.is_dir():
-            found += _sources(entry, f"{prefix}{entry.name}/")
+            sources += _sources(entry, f"{prefix}{entry.name}/")
         elif entry.name.endswith(".py"):
-            found.append((prefix + entry.name, entry.read_bytes()))
-    return found
+            sources.append((prefix + entry.name, entry.read_bytes()))
+    return sources

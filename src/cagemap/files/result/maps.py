@@ -1,6 +1,6 @@
-"""Point maps in files: read from any program, written for others; those of all levels in a RESULT folder.
+"""Point maps in files, read from and written for other programs; maps of all levels in a RESULT folder.
 
-Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
+Vertex numbers count from 0, except in ``.vts``, where they count from 1 by convention.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
 SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
-# Beside triangles in an archive: the number of vertices of the source that they are of.
+# Entry of an archive with triangles: number of vertices of the source that they belong to.
 SOURCE_SIZE = "source_size"
 _REMEDY = "Write it again."
-# Of a dense matrix, 0.5 GB: 7000 vertices a side. Nearly all of them are zeros, which the sparse form leaves out.
+# Limit for dense matrices, 0.5 GB: 7000 vertices a side. Most entries are zeros; the sparse form omits them.
 DENSE_ENTRIES = 1 << 26
 _PIECE = 1 << 24
-# Comments and blank lines before the size of a matrix.
+# Comments and blank lines above the size of a matrix.
 _COMMENTS = re.compile(r"(?:[ \t\r]*(?:%[^\n]*)?\n)*")
 
 
 def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
-    """Read where each of some target vertices goes on a source.
+    """Read the images of target vertices on a source.
 
-    - ``.npy``, ``.vts`` (text): a source vertex for each.
+    - ``.npy``, ``.vts`` (text): the number of a source vertex for each.
     - ``.npz``: ``triangle`` and ``barycentric``, or a sparse matrix as SciPy writes it.
     - ``.mtx`` (Matrix Market): a matrix, each row the weights of the corners of one source triangle; its dense form
       (``array``) up to `DENSE_ENTRIES`.
@@ -84,10 +84,10 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
 
 
 def source_level(path: str | Path, source: Refinement) -> int | None:
-    """The source's level, from 1, that a map is of, where its file says so: vertices are the same in all.
+    """The source's level, from 1, of a map in a file; None for maps to vertices, which all levels share.
 
-    It is the one with as many vertices as the file says, or as a matrix has columns; else the coarsest with all its
-    triangles.
+    It is the level with as many vertices as the file states, or as the matrix has columns; otherwise the coarsest level
+    with all triangles of the map.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -104,20 +104,20 @@ def source_level(path: str | Path, source: Refinement) -> int | None:
 
 
 def _last(numbers: NDArray[np.generic] | None) -> int | None:
-    """The last of some whole numbers; None where there are none."""
+    """The last of an array of whole numbers; None if it is empty or absent."""
     if numbers is None or not numbers.size or numbers.dtype.kind not in "iu":
         return None
     return int(np.ravel(numbers)[-1])
 
 
 def _columns(file: Path) -> int | None:
-    """How many columns a Matrix Market file says that it has; its entries are not looked at."""
+    """Number of columns in the header of a Matrix Market file; its entries are not read."""
     words = _size_line(read_text(file, "a sparse matrix").partition("\n")[2])[0].split()
     return int(words[1]) if len(words) > 1 and re.fullmatch("[0-9]{1,18}", words[1]) else None
 
 
 def _matrix_market(file: Path) -> sparse.csr_array:
-    """A matrix of Matrix Market's coordinate or array form; SciPy's own reader crashes natively on damaged files."""
+    """A matrix of Matrix Market's coordinate or array form; SciPy's reader crashes natively on damaged files."""
     head, _, rest = read_text(file, "a sparse matrix").partition("\n")
     if head.lower().split()[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
         return _dense(file, rest)
@@ -150,7 +150,7 @@ def _matrix_market(file: Path) -> sparse.csr_array:
 
 
 def _dense(file: Path, text: str) -> sparse.csr_array:
-    """What stands below the first line of Matrix Market's array form: its size, then all numbers, column by column."""
+    """A matrix from the text below the first line of Matrix Market's array form: size, then numbers by columns."""
     form = "expected a dense matrix (Matrix Market: its size, then one number a line, column by column)"
     size, end = _size_line(text)
     try:
@@ -167,11 +167,11 @@ def _dense(file: Path, text: str) -> sparse.csr_array:
     numbers, known = np.empty(n * m), 0
     try:
         for piece in _pieces(text, end):
-            found = np.array(piece.split(), dtype=np.float64)
-            if known + len(found) > n * m:
+            values = np.array(piece.split(), dtype=np.float64)
+            if known + len(values) > n * m:
                 raise ValueError(f"more than {n} x {m} numbers")
-            numbers[known : known + len(found)] = found
-            known += len(found)
+            numbers[known : known + len(values)] = values
+            known += len(values)
     except ValueError as error:
         raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
     if known != n * m or not np.isfinite(numbers).all():
@@ -180,7 +180,7 @@ def _dense(file: Path, text: str) -> sparse.csr_array:
 
 
 def _size_line(text: str) -> tuple[str, int]:
-    """The line below comments and blank ones, and where it ends."""
+    """The first line after comments and blank lines, and its end."""
     comments = _COMMENTS.match(text)
     start = 0 if comments is None else comments.end()
     end = _line_end(text, start)
@@ -188,7 +188,7 @@ def _size_line(text: str) -> tuple[str, int]:
 
 
 def _pieces(text: str, start: int) -> Iterator[str]:
-    """A text from some place on, cut at line ends: all its words at once would take many times the room of numbers."""
+    """Pieces of a text from ``start`` on, cut at line ends, since all words at once take much memory."""
     while start < len(text):
         end = _line_end(text, start + _PIECE)
         yield text[start:end]
@@ -210,9 +210,9 @@ def _vertices(file: Path, numbers: NDArray[np.generic]) -> NDArray[np.int64]:
 
 
 def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurface) -> PointMap:
-    """A map of the target's finest vertices from images of these, or of its vertices at any coarser level.
+    """A map of the target's finest vertices, from images of its vertices at any level.
 
-    Images of a coarser level are refined like the surface itself, and put back onto the source.
+    Images of a coarser level are refined like the surface, and projected to the source.
     """
     sizes = [level.n_vertices for level in target.levels]
     if len(images) == sizes[-1]:
@@ -230,7 +230,7 @@ def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurfac
 
 
 def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> None:
-    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners."""
+    """Write a map in a format of `read_images`, by suffix; ``.npy`` and ``.vts`` have the nearest corners."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
@@ -242,7 +242,7 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
         elif suffix == ".vts":
             temporary.write_text("\n".join(map(str, (nearest + 1).tolist())) + "\n", encoding="utf-8")
         elif suffix == ".mtx":
-            with temporary.open("wb") as stream:  # by name SciPy writes what fits and says nothing
+            with temporary.open("wb") as stream:  # given a name, SciPy reports no error on a full disk
                 io.mmwrite(stream, sparse.coo_array(point_map.to_sparse()), comment=mark())
         else:
             source = np.array(point_map.source.n)
@@ -252,29 +252,29 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
 
 
 def stored_levels(result: MatchResult) -> tuple[LevelMap, ...]:
-    """The maps that are stored; none where a side is a plain mesh, whose coarse levels no file knows."""
+    """The level maps that a folder stores; none if a side is a plain mesh, whose coarse levels are not stored."""
     if result.target.refinement.is_plain or result.source.refinement.is_plain or not result.has_spectral:
         return ()
-    if any(found.points is None for found in result.level_maps):
+    if any(level_map.points is None for level_map in result.level_maps):
         return ()
     return result.level_maps
 
 
 def level_entries(result: MatchResult) -> list[dict[str, int]]:
-    """What a manifest says of them."""
-    return [{"target": found.levels[0], "source": found.levels[1]} for found in stored_levels(result)]
+    """Entries of a manifest for the stored level maps."""
+    return [{"target": level_map.levels[0], "source": level_map.levels[1]} for level_map in stored_levels(result)]
 
 
 def level_arrays(result: MatchResult) -> dict[str, NDArray[Any]]:
-    """Vertex matches of all of them; functional map, triangles and barycentric coordinates of all but the last."""
+    """Arrays of the stored level maps: vertex matches; except for the last, also functional and point maps."""
     arrays: dict[str, NDArray[Any]] = {}
     maps = stored_levels(result)
-    for i, found in enumerate(maps):
-        arrays[f"level_{i}_match"] = found.match
-        if found is not maps[-1] and found.points is not None:
-            arrays[f"level_{i}_functional_map"] = found.functional_map
-            arrays[f"level_{i}_triangle"] = found.points.triangle
-            arrays[f"level_{i}_barycentric"] = found.points.barycentric
+    for i, level_map in enumerate(maps):
+        arrays[f"level_{i}_match"] = level_map.match
+        if level_map is not maps[-1] and level_map.points is not None:
+            arrays[f"level_{i}_functional_map"] = level_map.functional_map
+            arrays[f"level_{i}_triangle"] = level_map.points.triangle
+            arrays[f"level_{i}_barycentric"] = level_map.points.barycentric
     return arrays
 
 
@@ -287,13 +287,15 @@ def read_level_maps(
     functional_map: FloatArray | None,
     remedy: str,
 ) -> tuple[LevelMap, ...]:
-    """The maps that `level_arrays` wrote, the result's own last."""
+    """The level maps that `level_arrays` wrote; the last is the result's own map."""
     if functional_map is None or not entries:
         return ()
     target, source = surfaces
     levels = [(entry.target, entry.source) for entry in entries]
     finest = target.refinement.n_levels, source.refinement.n_levels
-    if levels[-1] != finest or any(one > finest[0] or other > finest[1] for one, other in levels):
+    if levels[-1] != finest or any(
+        target_level > finest[0] or source_level > finest[1] for target_level, source_level in levels
+    ):
         raise FormatError(f"{path}: expected levels of maps that end at {finest}, the manifest has {levels}. {remedy}")
     maps = []
     for i, entry in enumerate(entries):

@@ -1,4 +1,4 @@
-"""Results of several parts as one: the parts side by side in one mesh, and one map between them."""
+"""Merging of several parts' results: one mesh for each side, with the parts side by side, and one map."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from cagemap.subdivision import Loop, refine
 from cagemap.subdivision.topology import control_topology
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Verdicts about maps found without landmarks, from the surest on.
+# Verdicts on maps found without landmarks, surest first.
 _DOUBT = ("sure", "look at it", "two answers")
 
 
 @dataclass(frozen=True, eq=False)
 class _Numbers:
-    """Where the elements of one part stand among those of all: its vertices, edges, faces and face corners."""
+    """Numbers of a part's vertices, edges, faces and face corners among those of all parts."""
 
     vertices: IndexArray
     edges: IndexArray
@@ -44,38 +44,38 @@ class _Numbers:
 
 
 def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> MatchResult:
-    """One result of several, whose meshes become pieces of one.
+    """Merge results of parts: their meshes become pieces of one mesh.
 
-    ``parts``: all of one level and scheme a side.
-    ``provenance``: entries beside those of the first part.
+    ``parts``: results with one level and scheme for each side.
+    ``provenance``: entries in addition to those of the first part.
     """
     first, provenance = parts[0], parts[0].provenance | provenance
     if len(parts) == 1:
         return replace(first, provenance=provenance)
     target, target_numbers = _merge_sides([part.target for part in parts])
     source, source_numbers = _merge_sides([part.source for part in parts])
-    mine, theirs = target.finest_triangles, source.finest_triangles
+    target_surface, source_surface = target.finest_triangles, source.finest_triangles
     split = 2 if source.faces.shape[1] == 4 else 1
-    triangle, barycentric = np.empty(mine.n, dtype=np.int64), np.empty((mine.n, 3))
-    for part, here, there in zip(parts, target_numbers, source_numbers, strict=True):
+    triangle, barycentric = np.empty(target_surface.n, dtype=np.int64), np.empty((target_surface.n, 3))
+    for part, target_rows, source_rows in zip(parts, target_numbers, source_numbers, strict=True):
         faces, halves = np.divmod(part.triangle, split)
-        triangle[here.vertices] = split * there.faces[faces] + halves
-        barycentric[here.vertices] = part.barycentric
-    point_map = PointMap.from_arrays(mine, theirs, triangle, barycentric)
+        triangle[target_rows.vertices] = split * source_rows.faces[faces] + halves
+        barycentric[target_rows.vertices] = part.barycentric
+    point_map = PointMap.from_arrays(target_surface, source_surface, triangle, barycentric)
     landmarks, check = _merged_landmarks(parts), _merged_checks(parts)
     trusted = check.trusted(landmarks)
     masks = Masks(
         _merged_mask([part.masks.target for part in parts], target_numbers),
         _merged_mask([part.masks.source for part in parts], source_numbers),
     )
-    shared = _merged_shared(parts, (mine, theirs), (target_numbers, source_numbers))
+    shared = _merged_shared(parts, (target_surface, source_surface), (target_numbers, source_numbers))
     counted = masks if shared is None else shared.within(masks)
     quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names, masks=counted)
     apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
     jumps = [text for part in parts for text in part.quality.warnings if text.startswith(JUMPING)]
-    trust = np.empty(mine.n)
-    for part, here in zip(parts, target_numbers, strict=True):
-        trust[here.vertices] = part.trust
+    trust = np.empty(target_surface.n)
+    for part, target_rows in zip(parts, target_numbers, strict=True):
+        trust[target_rows.vertices] = part.trust
     return MatchResult(
         target,
         source,
@@ -93,7 +93,7 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
 
 
 def _merged_spectral(parts: Sequence[MatchResult]) -> SpectralMap:
-    """Functional maps of the parts as blocks of one."""
+    """Functional maps of the parts as diagonal blocks of one."""
     return SpectralMap(
         block_diag(*(part.functional_map for part in parts)),
         np.concatenate([part.spectral.target_eigenvalues for part in parts]),
@@ -102,13 +102,13 @@ def _merged_spectral(parts: Sequence[MatchResult]) -> SpectralMap:
 
 
 def _merged_mask(masks: Sequence[FloatArray | None], numbers: Sequence[_Numbers]) -> FloatArray | None:
-    """Masks of all parts side by side; a part without one counts whole."""
+    """Masks of all parts; 1 on a part without a mask; None without any mask."""
     if all(mask is None for mask in masks):
         return None
-    merged = np.ones(sum(len(own.vertices) for own in numbers))
-    for mask, own in zip(masks, numbers, strict=True):
+    merged = np.ones(sum(len(part_rows.vertices) for part_rows in numbers))
+    for mask, part_rows in zip(masks, numbers, strict=True):
         if mask is not None:
-            merged[own.vertices] = mask
+            merged[part_rows.vertices] = mask
     return merged
 
 
@@ -117,22 +117,24 @@ def _merged_shared(
     surfaces: tuple[TriangleSurface, TriangleSurface],
     numbers: tuple[Sequence[_Numbers], Sequence[_Numbers]],
 ) -> SharedArea | None:
-    """Shared area of all parts; a closed part, which was not asked, counts whole."""
+    """Shared area of all parts; 1 on closed parts, which have none."""
     known = [part.shared for part in parts]
-    target = _merged_mask([None if one is None else one.target for one in known], numbers[0])
-    source = _merged_mask([None if one is None else one.source for one in known], numbers[1])
+    target = _merged_mask([None if area is None else area.target for area in known], numbers[0])
+    source = _merged_mask([None if area is None else area.source for area in known], numbers[1])
     return None if target is None or source is None else SharedArea.of_vertices(surfaces, (target, source))
 
 
 def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
-    """Landmarks of all parts, on the meshes of all parts."""
+    """Landmarks of all parts, numbered on the merged meshes."""
     sides = []
     for side in ("target", "source"):
         counts = [getattr(part, side).control.n_vertices for part in parts]
         points = [getattr(part.landmarks, f"{side}_points") for part in parts]
         starts = np.cumsum([0, *counts[:-1]])
-        corners = [own.corners + start for own, start in zip(points, starts, strict=True)]
-        sides.append(CagePoints(np.concatenate(corners), np.concatenate([own.weights for own in points])))
+        corners = [cage_points.corners + start for cage_points, start in zip(points, starts, strict=True)]
+        sides.append(
+            CagePoints(np.concatenate(corners), np.concatenate([cage_points.weights for cage_points in points]))
+        )
     names = tuple(name for part in parts for name in part.landmark_names)
     first = parts[0].landmarks
     landmarks = Landmarks.of_points(names, sides[0], sides[1], first.target_name, first.source_name)
@@ -140,20 +142,20 @@ def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
 
 
 def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
-    """The curves of all parts, in the numbers of all."""
-    every, starts = Curves.none(), [0, 0]
+    """Curves of all parts, numbered on the merged meshes."""
+    merged, starts = Curves.none(), [0, 0]
     for part in parts:
         sides = part.curves.target, part.curves.source
         moved = [side.points.corners + start for side, start in zip(sides, starts, strict=True)]
-        every = every.joined_with(part.curves.renumbered(*moved))
+        merged = merged.joined_with(part.curves.renumbered(*moved))
         starts = [starts[0] + part.target.control.n_vertices, starts[1] + part.source.control.n_vertices]
-    return every
+    return merged
 
 
 def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
-    """The confidence of the part that is least sure of its map; None where landmarks decided all of them.
+    """The confidence of the least sure part; None if landmarks decided all maps.
 
-    Where its answers put the vertices of that part is left out.
+    Its answers' positions are left out.
     """
     known, start = [], 0
     for part in parts:
@@ -172,14 +174,14 @@ def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
 
 
 def _title(part: ControlMesh) -> str:
-    """What a part is called in messages: its object's name, where it has one of its own, and its size."""
+    """Name of a part in messages: that of its object, if it has one of its own, and its size."""
     objects = [] if part.face_objects is None else np.unique(part.face_objects).tolist()
     name = f"part '{part.object_names[objects[0]]}'" if len(objects) == 1 and len(part.object_names) > 1 else "the part"
     return f"{name} of {part.n_faces} faces"
 
 
 def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
-    """What was found out about landmarks, pairs numbered among those of all parts."""
+    """Landmark checks of all parts, with pairs numbered among those of all parts."""
     suspects, start = [], 0
     for part in parts:
         suspects += [replace(suspect, pair=suspect.pair + start) for suspect in part.suspects]
@@ -190,7 +192,7 @@ def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
 def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
     refinements = [side.refinement for side in sides]
     level, scheme = refinements[0].n_levels, refinements[0].scheme
-    if any((one.n_levels, one.scheme) != (level, scheme) for one in refinements):
+    if any((refinement.n_levels, refinement.scheme) != (level, scheme) for refinement in refinements):
         raise ParameterError(
             "parts: expected all to have the same level and scheme, got different ones; match one by one"
         )
@@ -202,15 +204,15 @@ def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
 def part_numbers(controls: Sequence[ControlMesh], level: int, *, loop: bool) -> list[_Numbers]:
     """Numbers of each part's refined elements in the refinement of all parts joined.
 
-    Subdivision numbers what it makes by kind: vertices, then edges, then faces; the halves of edges before those across
-    faces. Pieces are therefore mixed, and followed here from level to level.
+    Subdivision numbers vertices by origin: those from vertices, edges, faces; and edges: halves of edges, then those
+    across faces. So the parts' numbers are mixed, and are computed level by level.
     """
     tables = [control_topology(control) for control in controls]
     counts = np.array([[t.n_vertices, t.n_edges, t.n_faces, t.n_corners] for t in tables])
     starts = np.cumsum(counts, axis=0) - counts
     parts = [
-        _Numbers(*(start + np.arange(count) for start, count in zip(row, own, strict=True)))
-        for row, own in zip(starts, counts, strict=True)
+        _Numbers(*(start + np.arange(count) for start, count in zip(row, part_counts, strict=True)))
+        for row, part_counts in zip(starts, counts, strict=True)
     ]
     total = counts.sum(axis=0)
     for _ in range(level):

@@ -1,9 +1,9 @@
-"""Prepared surfaces on disk: a surface is refined, measured and given its basis once for all the pairs it is part of.
+"""Prepared surfaces on disk: each surface is refined and given its basis once, for all its pairs.
 
 A stored surface is one uncompressed ``.npz``: the control mesh, the operators and the basis. Refined levels are not
-stored, because making them again takes no longer than reading them would. Every array carries a checksum (of the zip
-format), a file appears whole or not at all, and its name is a hash of all that its content depends on, so that two
-processes may prepare the same surface at once: both write the same thing, and either is right.
+stored; computing them takes no longer than reading them. Every array has a checksum (of the zip format), and files are
+written atomically. The name is a hash of everything that the content depends on, so two processes may prepare one
+surface at once: both write the same content.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ Prepare = Callable[..., Surface]
 def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig = MAP_BASIS) -> str:
     """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
 
-    ``control``: all its arrays count, its name does not.
+    ``control``: all its arrays, but not its name.
     ``scheme``: default: the mesh's default scheme.
-    ``config``: default: what `cagemap.pipeline.prepare_surface` makes.
+    ``config``: default: that of `cagemap.pipeline.prepare_surface`.
 
     Notes
     -----
-    The package's code and the version of the format count too: other code may compute something else.
+    The package's code and the version of the format are included, since other code may compute something else.
     """
     scheme = default_scheme(control) if scheme is None else scheme
     parts = {
@@ -74,7 +74,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 
 
 def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
-    """Write a prepared surface to one file, whole or not at all."""
+    """Write a prepared surface to one file, completely or not at all."""
     control, operators, basis = surface.control, surface.operators, surface.basis
     header = {
         "format": FORMAT,
@@ -107,12 +107,12 @@ def prepared(
     progress: Progress = no_progress,
     prepare: Prepare = prepare_surface,
 ) -> Surface:
-    """A prepared surface from a folder of stored ones, or prepared now and stored there.
+    """A prepared surface from a folder of stored ones; if missing, prepared now and stored.
 
-    A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced.
-    Nothing is stored where preparing fails.
+    A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced. Nothing is
+    stored if the preparation fails.
 
-    ``prepare``: what makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
+    ``prepare``: function with the arguments of `cagemap.pipeline.prepare_surface`.
     """
     key = surface_key(control, level, default_scheme(control), config)
     place = _usable_folder(Path(folder)) / (key + SUFFIX)
@@ -128,14 +128,14 @@ def prepared(
         progress(f"prepare {control.name} again, its stored file is damaged")
     surface = prepare(control, level, config, progress=progress)
     progress(f"store prepared {control.name}")
-    save_surface(place, surface, force=True)  # its name says what it is, whatever state it is in
+    save_surface(place, surface, force=True)  # its name is a hash of its inputs: any older file may be replaced
     return surface
 
 
 def load_surface(path: str | Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
-    """Read a prepared surface; what is not stored, its refined levels, is made again.
+    """Read a prepared surface; its refined levels are computed again.
 
-    A control mesh known to be equal to the stored one takes its place, name and all.
+    A ``control`` mesh that is known to equal the stored one replaces it, including its name.
     """
     path = Path(path)
     require_file(path, "a prepared surface")
@@ -147,7 +147,7 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
         control = control_from_arrays(path, arrays, "control_", names, header.name, _REMEDY, scheme)
     if not header.bands <= header.operators <= header.level + 1:
         raise FormatError(f"{path}: has bands or operators of more levels than there are. {_REMEDY}")
-    # Levels of a subdivision have sizes that are known before it is refined, those below a plain mesh have not.
+    # Numbers of vertices: those of a subdivision follow from its scheme, those below a plain mesh must be computed.
     below = build_levels(control, 0, scheme) if isinstance(scheme, Plain) else None
     if below is not None and below.n_levels != header.level:
         raise FormatError(f"{path}: its plain mesh has {below.n_levels} coarse levels, not {header.level}. {_REMEDY}")
@@ -185,12 +185,12 @@ def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:
 
 
 def _level_sizes(finest: int) -> list[str]:
-    """Names of the numbers of vertices of all levels."""
+    """Names of the levels' numbers of vertices."""
     return [f"n{level}" for level in range(finest + 1)]
 
 
 def _specs(header: SurfaceRecord) -> dict[str, ArraySpec]:
-    """What the arrays beside the control mesh must be: z nonzeros a level, k functions in all."""
+    """Specs of the operators' and the basis' arrays: z nonzeros on a level, k functions in all."""
     specs = {}
     for level, n in enumerate(_level_sizes(header.operators - 1)):
         z = f"z{level}"
@@ -211,7 +211,7 @@ def _specs(header: SurfaceRecord) -> dict[str, ArraySpec]:
 def _operator_arrays(
     level: int, mass: sparse.csr_array, stiffness: sparse.csr_array, *, diagonal: bool
 ) -> dict[str, Any]:
-    """Mass and stiffness of one level; below the finest they share their pattern, at the finest M is diagonal."""
+    """Mass and stiffness of a level; with one pattern of nonzeros, or diagonal mass at the finest level."""
     arrays = {
         f"indptr_{level}": stiffness.indptr,
         f"indices_{level}": stiffness.indices,
@@ -242,7 +242,7 @@ def _operators(arrays: dict[str, Any], refinement: Refinement, scale: float) -> 
 
 
 def _usable_folder(folder: Path) -> Path:
-    """Make the folder, before any work is done whose result could not be stored."""
+    """Create a folder, and refuse one that cannot be written, before any work is done."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,1 +1,1 @@
-"""USD: meshes, subsets, primvars, skeletons, layers."""
+"""Reading and writing of USD: meshes, subsets, primvars, skeletons, layers."""

@@ -1,4 +1,4 @@
-"""What USD mesh prims hold: UV sets and other primvars as arrays, subsets of faces, transforms."""
+"""Content of USD mesh prims: UV sets and other primvars as arrays, face subsets, transforms."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 logger = logging.getLogger(__name__)
 
-# Attributes that become skinning and blend shapes.
+# Names of attributes that hold skinning weights and blend shapes.
 JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
 
 
 def stated(attribute: Any) -> Any:
-    """Value of an attribute or primvar: what it says for all times, or at the first of those it has samples for."""
+    """Value of an attribute or primvar: the default one, else that of its first time sample."""
     from pxr import Usd
 
     value = attribute.Get()
@@ -30,28 +30,28 @@ def stated(attribute: Any) -> Any:
 
 
 def integers(values: Any) -> IndexArray:
-    """An array of USD as indices; none where it is not there."""
+    """An array of USD as indices; empty if absent."""
     return np.array([] if values is None else values, dtype=np.int64)
 
 
 def uv_primvars(prim: Any) -> list[Any]:
-    """Primvars that hold texture coordinates: pairs of floats in that role, or named as the first set is by custom."""
+    """Primvars with texture coordinates: pairs of floats by role, or by the usual names of a first set."""
     from pxr import UsdGeom
 
-    found = []
+    primvars = []
     for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         kind = str(primvar.GetTypeName()).removesuffix("[]")
         plain = kind in ("float2", "double2", "half2") and primvar.GetPrimvarName() in ("st", "uv", "UVMap")
         if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
-            found.append(primvar)
-    return found
+            primvars.append(primvar)
+    return primvars
 
 
 def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatArray, IndexArray]:
-    """Values of a primvar and the number of each face corner's, whatever its interpolation.
+    """Values of a primvar, and the row of values of each face corner, for any interpolation.
 
-    Where a file gives each corner a value of its own, as Blender does, equal ones at one vertex become one: otherwise
-    every face would be an island.
+    If a file has a value for every corner, as Blender writes them, equal ones at a vertex are merged. Otherwise every
+    face would be a UV island.
     """
     values, numbers, interpolation = _values(where, primvar)
     values = values.astype(np.float64)
@@ -72,10 +72,10 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
 
 
 def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
-    """All other numeric primvars, by name: one row a control vertex, control face or face corner.
+    """All other numeric primvars by name: a row for each control vertex, face or face corner.
 
-    Constant ones are no function on the mesh and are left out. Skinning weights become one column a joint, blend shapes
-    offsets at every vertex.
+    Constant primvars are left out, since they are no function on the mesh. Skinning weights have a column for each
+    joint; blend shapes are offsets at all vertices.
     """
     from pxr import UsdGeom
 
@@ -104,15 +104,15 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
 
 
 def corner_primvars(prim: Any) -> frozenset[str]:
-    """Names of primvars with a value a face corner."""
+    """Names of primvars with a value for each face corner."""
     from pxr import UsdGeom
 
-    every = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
-    return frozenset(primvar.GetPrimvarName() for primvar in every if primvar.GetInterpolation() == "faceVarying")
+    primvars = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
+    return frozenset(primvar.GetPrimvarName() for primvar in primvars if primvar.GetInterpolation() == "faceVarying")
 
 
 def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
-    """Values, the index of each element, and the interpolation; elements of several values become rows."""
+    """Values, the row of each element, and the interpolation; elements of several values become rows."""
     values = np.asarray(stated(primvar))
     size = primvar.GetElementSize()
     if size > 1 and len(values) % size == 0:
@@ -141,7 +141,7 @@ def _refuse(where: str, primvar: Any, found: str) -> None:
 
 
 def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str, NDArray[Any]]:
-    """``skel:jointWeights`` as a dense table, (n, joints), in the order of the skeleton's joints where there is one."""
+    """``skel:jointWeights`` as a dense table (n, joints), in the order of the skeleton's joints if there is one."""
     indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
     if not (indices and weights and indices.HasValue() and weights.HasValue()):
         return {}
@@ -159,19 +159,21 @@ def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str,
 
 
 def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
-    """Numbers of joints among those of the skeleton that the mesh is bound to, and how many it has."""
+    """Joint numbers in the order of the bound skeleton, and its number of joints."""
     from pxr import UsdSkel
 
     binding = UsdSkel.BindingAPI(prim)
     skeleton = binding.GetInheritedSkeleton()
-    every = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
-    own = list(binding.GetJointsAttr().Get() or []) or every
+    joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
+    joints_of_mesh = list(binding.GetJointsAttr().Get() or []) or joints_of_skeleton
     highest = int(joints.max(initial=0))
-    if not every:
+    if not joints_of_skeleton:
         return joints, highest + 1
-    if highest >= len(own) or any(joint not in every for joint in own):
-        _refuse(where, weights, f"got joint {highest} of {len(own)}, or joints that the skeleton has not")
-    return np.array([every.index(joint) for joint in own], dtype=np.int64)[joints], len(every)
+    if highest >= len(joints_of_mesh) or any(joint not in joints_of_skeleton for joint in joints_of_mesh):
+        _refuse(where, weights, f"got joint {highest} of {len(joints_of_mesh)}, or joints that the skeleton has not")
+    return np.array([joints_of_skeleton.index(joint) for joint in joints_of_mesh], dtype=np.int64)[joints], len(
+        joints_of_skeleton
+    )
 
 
 def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
@@ -207,9 +209,9 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
 
 
 def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
-    """Material of every face, by the mesh's binding and those of its subsets; other subsets become groups.
+    """Materials of faces by bindings of the mesh and its subsets; other subsets become groups.
 
-    Faces in several of those belong to a group of all their names, as OBJ's ``g one two`` says it.
+    A face in several groups gets one group with all their names, as in OBJ's ``g one two``.
     """
     from pxr import UsdGeom, UsdShade
 
@@ -223,7 +225,7 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
         path = material.GetPath()
         if path.pathString not in paths:
             paths.append(path.pathString)
-            names.append(path.name if path.name not in names else path.pathString)  # of another scope
+            names.append(path.name if path.name not in names else path.pathString)  # equal names in other scopes
             colors.append(_diffuse_color(material))
         return paths.index(path.pathString)
 
@@ -234,9 +236,9 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
         faces = integers(stated(subset.GetIndicesAttr()))
         if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
             continue
-        own = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
-        if own:
-            materials[faces] = number(own)
+        material_of_subset = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
+        if material_of_subset:
+            materials[faces] = number(material_of_subset)
         elif subset.GetFamilyNameAttr().Get() != "materialBind":
             groups.append((subset.GetPrim().GetName(), faces))
     result: dict[str, Any] = {}
@@ -253,20 +255,20 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
 
 
 def _joined_groups(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
-    """Groups that may overlap as groups that do not: the given ones first, then the others that faces are in."""
+    """Disjoint groups from overlapping ones: the given names first, then combinations."""
     names, inside = [name for name, _ in groups], np.zeros((n_faces, len(groups)), dtype=np.bool_)
     for group, (_, faces) in enumerate(groups):
         inside[faces, group] = True
     _, first, which = np.unique(np.packbits(inside, axis=1), axis=0, return_index=True, return_inverse=True)
     titles = [" ".join(names[group] for group in np.flatnonzero(inside[face])) for face in first.tolist()]
-    in_order = [titles[k] for k in np.argsort(first)]  # by the first face of each
-    every = {title: number for number, title in enumerate(dict.fromkeys([*names, *in_order]))}
-    numbers = np.array([every[title] for title in titles], dtype=np.int64)
-    return {"face_groups": numbers[which.ravel()], "group_names": tuple(every)}
+    in_order = [titles[k] for k in np.argsort(first)]  # by the first face of each combination
+    number_of = {title: number for number, title in enumerate(dict.fromkeys([*names, *in_order]))}
+    numbers = np.array([number_of[title] for title in titles], dtype=np.int64)
+    return {"face_groups": numbers[which.ravel()], "group_names": tuple(number_of)}
 
 
 def _diffuse_color(material: Any) -> FloatArray:
-    """Constant diffuse colour of a UsdPreviewSurface, NaN where there is none."""
+    """Constant diffuse colour of a UsdPreviewSurface; NaN without one."""
     surface = material.ComputeSurfaceSource()[0]
     color = surface.GetInput("diffuseColor") if surface else None
     value = color.Get() if color and not color.HasConnectedSource() else None
@@ -274,33 +276,33 @@ def _diffuse_color(material: Any) -> FloatArray:
 
 
 def named_faces(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
-    """Name and faces of every material, with its colour, and of every group."""
-    found: list[tuple[str, IndexArray, FloatArray | None]] = []
+    """Name, faces and colour of every material; name and faces of every group."""
+    listed: list[tuple[str, IndexArray, FloatArray | None]] = []
     if mesh.face_materials is not None:
         for number, name in enumerate(mesh.material_names):
             color = np.full(3, np.nan) if mesh.material_colors is None else mesh.material_colors[number]
-            found.append((name, np.flatnonzero(mesh.face_materials == number), color))
+            listed.append((name, np.flatnonzero(mesh.face_materials == number), color))
     if mesh.face_groups is not None:
-        found += [(n, np.flatnonzero(mesh.face_groups == i), None) for i, n in enumerate(mesh.group_names)]
-    return [(name, faces, color) for name, faces, color in found if name and len(faces)]
+        listed += [(n, np.flatnonzero(mesh.face_groups == i), None) for i, n in enumerate(mesh.group_names)]
+    return [(name, faces, color) for name, faces, color in listed if name and len(faces)]
 
 
-# Condition from which on a transform counts as one that flattens: float32 scales hold seven digits.
+# Condition number from which a transform counts as flattening: float32 scales have seven digits.
 _FLATTENING = 1e12
 
 
 def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """(n, 3) points through a (4, 4) matrix of USD, which takes rows."""
+    """(n, 3) points transformed by a (4, 4) matrix of USD, for points as rows."""
     return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
 
 
 def is_mirrored(matrix: FloatArray) -> bool:
-    """Whether a (4, 4) transform makes left hands of right ones."""
+    """Whether a (4, 4) transform reverses orientation."""
     return bool(np.linalg.det(matrix[:3, :3]) < 0)
 
 
 def local_to_world(prim: Any) -> FloatArray:
-    """(4, 4) from a prim's own space to the world's."""
+    """(4, 4) transform from a prim's local space to world space."""
     matrix = _to_world(prim)
     if not np.isfinite(matrix).all() or _is_flattening(matrix):
         raise FormatError(
@@ -311,7 +313,7 @@ def local_to_world(prim: Any) -> FloatArray:
 
 
 def unflattened(file: Path, prims: list[Any]) -> list[Any]:
-    """Meshes that are no points, lines or planes in world space; all of them where none is."""
+    """Meshes that their transform does not flatten to a plane, line or point; all if it flattens every one."""
     flat = [_is_flattening(_to_world(prim)) for prim in prims]
     if not any(flat) or all(flat):
         return prims

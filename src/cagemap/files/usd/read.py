@@ -1,7 +1,7 @@
-"""USD meshes: topology, subdivision, creases, UV sets, materials and attributes as `UsdGeom` has them.
+"""USD meshes: topology, subdivision, creases, UV sets, materials and attributes of `UsdGeom`.
 
 References, variants and layers are resolved by USD itself. It is an extra, ``cagemap[usd]``, imported when a USD file
-comes along.
+is read or written.
 """
 
 from __future__ import annotations
@@ -47,33 +47,33 @@ from cagemap.subdivision import default_scheme
 logger = logging.getLogger(__name__)
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-# Words of USD; ours are the same in small letters, with "_" between them.
+# Allowed values of USD's attributes; those of cagemap's schemes are the same in snake_case.
 _WORDS = {
     "subdivisionScheme": ("catmullClark", "loop", "bilinear", "none"),
     "interpolateBoundary": ("none", "edgeOnly", "edgeAndCorner"),
     "faceVaryingLinearInterpolation": ("none", "cornersOnly", "cornersPlus1", "cornersPlus2", "boundaries", "all"),
     "triangleSubdivisionRule": ("catmullClark", "smooth"),
 }
-# Purposes of meshes that stand for others.
+# Purposes of meshes that replace others in previews.
 _STAND_INS = ("guide", "proxy")
 
 
 @dataclass(frozen=True, eq=False)
 class UsdMesh:
-    """One mesh prim."""
+    """A mesh prim of a USD file."""
 
     path: str  # of the prim
-    control: ControlMesh  # in the prim's own space
-    # other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column for
-    # each joint, blend shapes as ``blendShape:NAME``
+    control: ControlMesh  # in the prim's local space
+    # other primvars, with a row for each control vertex, face or face corner; skinning as ``skel:jointWeights`` with a
+    # column for each joint, blend shapes as ``blendShape:NAME``
     attributes: dict[str, Any]
-    to_world: FloatArray  # (4, 4) positions as rows, 1 appended, times this are in world space
-    # names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex
+    to_world: FloatArray  # (4, 4) from local to world space, for positions as rows with 1 appended
+    # names of attributes with rows for face corners; if no faces share vertices, the number of rows does not show it
     of_corners: frozenset[str] = frozenset()
 
 
 def usd_modules() -> Any:
-    """The ``pxr`` package."""
+    """The ``pxr`` package, with the modules that are used."""
     try:
         import pxr
         import pxr.Usd
@@ -89,25 +89,29 @@ def usd_modules() -> Any:
 
 
 def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """Names of prims and primvars for any words: what USD has no sign for becomes ``_``, and equal ones get numbers."""
-    used, made = set(taken), list[str]()
+    """Valid, unique names of prims and primvars: other characters become ``_``, repeated names get numbers."""
+    used, unique = set(taken), list[str]()
     for name in names:
         word = usd_modules().Tf.MakeValidIdentifier(name)
         free = itertools.chain([word], (f"{word}_{number}" for number in itertools.count(2)))
-        made.append(next(one for one in free if one not in used))
-        used.add(made[-1])
-    return made
+        unique.append(next(candidate for candidate in free if candidate not in used))
+        used.add(unique[-1])
+    return unique
 
 
 def open_stage(path: str | Path) -> Any:
-    """Open a USD file; what it refers to and cannot be found is warned of."""
+    """Open a USD file; warns of missing files that it refers to."""
     pxr = usd_modules()
     file = Path(path)
     require_file(file, "a USD file")
-    said = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # instead of USD's own lines, which name its sources
+    # instead of USD's own messages, which name its source files
+    diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
     try:
         stage = pxr.Usd.Stage.Open(text_name(file))
-        reasons = (one.commentary.partition(" (instantiating stage ")[0] for one in said.TakeUncoalescedDiagnostics())
+        reasons = (
+            entry.commentary.partition(" (instantiating stage ")[0]
+            for entry in diagnostics.TakeUncoalescedDiagnostics()
+        )
         for reason in dict.fromkeys(reasons):
             logger.warning("%s: %s", file, reason)
         return stage
@@ -116,7 +120,7 @@ def open_stage(path: str | Path) -> Any:
 
 
 def _reason(error: Exception) -> str:
-    """The last line of what USD says; its own messages may hold bytes that are no text."""
+    """The last line of an error of USD; the type's name if its message is not valid text."""
     try:
         last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
         place, _, words = last.rpartition(" : '")
@@ -127,7 +131,7 @@ def _reason(error: Exception) -> str:
 
 @contextmanager
 def named_damage(file: str | Path) -> Iterator[None]:
-    """Values are unpacked when they are asked for, and may be damaged or of other types than the schema says."""
+    """Turn errors of damaged values into a FormatError; USD unpacks values only when they are read."""
     pxr = usd_modules()
     try:
         yield
@@ -138,16 +142,16 @@ def named_damage(file: str | Path) -> Iterator[None]:
 
 
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
-    """Every active mesh prim of a stage, in its order, instances among them; at the first time, where it moves.
+    """All active mesh prims of a stage with points, instances included, at the first time sample.
 
-    Stand-ins (purpose guide or proxy) are left out beside meshes that are none, and so are meshes that their transform
-    flattens (as animators hide them) beside others; that is warned of.
+    Meshes for previews (purpose guide or proxy) are left out if there are others. So are meshes that their transform
+    flattens (as animators hide them), with a warning.
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
     with named_damage(file):
-        every = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
-        prims = [prim for prim in every if prim.IsA(pxr.UsdGeom.Mesh)]
+        all_prims = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
+        prims = [prim for prim in all_prims if prim.IsA(pxr.UsdGeom.Mesh)]
         final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
@@ -164,7 +168,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
 
 def _variants_without_choice(stage: Any) -> list[str]:
-    """Variant sets of a stage that say nothing since none of their variants is chosen."""
+    """Variant sets of a stage without a chosen variant."""
     return [
         f"{prim.GetPath()} ({name})"
         for prim in stage.Traverse()
@@ -174,9 +178,9 @@ def _variants_without_choice(stage: Any) -> list[str]:
 
 
 def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
-    """Read a control mesh from a USD file; several mesh prims become objects of one mesh, in world space.
+    """Read a control mesh from a USD file; several prims become objects of one mesh in world space.
 
-    With ``mixed``, meshes that are subdivided in different ways come with their ``object_schemes``, to take parts of.
+    With ``mixed``, meshes of different subdivision schemes are joined with their ``object_schemes``, to extract parts.
     """
     file = Path(path)
     meshes = read_usd_meshes(file)
@@ -195,7 +199,7 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
-    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to."""
+    """The mesh that a control mesh was read from: the only one of a file, or the one of all its faces."""
     if len(meshes) == 1:
         return meshes[0]
     objects = None if control is None else control.face_objects
@@ -211,7 +215,7 @@ def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh
 
 
 def in_world(mesh: UsdMesh) -> UsdMesh:
-    """The mesh and its blend shapes in world space, with its prim's path as object; a mirrored one is turned round."""
+    """The mesh and its blend shapes in world space, as an object named by its path; faces reversed if mirrored."""
     control, attributes = mesh.control, dict(mesh.attributes)
     if is_mirrored(mesh.to_world):
         control, attributes = _turned_round(control, attributes, mesh.of_corners)
@@ -249,8 +253,8 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
     sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in uv_primvars(prim)]
     if sets:
         first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
-        others = tuple(uv_set for uv_set in sets if uv_set is not first)
-        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=others)
+        further_sets = tuple(uv_set for uv_set in sets if uv_set is not first)
+        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=further_sets)
     control = replace(control, **face_sets(prim, control.n_faces))
     attributes = primvar_arrays(where, control, prim)
     colors = attributes.get("displayColor")
@@ -263,20 +267,20 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
-    found = []
+    words = []
     for name, known in _WORDS.items():
         word = mesh.GetPrim().GetAttribute(name).Get()
         if str(word) not in known:
             raise FormatError(
                 f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."
             )
-        found.append(re.sub("[A-Z]", lambda letter: f"_{letter[0].lower()}", str(word)))
-    kind, boundary, uvs, triangles = found
+        words.append(re.sub("[A-Z]", lambda letter: f"_{letter[0].lower()}", str(word)))
+    kind, boundary, uvs, triangles = words
     return SCHEMES[kind.replace("_", "-")](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
 
 
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
-    """Creases, corners and holes, as fields of a control mesh."""
+    """Creases, corners and holes as fields of a control mesh."""
     result: dict[str, Any] = {}
     chain, lengths = integers(stated(mesh.GetCreaseIndicesAttr())), integers(stated(mesh.GetCreaseLengthsAttr()))
     values = _floats(stated(mesh.GetCreaseSharpnessesAttr()))
@@ -313,7 +317,7 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
 def _turned_round(
     control: ControlMesh, attributes: dict[str, Any], of_corners: frozenset[str]
 ) -> tuple[ControlMesh, dict[str, Any]]:
-    """Faces of a left-handed mesh, run through the other way."""
+    """A mesh and its attributes with reversed face orientation, for left-handed meshes."""
     mirrored = reversed_corners(control.face_offsets)
     turned = replace(
         control,
@@ -325,7 +329,7 @@ def _turned_round(
 
 
 def reversed_corners(face_offsets: IndexArray) -> IndexArray:
-    """(c,) corner of each face's other end: the first stays, the others are run through the other way."""
+    """(c,) corners of all faces in reversed order; the first corner of each face stays first."""
     first, sizes = face_offsets[:-1], np.diff(face_offsets)
     starts, size = np.repeat(first, sizes), np.repeat(sizes, sizes)
     within = np.arange(len(starts)) - starts
@@ -340,11 +344,11 @@ _LAYERS = (".usd", ".usda", ".usdc")
 
 
 def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
-    """Asset paths of a USD file, in any place that holds them, as they are written; none of them is opened.
+    """All asset paths in a USD file, as written; none of them is opened.
 
     Paths of a package to its own entries are left out.
 
-    ``name``: of the file; its ending says how it is read.
+    ``name``: of the file; its suffix gives the format.
     """
     pxr = usd_modules()
     with tempfile.TemporaryDirectory() as folder:
@@ -354,16 +358,16 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
             if file.suffix.lower() != ".usdz":
                 return _of_layer(str(file))
             entries = list(pxr.Sdf.ZipFile.Open(str(file)).GetFileNames())
-            found = {entry: _of_layer(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
+            paths_of = {entry: _of_layer(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
         except (pxr.Tf.ErrorException, UnicodeDecodeError, AttributeError):
             raise FormatError(f"{name}: cannot be read as USD. Export it again.") from None
     if any(entry.lower().endswith(".usdz") for entry in entries):
         raise FormatError(f"{name}: expected a package of layers and images, got a package within it. Flatten it.")
-    return tuple(path for entry, paths in found.items() for path in paths if not _is_entry(entry, path, entries))
+    return tuple(path for entry, paths in paths_of.items() for path in paths if not _is_entry(entry, path, entries))
 
 
 def _of_layer(path: str) -> tuple[str, ...]:
-    """Every asset path of one layer; expressions as they are written and as they read in this layer."""
+    """All asset paths of a layer; expressions both as written and as evaluated in this layer."""
     pxr = usd_modules()
     sublayers, references, payloads = pxr.UsdUtils.ExtractExternalReferences(path)
     composed = pxr.Sdf.Layer.FindOrOpen(path).GetCompositionAssetDependencies()
@@ -371,7 +375,7 @@ def _of_layer(path: str) -> tuple[str, ...]:
 
 
 def _is_entry(layer: str, path: str, entries: list[str]) -> bool:
-    """Whether a path of a package's layer is one of its entries, or of tiles among them."""
+    """Whether a path in a package's layer is one of its entries, or a pattern of tiles among them."""
     wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
     pattern = glob.escape(wanted).replace("<UDIM>", "????")
     return any(fnmatchcase(entry, pattern) for entry in entries)

@@ -1,4 +1,4 @@
-"""Results in USD layers: textures of a mesh as a UsdPreviewSurface, and the results of earlier transfers kept."""
+"""Results in USD layers: textures of a mesh as a UsdPreviewSurface; results of earlier transfers are kept."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from cagemap.files.ownership import MARKED
 from cagemap.files.text import text_name
 from cagemap.files.usd.read import usd_modules
 
-# Input of UsdPreviewSurface: its type, the texture's output, whether values are colours to be seen, and the usual names
-# of maps for it, in small letters without spaces, "_" and "-".
+# Inputs of UsdPreviewSurface: type, output of the texture, whether values are display colours, and usual names of maps
+# in small letters without spaces, "_" and "-".
 _INPUTS = {
     "diffuseColor": ("Color3f", "rgb", True, ("albedo", "basecolor", "color", "diffuse", "diffusecolor", "texture")),
     "emissiveColor": ("Color3f", "rgb", True, ("emission", "emissive", "emissivecolor")),
@@ -28,26 +28,26 @@ MATERIAL = "cagemap_material"
 
 
 def preview_inputs(roles: Iterable[str]) -> dict[str, str]:
-    """Inputs of UsdPreviewSurface that maps are for, by map; case, spaces, ``_`` and ``-`` do not count.
+    """Inputs of UsdPreviewSurface by map name; case, spaces, ``_`` and ``-`` are ignored.
 
-    Maps that no input is known for are left out, and of several for one input all but the first.
+    Maps without a known input are left out; of several maps for one input the first is used.
 
     Examples
     --------
     >>> preview_inputs(["Base_Color", "AO", "gloss", "albedo"])
     {'Base_Color': 'diffuseColor', 'AO': 'occlusion'}
     """
-    found: dict[str, str] = {}
+    bound: dict[str, str] = {}
     for role in roles:
         plain = re.sub(r"[\s_-]", "", role.lower())
         name = next((name for name, (*_, usual) in _INPUTS.items() if plain in usual), None)
-        if name is not None and name not in found.values():
-            found[role] = name
-    return found
+        if name is not None and name not in bound.values():
+            bound[role] = name
+    return bound
 
 
 def unbound_maps(roles: Iterable[str]) -> list[str]:
-    """A sentence for each map that `bind_textures` leaves out."""
+    """Sentences about maps that `bind_textures` leaves out."""
     given = list(roles)
     bound = preview_inputs(given)
     usual = ", ".join(names[0] for *_, names in _INPUTS.values())
@@ -60,10 +60,10 @@ def unbound_maps(roles: Iterable[str]) -> list[str]:
 
 
 def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: str) -> None:
-    """Make a material of some images and bind it to a mesh, those of `preview_inputs`.
+    """Make a material of the images that `preview_inputs` knows, and bind it to a mesh.
 
     ``stage``, ``prim``: the mesh's prim, on the layer that is written.
-    ``textures``: image by what it is for; paths relative to the layer, ``<UDIM>`` for a set.
+    ``textures``: image by map name; paths relative to the layer, ``<UDIM>`` for a set.
     ``uv_name``: primvar of the texture coordinates.
     """
     from pxr import Sdf, Tf, UsdShade
@@ -73,7 +73,7 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
     surface = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-    # By its UV set: textures of an earlier transfer may lie over another one.
+    # Named by its UV set: textures of an earlier transfer may use another one.
     label = Tf.MakeValidIdentifier(f"uv_{uv_name}")
     reader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild(label))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
@@ -90,8 +90,8 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
             texture.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set((-1, -1, -1, 0))
         value_kind = Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
         texture.CreateOutput(output, value_kind)
-        made = surface.CreateInput(name, getattr(Sdf.ValueTypeNames, kind))
-        made.ConnectToSource(texture.ConnectableAPI(), output)
+        shader_input = surface.CreateInput(name, getattr(Sdf.ValueTypeNames, kind))
+        shader_input.ConnectToSource(texture.ConnectableAPI(), output)
     reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
@@ -101,18 +101,18 @@ _SHAPES, _SHAPE_TARGETS = "skel:blendShapes", "skel:blendShapeTargets"
 
 
 def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: bool) -> bool:
-    """Add to a new layer what cagemap wrote to its file before; of two values of one name the new one counts.
+    """Add earlier results in a file to the new layer for it; new values replace earlier ones of the same name.
 
-    ``layer``: the new one, with its final sublayers.
-    ``file``: where it will be written. A file that cagemap did not write adds nothing.
-    ``prim_paths``: the meshes that the results are about. Returns whether there was something to add.
+    ``layer``: the new layer, with its final sublayers.
+    ``file``: the layer's output. A file that cagemap did not write adds nothing.
+    ``prim_paths``: the meshes of the results. Returns whether earlier results were added.
     """
     pxr = usd_modules()
     try:
         earlier = pxr.Sdf.Layer.OpenAsAnonymous(text_name(file)) if file.is_file() else None
-    except pxr.Tf.ErrorException:  # no USD: it is replaced with force, or refused
+    except pxr.Tf.ErrorException:  # not USD: replaced with ``force``, otherwise refused
         earlier = None
-    # A .usdc is compressed and has no checksum: it is replaced with force alone, and its words are believed.
+    # A .usdc is compressed and has no checksum: its comment is trusted, and only ``force`` replaces it.
     if earlier is None or not earlier.comment.startswith(MARKED):
         return False
     if _subject(earlier, prim_paths) != _subject(layer, prim_paths):
@@ -126,25 +126,25 @@ def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: boo
         new, old = layer.GetPrimAtPath(path), earlier.GetPrimAtPath(path)
         if old and new:
             _join_shapes(new, old)
-            if "primvars:skel:jointIndices" in new.properties:  # numbers of other joints than the earlier ones
+            if "primvars:skel:jointIndices" in new.properties:  # they number other joints than the earlier ones
                 _remove(old, _SKINNING)
-    # What both say is the new layer's alone: the parts of two values do not mix.
+    # Values in both layers are removed from the earlier one, since stitching would mix them.
     layer.Traverse("/", lambda path: _replaced(layer, earlier, path))
     pxr.UsdUtils.StitchLayers(layer, earlier)
     return True
 
 
 def _subject(layer: Any, prim_paths: Sequence[str]) -> tuple[object, ...]:
-    """What results are about: the file below, or the mesh that the layer holds itself."""
+    """The mesh of the results: the file in the sublayer, or the layer's own arrays."""
     if layer.subLayerPaths:
         return tuple(layer.subLayerPaths)
     names = ("points", "faceVertexCounts", "faceVertexIndices")
-    found = (layer.GetAttributeAtPath(f"{path}.{name}") for path in prim_paths for name in names)
-    return tuple(attribute and attribute.default for attribute in found)
+    attributes = (layer.GetAttributeAtPath(f"{path}.{name}") for path in prim_paths for name in names)
+    return tuple(attribute and attribute.default for attribute in attributes)
 
 
 def _join_shapes(new: Any, old: Any) -> None:
-    """Put the earlier blend shapes of a prim before its new ones, but for those that these replace."""
+    """Put the earlier blend shapes of a prim before its new ones, without those that these replace."""
     if not all(name in prim.properties for prim in (new, old) for name in (_SHAPES, _SHAPE_TARGETS)):
         return
     given, kept = (
@@ -160,7 +160,7 @@ def _targets(prim: Any) -> Any:
 
 
 def _replaced(layer: Any, earlier: Any, path: Any) -> None:
-    """Remove from an earlier prim the properties that the new layer's has, and keep the type of a `SkelRoot`."""
+    """Remove properties of the new layer's prim from the earlier one; keep the type `SkelRoot`."""
     new, old = layer.GetPrimAtPath(path), earlier.GetPrimAtPath(path)
     if path.IsPrimPath() and new and old:
         _remove(old, new.properties.keys())

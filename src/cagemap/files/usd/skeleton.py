@@ -1,4 +1,4 @@
-"""Skeletons in USD: `UsdSkel` joints with their bind transforms, beside the mesh that they move."""
+"""Skeletons in USD: `UsdSkel` joints with their bind transforms."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
 def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton | None:
-    """The skeleton that a mesh of a USD file is bound to, as it was bound, in the space of what `read_usd` gives.
+    """The skeleton of a mesh in a USD file in its bind pose, in the space of `read_usd`; None without one.
 
-    ``control``: says which mesh, where the file has several. None where the mesh is bound to none.
+    ``control``: the mesh; needed if the file has several.
     """
     meshes = read_usd_meshes(path)
     chosen = one_mesh(path, meshes, control)
@@ -44,7 +44,7 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
 
 
 def _named(joints: list[str], placed: FloatArray) -> Skeleton:
-    """Joints by the last word of their paths, where that is enough; tails lie where the children are."""
+    """A skeleton with joints named by the last part of their paths, if unique; tails are at the children."""
     leaves = [path.rpartition("/")[2] for path in joints]
     names = leaves if len(set(leaves)) == len(leaves) else joints
     parents = _parents(joints)
@@ -54,15 +54,15 @@ def _named(joints: list[str], placed: FloatArray) -> Skeleton:
 
 
 def _parents(joints: list[str]) -> IndexArray:
-    """(j,) number of each joint's parent, its nearest listed ancestor as UsdSkel has it; -1 for a root."""
+    """(j,) number of each joint's parent, its nearest listed ancestor in UsdSkel; -1 for a root."""
     return integers(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
 
 
 def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
-    """Define a skeleton beside a mesh, in its `SkelRoot`, and bind the mesh to it; joints are in the order of weights.
+    """Define a skeleton in the `SkelRoot` of a mesh and bind the mesh to it; its joints are in the order of weights.
 
-    ``skeleton``: in the mesh's own space.
-    ``to_root``: (4, 4), from there to the space of the topmost prim.
+    ``skeleton``: in the mesh's local space.
+    ``to_root``: (4, 4), from that space to the space of the topmost prim.
     """
     pxr = usd_modules()
     top = prim.GetPath().GetPrefixes()[0]
@@ -70,16 +70,16 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
     order = sorted(range(len(paths)), key=lambda joint: (paths[joint].count("/"), joint))
     binds = _binds(skeleton, to_root)[order]
     parents = _parents([paths[joint] for joint in order])
-    inner = parents >= 0
+    has_parent = parents >= 0
     rests = binds.copy()
-    rests[inner] = binds[inner] @ np.linalg.inv(binds[parents[inner]])
+    rests[has_parent] = binds[has_parent] @ np.linalg.inv(binds[parents[has_parent]])
     path = top.AppendChild("skeleton")
-    if stage.GetPrimAtPath(path):  # the asset's own: it is not touched
+    if stage.GetPrimAtPath(path):  # a skeleton of the asset, which is not changed
         path = top.AppendChild("cagemap_skeleton")
-    made = pxr.UsdSkel.Skeleton.Define(stage, path)
-    made.CreateJointsAttr([paths[joint] for joint in order])
-    made.CreateBindTransformsAttr(_matrices(binds))
-    made.CreateRestTransformsAttr(_matrices(rests))
+    usd_skeleton = pxr.UsdSkel.Skeleton.Define(stage, path)
+    usd_skeleton.CreateJointsAttr([paths[joint] for joint in order])
+    usd_skeleton.CreateBindTransformsAttr(_matrices(binds))
+    usd_skeleton.CreateRestTransformsAttr(_matrices(rests))
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     binding.CreateSkeletonRel().SetTargets([path])
     binding.CreateJointsAttr(paths)
@@ -90,25 +90,25 @@ def _joint_paths(skeleton: Skeleton) -> list[str]:
     number = {name: joint for joint, name in enumerate(skeleton.names)}
     words: dict[int, str] = {}
     for parent in dict.fromkeys(skeleton.parents):
-        own = [joint for joint, above in enumerate(skeleton.parents) if above == parent]
-        words |= zip(own, identifiers(skeleton.names[joint].rpartition("/")[2] for joint in own), strict=True)
+        siblings = [joint for joint, above in enumerate(skeleton.parents) if above == parent]
+        words |= zip(siblings, identifiers(skeleton.names[joint].rpartition("/")[2] for joint in siblings), strict=True)
 
     def path(joint: int) -> str:
-        way = [words[joint]]
+        parts = [words[joint]]
         seen = {joint}
         while skeleton.parents[joint]:
             joint = number[skeleton.parents[joint]]
             if joint in seen:
                 raise FormatError(f"skeleton: joint {skeleton.names[joint]} is its own parent. Repair the hierarchy.")
             seen.add(joint)
-            way.append(words[joint])
-        return "/".join(reversed(way))
+            parts.append(words[joint])
+        return "/".join(reversed(parts))
 
     return [path(joint) for joint in range(len(skeleton.names))]
 
 
 def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:
-    """(j, 4, 4) bind transforms: heads, and axes as a rotation."""
+    """(j, 4, 4) bind transforms, from the heads and the axes as rotations."""
     count = len(skeleton.names)
     axes = np.tile(np.eye(3), (count, 1, 1)) if skeleton.axes is None else skeleton.axes
     u, _, vt = np.linalg.svd(axes @ to_root[:3, :3])

@@ -1,4 +1,4 @@
-"""Units and axes of USD files: results are in the target's own, whatever the source's are."""
+"""Units and axes of USD files, and transforms between them; results are in the target's."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cagemap.errors import FormatError
 from cagemap.files.usd.read import USD_SUFFIXES, named_damage, open_stage, read_usd_meshes, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
-# Z up to Y up, for rows.
+# From Z up to Y up, for points as rows.
 _Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True, eq=False)
 class StageSpace:
-    """Lengths and directions of a USD file, and (4, 4) the transform of its mesh for rows, where it has only one."""
+    """Unit and up axis of a USD file, and the (4, 4) transform of its only mesh, for rows."""
 
     up_axis: str
     meters_per_unit: float
@@ -28,7 +28,7 @@ class StageSpace:
 
 
 def stage_units(path: str | Path) -> StageSpace:
-    """Units of a USD file; its transform is not read."""
+    """Unit and up axis of a USD file, without the transform of its mesh."""
     pxr, stage = usd_modules(), open_stage(path)
     with named_damage(path):
         axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
@@ -38,19 +38,19 @@ def stage_units(path: str | Path) -> StageSpace:
 
 
 def stage_space(path: str | Path) -> StageSpace:
-    """The space of what `read_usd` reads from a file: several meshes are read in world space."""
+    """The space of a file's control mesh by `read_usd`; world space if it has several meshes."""
     units, meshes = stage_units(path), read_usd_meshes(path)
     return replace(units, to_world=meshes[0].to_world) if len(meshes) == 1 else units
 
 
 def unit_notes(*files: Path) -> tuple[str, ...]:
-    """A sentence about target and source where both are USD files, of different units or axes."""
+    """A sentence on target and source if both are USD files with different units or axes."""
     if not all(map(_is_usd, files)):
         return ()
-    (target, here), (source, there) = ((file.name, stage_units(file)) for file in files)
-    if (here.up_axis, here.meters_per_unit) == (there.up_axis, there.meters_per_unit):
+    (target, target_space), (source, source_space) = ((file.name, stage_units(file)) for file in files)
+    if (target_space.up_axis, target_space.meters_per_unit) == (source_space.up_axis, source_space.meters_per_unit):
         return ()
-    return (f"{target} has {here}, {source} {there}: results are in the target's own",)
+    return (f"{target} has {target_space}, {source} {source_space}: results are in the target's own",)
 
 
 def to_standard(path: Path) -> FloatArray:
@@ -62,7 +62,7 @@ def to_standard(path: Path) -> FloatArray:
 
 
 def upright_turn(path: Path) -> FloatArray | None:
-    """(3, 3) rotation for rows from the space of a file's control mesh to Y up; None where the file is no USD file."""
+    """(3, 3) rotation for rows from the space of a file's control mesh to Y up; None for other formats."""
     if not _is_usd(path):
         return None
     left, _, right = np.linalg.svd(to_standard(path)[:3, :3])
@@ -70,7 +70,7 @@ def upright_turn(path: Path) -> FloatArray | None:
 
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
-    """(4, 4) from the source's space to the target's; the identity unless both are USD files, which alone say it."""
+    """(4, 4) from the source's space to the target's; the identity unless both are USD files."""
     if target is None or source is None or not (_is_usd(target) and _is_usd(source)):
         return np.eye(4)
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Writing USD: a mesh as a file of its own, or results as a new layer over the target's file."""
+"""Writer of USD: a mesh as a file of its own, or results as a layer over the target's file."""
 
 from __future__ import annotations
 
@@ -34,27 +34,26 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class UsdResults:
-    """What came over from the source, to be said about a mesh prim."""
+    """Transferred results for a mesh prim."""
 
-    # image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to the
-    # layer
+    # image by map name, such as ``albedo`` or ``roughness``, with ``<UDIM>`` for a set; relative to the layer
     textures: Mapping[str, str] = field(default_factory=dict)
-    # values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
-    # skinning and blend shapes
+    # values by name, with a row for each vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME``
+    # become skinning and blend shapes
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    points: FloatArray | None = None  # (n, 3) new places of the vertices
-    uvs: tuple[str, FloatArray, IndexArray] | None = None  # (name, values, indices) a new UV set
-    skeleton: Skeleton | None = None  # that the weights are of; in the order of their columns
+    points: FloatArray | None = None  # (n, 3) new positions of the vertices
+    uvs: tuple[str, FloatArray, IndexArray] | None = None  # name, values and indices of a new UV set
+    skeleton: Skeleton | None = None  # joints of the weights, in the order of their columns
 
     def turned_round(self, mesh: ControlMesh) -> UsdResults:
-        """The same for a mesh whose faces were run through the other way when it was read."""
+        """The results for a mesh whose faces were reversed when it was read."""
         order = reversed_corners(mesh.face_offsets)
         attributes = {n: v[order] if _rows(mesh).get(len(v)) == _CORNERS else v for n, v in self.attributes.items()}
         uvs = None if self.uvs is None else (*self.uvs[:2], self.uvs[2][order])
         return replace(self, attributes=attributes, uvs=uvs)
 
     def through(self, matrix: FloatArray) -> UsdResults:
-        """The same in another space: all that has places or directions taken through a (4, 4) matrix of USD."""
+        """The results with positions and directions transformed by a (4, 4) matrix of USD."""
         turn = matrix[:3, :3]
         attributes = {n: v @ turn if n.startswith(BLEND_SHAPE) else v for n, v in self.attributes.items()}
         skeleton = self.skeleton
@@ -77,9 +76,8 @@ def write_usd(
 ) -> bool:
     """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
 
-    A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface. Without a
-    ``space`` it is in metres with Y up. With ``add``, results that cagemap wrote to the file before stay in it; returns
-    whether there were some.
+    A mesh with a scheme is a subdivision surface, one without is polygons (``none``). Without a ``space`` it is in
+    metres with Y up. With ``add``, earlier results of cagemap in the file are kept; returns whether there were any.
     """
     file = Path(path)
     check_usd_path(file)
@@ -117,63 +115,63 @@ def write_usd_over(
     world: bool = False,
     force: bool = False,
 ) -> bool:
-    """Write results as a layer over the target's file, which stays as it is; pipelines compose the two.
+    """Write results as a layer over the target's file, which is not changed; pipelines compose the two.
 
-    Results about this target that cagemap wrote to the layer before stay in it; returns whether there were some.
+    Earlier results of cagemap for this target in the layer are kept; returns whether there were any.
 
-    ``path``: the layer to write; it names the target relative to itself.
-    ``target``: USD file that has the mesh.
-    ``prim_paths``: the mesh's prim there; of several, each gets the textures.
-    ``world``: whether the mesh was read in world space, and not in the prim's own.
+    ``path``: the layer to write; it refers to the target by a relative path.
+    ``target``: USD file of the mesh.
+    ``prim_paths``: the mesh's prim in it; textures are bound to each of several.
+    ``world``: whether the mesh was read in world space instead of the prim's local space.
     """
     file = Path(path)
     check_usd_path(file)
     pxr = usd_modules()
-    below = open_stage(target)
-    prims = [below.GetPrimAtPath(prim_path) for prim_path in prim_paths]
+    target_stage = open_stage(target)
+    prims = [target_stage.GetPrimAtPath(prim_path) for prim_path in prim_paths]
     for prim, prim_path in zip(prims, prim_paths, strict=True):
         if not prim or not prim.IsA(pxr.UsdGeom.Mesh):
             raise FormatError(f"{target}: expected a mesh prim {prim_path}, there is none. Match again with this file.")
-    # Relative paths of an unsaved layer have no folder: what lies below is composed from its full name meanwhile.
+    # Relative paths of an unsaved layer have no folder: meanwhile the sublayer is named by its absolute path.
     layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths.append(str(Path(target).resolve()))
     stage = pxr.Usd.Stage.Open(layer)
-    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(below))
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(below))
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(target_stage))
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(target_stage))
     top = prims[0].GetPath().GetPrefixes()[0]
-    layer.defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
+    layer.defaultPrim = (target_stage.GetDefaultPrim() or target_stage.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
         stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
         for above in _ancestors(prim):
-            if above.IsInstance():  # nothing below an instance can be overridden
+            if above.IsInstance():  # prims below an instance cannot be overridden
                 stage.OverridePrim(above.GetPath()).SetInstanceable(False)
         to_world = local_to_world(prim)
-        inside = (
+        local_results = (
             results.through(np.asarray(np.linalg.inv(to_world), dtype=np.float64))
             if world and len(prim_paths) == 1
             else results
         )
         left_handed = pxr.UsdGeom.Mesh(prim).GetOrientationAttr().Get() == "leftHanded"
         if len(prim_paths) == 1 and left_handed != (world and is_mirrored(to_world)):
-            inside = inside.turned_round(mesh)
-        to_root = to_world @ np.linalg.inv(local_to_world(below.GetPrimAtPath(top)))
-        _write_results(stage, stage.OverridePrim(prim_path), mesh, inside, to_root)
-    del stage  # or it looks for what lies below where an unsaved layer is, and complains
+            local_results = local_results.turned_round(mesh)
+        to_root = to_world @ np.linalg.inv(local_to_world(target_stage.GetPrimAtPath(top)))
+        _write_results(stage, stage.OverridePrim(prim_path), mesh, local_results, to_root)
+    del stage  # otherwise it searches the sublayer relative to the unsaved layer, and warns
     layer.subLayerPaths = [Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix()]
     return _save(layer, file, prim_paths, force=force)
 
 
 def _ancestors(prim: Any) -> list[Any]:
-    found = []
+    ancestors = []
     while prim and not prim.IsPseudoRoot():
-        found.append(prim)
+        ancestors.append(prim)
         prim = prim.GetParent()
-    return found
+    return ancestors
 
 
 def check_usd_path(file: Path) -> None:
-    """Refuse a name that does not end as one of USD's layers, or is no text."""
+    """Refuse a name without a suffix of USD layers, or one that is not UTF-8."""
     text_name(file.absolute())
     if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
         raise FormatError(
@@ -182,7 +180,7 @@ def check_usd_path(file: Path) -> None:
 
 
 def _save(layer: Any, file: Path, added_to: Sequence[str], *, force: bool) -> bool:
-    """Write a layer, with earlier results about the meshes ``added_to``; returns whether there were some."""
+    """Write a layer, with earlier results for the meshes ``added_to``; returns whether there were any."""
     kept = bool(added_to) and add_earlier(layer, file, added_to, force=force)
     layer.comment = mark()
     with atomic_path(file, force=force) as temporary:
@@ -224,9 +222,9 @@ def _write_topology(prim: Any, mesh: ControlMesh) -> None:
 
 
 def _camel_case(word: str) -> str:
-    """A word of ours, such as "edge_and_corner", as USD writes it."""
-    first, *others = re.split("[_-]", word)
-    return first + "".join(other.capitalize() for other in others)
+    """A word of cagemap's schemes, such as "edge_and_corner", as USD writes it."""
+    first, *following = re.split("[_-]", word)
+    return first + "".join(part.capitalize() for part in following)
 
 
 def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
@@ -238,7 +236,7 @@ def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> No
 
 
 def _write_subsets(stage: Any, prim: Any, mesh: ControlMesh) -> None:
-    """Materials as bound subsets, groups as plain ones."""
+    """Write materials as subsets with bindings, and groups as plain subsets."""
     pxr = usd_modules()
     named = named_faces(mesh)
     labels = identifiers(name for name, _, _ in named)
@@ -247,14 +245,14 @@ def _write_subsets(stage: Any, prim: Any, mesh: ControlMesh) -> None:
         subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
         if material is None:
             continue
-        made = pxr.UsdShade.Material.Define(stage, f"/Asset/materials/{label}")
-        shader = pxr.UsdShade.Shader.Define(stage, made.GetPath().AppendChild("surface"))
+        usd_material = pxr.UsdShade.Material.Define(stage, f"/Asset/materials/{label}")
+        shader = pxr.UsdShade.Shader.Define(stage, usd_material.GetPath().AppendChild("surface"))
         shader.CreateIdAttr("UsdPreviewSurface")
-        made.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        usd_material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
         if np.isfinite(material).all():
             color = pxr.Gf.Vec3f(*map(float, material))
             shader.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(color)
-        pxr.UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(made)
+        pxr.UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(usd_material)
     if mesh.face_materials is not None:
         pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
         pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
@@ -275,9 +273,11 @@ def _write_results(
     if results.uvs is not None:
         uv_name = results.uvs[0]
         _write_uvs(prim, *results.uvs)
-    # A name that USD writes otherwise, or of texture coordinates, takes no other primvar's place.
-    others = {one.GetPrimvarName() for one in pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvars()} - set(results.attributes)
-    labels = identifiers(results.attributes, {*others, uv_name, *(uv_set.name for uv_set in mesh.uv_sets)})
+    # Names must stay unique after conversion, also among primvars of texture coordinates.
+    taken = {primvar.GetPrimvarName() for primvar in pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvars()} - set(
+        results.attributes
+    )
+    labels = identifiers(results.attributes, {*taken, uv_name, *(uv_set.name for uv_set in mesh.uv_sets)})
     shapes = {}
     for label, (name, values) in zip(labels, results.attributes.items(), strict=True):
         if name == JOINT_WEIGHTS:
@@ -295,7 +295,7 @@ def _write_results(
 
 
 def _rows(mesh: ControlMesh) -> dict[int, str]:
-    """Interpolation of values, by the number of their rows; where numbers are equal they are of the vertices."""
+    """Interpolation by number of rows; vertices have priority if numbers are equal."""
     return {len(mesh.face_indices): _CORNERS, mesh.n_faces: "uniform", mesh.n_vertices: "vertex"}
 
 
@@ -306,23 +306,23 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
         raise ParameterError(f"{name}: expected a row for each vertex, face or face corner, got {len(values)}")
     table: NDArray[Any] = values.reshape(len(values), -1)
     names = pxr.Sdf.ValueTypeNames
-    whole = table.dtype.kind in "iu"
+    integral = table.dtype.kind in "iu"
     kinds = {2: (names.Float2Array, pxr.Vt.Vec2fArray), 3: (names.Float3Array, pxr.Vt.Vec3fArray)}
-    kind, array = (names.IntArray, pxr.Vt.IntArray) if whole else (names.FloatArray, pxr.Vt.FloatArray)
+    kind, array = (names.IntArray, pxr.Vt.IntArray) if integral else (names.FloatArray, pxr.Vt.FloatArray)
     size = table.shape[1]
-    flat: NDArray[Any] = table.astype(np.int32 if whole else np.float32)
-    if size in kinds and not whole:
+    flat: NDArray[Any] = table.astype(np.int32 if integral else np.float32)
+    if size in kinds and not integral:
         kind, array = kinds[size]
         kind = names.Color3fArray if name == "displayColor" and size == 3 else kind
         size = 1
     else:
         flat = flat.ravel()
-    made = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, rows[len(values)], size)
-    made.Set(array.FromNumpy(np.ascontiguousarray(flat)))
+    primvar = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, rows[len(values)], size)
+    primvar.Set(array.FromNumpy(np.ascontiguousarray(flat)))
 
 
 def _write_weights(prim: Any, table: FloatArray) -> None:
-    """The largest few weights of every vertex, which sum to 1."""
+    """Write the largest weights of every vertex (up to 8), normalised to sum to 1."""
     pxr = usd_modules()
     kept = max(1, min(_JOINTS_KEPT, int((table > 0).sum(axis=1).max(initial=0))))
     joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
@@ -337,8 +337,8 @@ def _write_weights(prim: Any, table: FloatArray) -> None:
 def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
     pxr = usd_modules()
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
-    others = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
-    paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, others)]
+    taken = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
+    paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, taken)]
     for path, offsets in zip(paths, shapes.values(), strict=True):
         shape = pxr.UsdSkel.BlendShape.Define(stage, path)
         moved = np.flatnonzero(np.any(offsets != 0, axis=1))

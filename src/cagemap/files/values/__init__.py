@@ -1,1 +1,1 @@
-"""Values at vertices, faces and corners in files: attributes, weights, shapes, joints."""
+"""Reading and writing of values at vertices, faces and corners: attributes, weights, shapes, joints."""

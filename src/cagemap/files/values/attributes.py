@@ -1,4 +1,4 @@
-"""Per-vertex and per-face values in files: .npy, .npz, .csv, and vertex groups in .json."""
+"""Values at vertices and faces in files: .npy, .npz, .csv, and vertex groups in .json."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ Attributes = dict[str, NDArray[Any]]
 
 
 def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: FileRows | None = None) -> Attributes:
-    """Read named arrays, one row a vertex or face.
+    """Read named arrays with a row for each vertex, face or face corner.
 
-    An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
-    its first line, or one array of all columns, named like the file, without. A ``.json`` holds vertex groups
-    (`vertex_groups`), each a weight for every vertex of the mesh. A USD file holds the primvars of its
-    mesh, skinning and blend shapes (`cagemap.files.usd.prims`), a glTF file the skinning weights of its meshes.
+    An ``.npy`` is one array, named like the file; an ``.npz`` any number. A ``.csv`` with names in its first line has
+    an array in each column, one without names is a single array, named like the file. A ``.json`` has vertex groups
+    (`read_groups`), each a weight for every vertex. A USD file has the primvars, skinning and blend shapes of its mesh
+    (`cagemap.files.usd.prims`), a glTF file the skinning weights of its meshes. Integers stay integers; others become
+    float64.
 
-    ``control``: the mesh whose values are meant, which says which one where a USD file has several.
-    ``rows``: of a mesh that is a part of a file: values numbered as the file are taken at the part. Integers stay
-        integers; all others are float64.
+    ``control``: the mesh of the values; needed if a USD file has several.
+    ``rows``: for a mesh that is a part of a file: values of the whole file are taken at the part.
     """
     file = Path(path)
     require_file(file, "a file of attributes")
@@ -71,7 +71,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
 
 def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
     meshes = read_usd_meshes(file)
-    # Of several meshes each is in world space, and so are its offsets.
+    # Several meshes are in world space, and so are their offsets.
     meshes = meshes if len(meshes) == 1 else tuple(in_world(mesh) for mesh in meshes)
     chosen = one_mesh(file, meshes, control)
     arrays = {name: _check(file, name, array) for name, array in chosen.attributes.items()}
@@ -79,10 +79,10 @@ def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
 
 
 def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:
-    """Write named arrays; ``.npy`` takes one array only, ``.csv`` names columns ``name`` or ``name_0``, ``name_1``, ...
+    """Write named arrays in the format given by the suffix.
 
-    A ``.json`` holds vertex groups. An ``.npy`` or ``.csv`` has no place for cagemap's mark: an existing one is
-    replaced with ``force`` alone.
+    An ``.npy`` takes one array. A ``.csv`` has columns ``name``, or ``name_0``, ``name_1``, ... A ``.json`` has vertex
+    groups. An ``.npy`` or ``.csv`` stores no mark of cagemap: an existing one is replaced only with ``force``.
     """
     file = Path(path)
     check_attribute_path(file)
@@ -104,7 +104,7 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
 
 
 def check_attribute_path(file: Path) -> None:
-    """Refuse a file name that `write_attributes` would refuse, before any work is done for it."""
+    """Refuse a file name that `write_attributes` would refuse, before any work is done."""
     if file.suffix.lower() not in VALUE_SUFFIXES:
         raise FormatError(
             f"{file}: expected a name ending in {', '.join(VALUE_SUFFIXES)}, got {file.suffix or 'no suffix'}"
@@ -130,10 +130,10 @@ def _read_csv(file: Path) -> Attributes:
 
 
 def _column(cells: tuple[str, ...]) -> NDArray[Any]:
-    """Integers if all cells are written as such."""
+    """Cells as integers if all are written so, else as floats."""
     try:
         return np.array([int(cell) for cell in cells], dtype=np.int64)
-    except (ValueError, OverflowError):  # more digits than int64 holds: the nearest float
+    except (ValueError, OverflowError):  # also for more digits than int64 stores
         return np.array([float(cell) for cell in cells])
 
 
@@ -168,12 +168,12 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
 
 
 _REMEDY = 'Expected {"groups": [{"name": "lips", "vertices": [0, 5], "weights": [1.0, 0.5]}, ...]}.'
-# Weights below this are no membership: rounding of the map's barycentric coordinates.
+# Smaller weights are rounding of the map's barycentric coordinates; such a vertex is not in the group.
 _NOTHING = 1e-9
 
 
 class GroupRecord(Record):
-    """Some vertices by number from 0, each with a weight; 1 where none are given."""
+    """A vertex group: 0-based vertices with weights, which are 1 by default."""
 
     name: str
     vertices: list[Annotated[int, Field(ge=0)]]
@@ -181,19 +181,19 @@ class GroupRecord(Record):
 
 
 class GroupsRecord(Record):
-    """All groups of a file."""
+    """All vertex groups of a file."""
 
     groups: list[GroupRecord]
 
 
 def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
-    """Read vertex groups as a weight (count,) for every vertex of a mesh, 0 where it is not in the group."""
+    """Read vertex groups as weights (count,) of all vertices, 0 outside the group."""
     stated = parse_json(read_text(path, "vertex groups"), path, _REMEDY)
-    found: dict[str, FloatArray] = {}
+    weights_of: dict[str, FloatArray] = {}
     for group in checked_record(GroupsRecord, stated, path, _REMEDY).groups:
         vertices = np.array(group.vertices, dtype=np.float64)
         weights = [1.0] * len(vertices) if group.weights is None else group.weights
-        if group.name in found or len(weights) != len(vertices) or len(np.unique(vertices)) != len(vertices):
+        if group.name in weights_of or len(weights) != len(vertices) or len(np.unique(vertices)) != len(vertices):
             raise FormatError(
                 f"{path}: group {group.name}: expected a name of its own, every vertex once and a weight for each, got "
                 f"{len(vertices)} vertices and {len(weights)} weights. {_REMEDY}"
@@ -203,13 +203,13 @@ def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
                 f"{path}: group {group.name}: expected vertices 0 to {count - 1}, got {vertices.max():.0f}. Is it of "
                 "another mesh?"
             )
-        found[group.name] = np.zeros(count)
-        found[group.name][vertices.astype(np.int64)] = weights
-    return found
+        weights_of[group.name] = np.zeros(count)
+        weights_of[group.name][vertices.astype(np.int64)] = weights
+    return weights_of
 
 
 def groups_text(attributes: Mapping[str, NDArray[Any]], path: Path) -> str:
-    """Text of a file of groups: of every array, the vertices whose weight is not 0."""
+    """JSON text of vertex groups: the vertices of each array whose weights are not 0."""
     groups = []
     for name, array in attributes.items():
         if array.ndim != 1:

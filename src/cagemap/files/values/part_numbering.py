@@ -1,4 +1,4 @@
-"""Values in the numbers of a mesh file, for a result about a part of it or about the welded mesh."""
+"""Values in the numbering of a mesh file, for results about a part of it or the welded mesh."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
-    """How the rows of a file's mesh and those of a part of it go together."""
+    """Rows of a file's mesh that belong to the vertices, faces and corners of a part of it."""
 
-    # with ``file_vertices`` and ``file_faces``, ``file_copies`` where it was welded; its order may be another than the
-    # file's
+    # with ``file_vertices``, ``file_faces``, and ``file_copies`` if it was welded; in any order
     part: ControlMesh
     whole: ControlMesh  # the file's mesh
 
@@ -46,14 +45,14 @@ class FileRows:
 
     @property
     def copies(self) -> IndexArray:
-        """(k, 2) vertex of the part, and number in the file of a further vertex that it is."""
+        """(k, 2) welded vertices: vertex of the part, number of a further copy in the file."""
         none = np.zeros((0, 2), dtype=np.int64)
         return none if self.part.file_copies is None else self.part.file_copies
 
     @property
     def corners(self) -> IndexArray:
-        """(c,) number in the file of every face corner of the part: that of its face at its vertex."""
-        first = np.arange(self.whole.n_vertices)  # of the vertices that were welded
+        """(c,) number in the file of every face corner of the part, by its face and vertex."""
+        first = np.arange(self.whole.n_vertices)  # first copy of each vertex
         first[self.copies[:, 1]] = self.vertices[self.copies[:, 0]]
         size = self.whole.n_vertices
         known = self.whole.corner_faces * size + first[self.whole.face_indices]
@@ -62,9 +61,9 @@ class FileRows:
         return np.asarray(order[np.searchsorted(known[order], asked)])
 
     def to_part(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values numbered as the file, at the part's vertices, faces or corners; others as they are.
+        """Values of the whole file at the part's vertices, faces or corners; values of other sizes are unchanged.
 
-        At vertices that were welded the mean, where they are numbers with fractions, else those of the first.
+        At welded vertices floats are averaged; of other types the first copy's value is taken.
         """
         vertices, faces, corners = _counts(self.whole)
         if len(values) == vertices:
@@ -74,51 +73,51 @@ class FileRows:
         return values[self.corners] if len(values) == corners else values
 
     def _means(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values at the part's vertices; what is said where those of welded vertices differ."""
-        found, (own, further) = values[self.vertices], self.copies.T
-        if not np.any(values[further] != found[own]):
-            return found
-        differ = len(np.unique(own[np.any((values[further] != found[own]).reshape(len(own), -1), axis=1)]))
+        """Values at the part's vertices, averaged over welded copies; warns if these differ."""
+        of_first, (welded, further) = values[self.vertices], self.copies.T
+        if not np.any(values[further] != of_first[welded]):
+            return of_first
+        differ = len(np.unique(welded[np.any((values[further] != of_first[welded]).reshape(len(welded), -1), axis=1)]))
         _log.warning(
             "%s: values differ at %d vertices that were welded: %s",
-            *(self.part.name, differ, "averaged" if found.dtype.kind == "f" else "those of the first are taken"),
+            *(self.part.name, differ, "averaged" if of_first.dtype.kind == "f" else "those of the first are taken"),
         )
-        if found.dtype.kind != "f":
-            return found
-        sums, counts = found.astype(np.float64), np.ones(len(found))
-        np.add.at(sums, own, values[further])
-        np.add.at(counts, own, 1.0)
+        if of_first.dtype.kind != "f":
+            return of_first
+        sums, counts = of_first.astype(np.float64), np.ones(len(of_first))
+        np.add.at(sums, welded, values[further])
+        np.add.at(counts, welded, 1.0)
         return np.asarray(sums / counts.reshape(-1, *[1] * (values.ndim - 1)), dtype=values.dtype)
 
     def to_file(self, values: NDArray[Any], below: NDArray[Any] | None = None) -> NDArray[Any]:
-        """The part's values, numbered as the file; elsewhere those of ``below``, or 0."""
+        """The part's values in the file's numbering; elsewhere those of ``below``, or 0."""
         kinds = list(zip(_counts(self.part), _counts(self.whole), strict=True))
-        kind = next((number for number, (own, _) in enumerate(kinds) if len(values) == own), None)
+        kind = next((number for number, (part_count, _) in enumerate(kinds) if len(values) == part_count), None)
         if kind is None:
             return values
         shape = (kinds[kind][1], *values.shape[1:])
         fits = below is not None and below.shape == shape
-        found = np.array(below, dtype=values.dtype) if fits else np.zeros(shape, dtype=values.dtype)
+        filled = np.array(below, dtype=values.dtype) if fits else np.zeros(shape, dtype=values.dtype)
         if kind == 0:
-            return self._spread(found, values)
-        found[self.faces if kind == 1 else self.corners] = values
-        return found
+            return self._spread(filled, values)
+        filled[self.faces if kind == 1 else self.corners] = values
+        return filled
 
     def _spread(self, found: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
-        """Values of the part's vertices, written into those of the file's."""
+        """Write values at the part's vertices into those of the file, at all copies; returns these."""
         found[self.vertices] = values
         found[self.copies[:, 1]] = values[self.copies[:, 0]]
         return found
 
     def placed(self, positions: FloatArray) -> FloatArray:
-        """The file's positions, with those of the part replaced."""
+        """The file's positions with those of the part replaced."""
         return self._spread(np.array(self.whole.positions), positions)
 
 
 def file_rows(folder: str | Path, result: MatchResult, side: str) -> FileRows | None:
-    """The rows of a side's file; None if a result is about the whole of it, or, with a warning, the file is gone.
+    """Rows of a side's file; None if the result is about the whole mesh or, with a warning, the file is gone.
 
-    In a USD file with several meshes, those of the one that the part lies in.
+    For a part of one mesh among several in a USD file, rows are those of that mesh.
     """
     control = (result.target if side == "target" else result.source).control
     if control.file_vertices is None:
@@ -134,7 +133,7 @@ def file_rows(folder: str | Path, result: MatchResult, side: str) -> FileRows | 
 
 
 def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
-    """As `file_rows`, for a file that is there, or None."""
+    """Rows of a given file, see `file_rows`; None without a file or for a whole mesh."""
     if path is None or control.file_vertices is None or control.file_faces is None:
         return None
     if path.suffix.lower() not in USD_SUFFIXES:
@@ -147,13 +146,13 @@ def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
 
 
 def _objects(control: ControlMesh) -> list[str]:
-    """Names of the objects that a mesh has faces of."""
+    """Names of the objects of a mesh's faces."""
     numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
     return [control.object_names[number] for number in numbers]
 
 
 def prim_rows(meshes: Sequence[UsdMesh], prim: str, control: ControlMesh) -> FileRows | None:
-    """The rows of one mesh of a USD file that a control mesh is a part of; None where it is not, or all of it."""
+    """Rows of one mesh of a USD file; None if ``control`` is not a part of it."""
     if control.file_vertices is None or control.file_faces is None:
         return None
     number = [mesh.path for mesh in meshes].index(prim)
@@ -171,20 +170,20 @@ def prim_rows(meshes: Sequence[UsdMesh], prim: str, control: ControlMesh) -> Fil
 
 
 def to_part(values: Mapping[str, NDArray[Any]], rows: FileRows | None) -> Attributes:
-    """Each array at the elements of the part; as it is where there are no rows of a file."""
+    """Arrays at the elements of the part; unchanged without ``rows``."""
     return {name: array if rows is None else rows.to_part(array) for name, array in values.items()}
 
 
 def to_file(
     values: Mapping[str, NDArray[Any]], rows: FileRows | None, own: Mapping[str, NDArray[Any]] | None = None
 ) -> Attributes:
-    """Each array numbered as the file, with the file's ``own`` values elsewhere where there are such."""
+    """Arrays in the file's numbering, elsewhere the file's ``own`` values or 0; unchanged without ``rows``."""
     below = own or {}
     return {name: array if rows is None else rows.to_file(array, below.get(name)) for name, array in values.items()}
 
 
 def other_rows(control: ControlMesh, rows: FileRows | None) -> str:
-    """What else could be given, for messages: rows of the file that a mesh is a part of."""
+    """The end of a message on which other numbers of rows are accepted: those of the whole file."""
     if rows is not None:
         return f"; or, since {control.name} was matched {_how(control)}, for each of the file's {rows.whole.n_vertices}"
     if control.file_vertices is None:

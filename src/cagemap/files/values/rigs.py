@@ -1,4 +1,4 @@
-"""Skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets) in files."""
+"""Skeletons (JSON) and blend shapes (OBJ, PLY, or ``.npz`` of offsets), read and written."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from cagemap.numerics.arrays import FloatArray
 
 
 def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton:
-    """Read a list of joints: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
+    """Read joints from JSON: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
 
-    A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to, a
-    glTF file the joints of all its skins.
+    A joint may have ``"axes"``, three directions. A USD file has the skeleton of its mesh, a glTF file the joints of
+    all its skins.
 
-    ``control``: the mesh that it moves, which says which one where a USD file has several.
+    ``control``: the mesh of the skeleton; needed if a USD file has several.
     """
     file = Path(path)
     if file.suffix.lower() in SCENE_SUFFIXES:
         return gltf_skeleton(file)
     if file.suffix.lower() in USD_SUFFIXES:
-        found = read_usd_skeleton(file, control)
-        if found is None:
+        skeleton = read_usd_skeleton(file, control)
+        if skeleton is None:
             raise FormatError(
                 f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
             )
-        return found
+        return skeleton
     text = read_text(file, "a skeleton")
     try:
         stated = json.loads(text)
@@ -76,7 +76,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
 
 
 def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
-    """Write joints as `read_skeleton` reads them, with cagemap's mark beside."""
+    """Write joints in the JSON form of `read_skeleton`, with cagemap's mark."""
     joints = [
         {"name": name, "parent": parent or None, "head": head, "tail": tail}
         for name, parent, head, tail in zip(
@@ -89,11 +89,11 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
 
 
 def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:
-    """Read shapes of a cage as displacements (n, 3) by name.
+    """Read blend shapes of a cage as displacements (n, 3) by name.
 
-    ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
-        and glTF files.
-    ``rows``: of a cage that is a part of a file: shapes of the whole file are taken at the part.
+    ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, USD and glTF files, or
+        folders of OBJ, PLY and ``.npz`` files.
+    ``rows``: for a cage that is a part of a file: shapes of the whole file are taken at the part.
     """
     files: list[Path] = []
     for path in paths:
@@ -101,11 +101,11 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
         files += sorted(file for file in path.iterdir() if file.suffix.lower() in known) if path.is_dir() else [path]
     shapes: dict[str, FloatArray] = {}
     for file in files:
-        found = _shapes_of(file, rest, rows)
-        twice = sorted(set(found) & set(shapes))
+        shapes_of_file = _shapes_of(file, rest, rows)
+        twice = sorted(set(shapes_of_file) & set(shapes))
         if twice:
             raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
-        shapes |= found
+        shapes |= shapes_of_file
     if not shapes:
         raise FormatError(f"expected shapes in {', '.join(map(str, paths))}, found none (.obj, .ply or .npz)")
     return shapes
@@ -121,10 +121,10 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
         return {name: _checked_offsets(file, name, array, rest) for name, array in to_part(arrays, rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}
-    own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
-    if any(values.shape != (rest.n_vertices, 3) for values in own.values()):
+    shapes = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
+    if any(values.shape != (rest.n_vertices, 3) for values in shapes.values()):
         raise FormatError(f"{file}: expected blend shapes of {rest.n_vertices} vertices, as {rest.name} has.")
-    return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in own.items()}
+    return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in shapes.items()}
 
 
 def _read_shape(file: Path, rest: ControlMesh, rows: FileRows | None) -> FloatArray:
@@ -162,7 +162,7 @@ def _checked_offsets(file: Path, name: str, array: NDArray[Any], rest: ControlMe
 def write_shapes(
     output: Path, shapes: Mapping[str, FloatArray], rest: ControlMesh, inputs: Sequence[Path], *, force: bool = False
 ) -> list[Path]:
-    """Write displacements as an ``.npz``, or as a folder of OBJ files, the cage at rest among them."""
+    """Write displacements as an ``.npz``, or as a folder of OBJ files with the cage at rest; returns the files."""
     if output.suffix.lower() == ".npz":
         check_outputs([output], inputs, force=force)
         with atomic_path(output, force=force) as temporary:
