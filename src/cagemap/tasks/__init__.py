@@ -1,1 +1,1 @@
-"""What a user does: one request and one function for each task, for the command line, job files and the studio."""
+"""Tasks of the command line, job files and the studio: one request and one function each."""

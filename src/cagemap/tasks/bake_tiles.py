@@ -1,4 +1,4 @@
-"""Baking images tile by tile: layout of the target, sizes, masks and writing."""
+"""Bake images tile by tile: layout of the target, sizes, masks and writing."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from cagemap.transfer.masks import bake_mask, blend, with_alpha
 from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 from cagemap.transfer.texture import Filter, Pixels
 
-# Width and height of an image that no other one gives a size.
+# Default width and height of an image, if no source or base image gives a size.
 DEFAULT_SIZE = 2048
-# Share of a layout that lies over other parts of it, from which on that is said: faces of artists' layouts touch.
+# Least overlapping share of a layout that is reported: faces of artists' layouts touch.
 MIN_REPORTED_OVERLAP = 0.02
 _log = logging.getLogger(__name__)
 Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
@@ -55,7 +55,7 @@ Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
 
 @dataclass(frozen=True)
 class Prepared:
-    """A prepared bake: tiles of the target's layout, and what is to be said about it."""
+    """A prepared bake: tiles of the target's layout, and warnings."""
 
     transfer: Transfer
     control: ControlMesh
@@ -69,13 +69,13 @@ class SourceImage:
     """An image of the source, or its tiles."""
 
     texture: Pixels | dict[int, Pixels]
-    first: Image  # whose form (colour space, alpha) the result takes
+    first: Image  # gives the result its colour space and alpha
     dtype: np.dtype[Any]  # number type to write
     size: int  # width and height to bake
 
 
 def inputs_of(request: TransferRequest) -> list[Path]:
-    """Files that are read, as far as the command line names them."""
+    """Input files that the command line names."""
     single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
     others = (
         request.attribute,
@@ -99,7 +99,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
 def read_source_image(
     request: TransferRequest, result: MatchResult, path: Path, channels: int | None = None, name: str = ""
 ) -> SourceImage:
-    """Read an image of the source; with ``channels``, refuse an output that cannot hold so many."""
+    """Read an image of the source; refuse outputs that cannot hold ``channels`` channels."""
     texture = read_texture(path)
     first = first_image(texture)
     dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
@@ -113,7 +113,7 @@ def read_source_image(
 def prepare_bake(
     request: TransferRequest, result: MatchResult, stages: Stages, outputs: Sequence[Path] | None = None
 ) -> Prepared:
-    """Lay the target out, with a new layout if asked for, and find its tiles."""
+    """Prepare the target's layout, a new one if requested, and find its tiles."""
     mesh: Path | None = None
     warnings: list[str] = []
     of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
@@ -148,7 +148,7 @@ def prepare_bake(
 
 
 def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
-    """UDIM numbers of the tiles that the target's layout uses, [0] for the unit square; and warnings."""
+    """UDIM numbers of the target layout's tiles, [0] for the unit square; and warnings."""
     cells = tile_cells(transfer.target.corner_uvs())
     if cells.min() >= 0:
         return target_tiles(transfer.target), []
@@ -157,7 +157,7 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
 
 
 def doubled_target(control: ControlMesh) -> list[str]:
-    """A warning of a target whose layout lies over itself."""
+    """A warning if the target's layout overlaps itself."""
     share = overlapping_share(control)
     if share < MIN_REPORTED_OVERLAP:
         return []
@@ -169,7 +169,7 @@ def doubled_target(control: ControlMesh) -> list[str]:
 
 
 def _doubled_source(control: ControlMesh) -> list[str]:
-    """A warning of a source whose materials lie over each other."""
+    """A warning if layouts of the source's materials overlap."""
     names = overlapping_materials(control, MIN_REPORTED_OVERLAP)
     if not names:
         return []
@@ -182,13 +182,13 @@ def _doubled_source(control: ControlMesh) -> list[str]:
 def bake_tiles(
     request: TransferRequest, prepared: Prepared, bake: Callable[..., Baked], stages: Stages, name: str = ""
 ) -> Baked:
-    """Bake all tiles of a layout and write them, each while the next one is baked; returns the last.
+    """Bake all tiles, and write each while the next one is baked; returns the last.
 
-    What is masked is the base image, or gets alpha.
+    Masked texels take the base image, or get alpha.
 
     ``request``: its output is the image to write, or a pattern for several tiles.
-    ``bake``: ``options``, which say the tile -> what was baked.
-    ``name``: of the map, to be shown.
+    ``bake``: ``options`` with the tile -> baked image.
+    ``name``: of the map, for display.
     """
     return write_tiles(
         request.output,
@@ -211,31 +211,31 @@ def write_tiles(
     force: bool,
     name: str = "",
 ) -> Baked:
-    """The loop of `bake_tiles`, for any layout.
+    """Bake and write all tiles of any layout; returns the last.
 
     ``tiles``: UDIM numbers; [0] for a layout in the unit square.
     ``bake``, ``stages``, ``name``: as in `bake_tiles`.
-    ``finished``: what is written of an image that was baked.
+    ``finished``: a baked image -> the image to write.
     """
-    with ThreadPool(1) as aside:
-        written: list[Future[None]] = []
+    with ThreadPool(1) as writer:
+        writes: list[Future[None]] = []
         for number, tile in enumerate(tiles):
             place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
             stages(" ".join(filter(None, ["bake", name, place])))
             options = BakeOptions(tile=tile)
             baked = bake(options=options)
-            for waiting in written:
-                waiting.result()  # at most one image is on its way to the disk
+            for waiting in writes:
+                waiting.result()  # at most one image is being written
             pixels = baked.pixels if isinstance(baked, Displacement) else baked
             image = finished(pixels if isinstance(pixels, Image) else Image(pixels), options)
-            written = [aside.submit(write_image, udim_path(output, tile), image, force=force)]
-        for waiting in written:
+            writes = [writer.submit(write_image, udim_path(output, tile), image, force=force)]
+        for waiting in writes:
             waiting.result()
     return baked
 
 
 def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Callable[[Image, BakeOptions], Image]:
-    """What masks leave of an image: it lies over the base image of its tile, or gets alpha."""
+    """Function that applies masks to a baked image: blend over the base image, or add alpha."""
     base, transfer = base_of(request, name), prepared.transfer
     if not transfer.masks.any:
         return lambda image, _: image
@@ -244,7 +244,7 @@ def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Cal
 
 
 def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
-    """What was baked over the base image of its tile, or with how much of it counts as alpha; labels are not mixed."""
+    """A baked image blended over its tile's base image (labels: not mixed), or with weights as alpha."""
     weight = bake_mask(transfer, size=image.size, options=options)
     if base is None:
         image = straight(image)
@@ -252,27 +252,27 @@ def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOp
     under = read_image(udim_path(base, options.tile))
     if under.associated != image.associated:
         image, under = straight(image), straight(under)
-    # Floats are linear where their file says nothing, as those of EXR are.
-    spaces = [one.color_space or "linear" * (one.pixels.dtype.kind == "f") for one in (under, image)]
+    # Floats without a stated colour space are linear, as in EXR.
+    spaces = [picture.color_space or "linear" * (picture.pixels.dtype.kind == "f") for picture in (under, image)]
     if all(spaces) and spaces[0] != spaces[1]:
         text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
         _log.warning(text, base, *spaces)
-    below, own = under.pixels, unit(image.pixels.dtype)
+    below, full = under.pixels, unit(image.pixels.dtype)
     if below.dtype != image.pixels.dtype:
-        below = to_dtype(below * (own / unit(below.dtype)), image.pixels.dtype)
+        below = to_dtype(below * (full / unit(below.dtype)), image.pixels.dtype)
     if options.filter == "nearest":
         weight = (weight >= 0.5).astype(weight.dtype)
     return replace(image, pixels=blend(image.pixels, below, weight))
 
 
 def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:
-    """Channels of the image to write: one more where masks become alpha."""
+    """Channels of the image to write: one more if masks become alpha."""
     opaque = channels % 2 == 1
     return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels
 
 
 def base_size(request: TransferRequest, name: str = "") -> int | None:
-    """Width and height of the base image, which what is baked over it takes."""
+    """Larger side of the base image, or None without one."""
     base = base_of(request, name)
     if base is None:
         return None
@@ -281,7 +281,7 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
 
 
 def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
-    """Note a bake in the manifest, and say what was written."""
+    """Record a bake in the manifest; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
     level = {} if request.level is None else {"level": request.level}
     note_transfer(
@@ -297,12 +297,12 @@ def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) 
 
 
 def unwrapped_name(image: Path) -> Path:
-    """The name of a mesh that gets a layout for an image: its own, since the image's may be that of the user's mesh."""
+    """Name of an image's unwrapped mesh, which differs from the user's mesh."""
     return image.with_name(f"{image.stem.replace(UDIM_MARK, '').rstrip('._')}_unwrapped.obj")
 
 
 def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: dict[str, Any]) -> list[str]:
-    """Write the target with its new layout: its file with other UVs where that is there; returns warnings."""
+    """Write the target with its new layout, as its file with other UVs if possible; returns warnings."""
     mesh = unwrapped_name(request.output)
     original = input_file(request.result, manifest, "target")
     whole = control.file_vertices is None
@@ -316,7 +316,7 @@ def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: d
 
 
 def map_path(output: Path, name: str) -> Path:
-    """Image of one of several maps: its name comes before the tile number and the suffix."""
+    """Image of one of several maps, with the map's name before the tile number and the suffix."""
     output = with_udim_mark(output)
     if not name:
         return output

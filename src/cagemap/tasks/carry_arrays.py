@@ -1,4 +1,4 @@
-"""Values, skinning weights and blend shapes of the source as arrays, carried to the target's control mesh."""
+"""Carry values, skinning weights and blend shapes as arrays to the target's control mesh."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skin import carry_skin
 from cagemap.wrap.terms import counterpart_mask
 
-# A control vertex below this trust takes its weights from those around it.
+# Least trust; control vertices below it take their weights from the vertices around them.
 _TRUSTED = 0.1
-# Where values may be, in the order in which a number of rows is looked up.
+# Kinds of places of values, in the order in which a number of rows is looked up.
 PLACES = ("vertices", "faces", "corners", "refined")
 
 
@@ -38,10 +38,10 @@ PLACES = ("vertices", "faces", "corners", "refined")
 def carry_values(
     result: MatchResult, values: ArrayLike | Mapping[str, ArrayLike], at: str | None = None
 ) -> NDArray[Any] | dict[str, NDArray[Any]]:
-    """Carry values of the source to the same kind of place of the target.
+    """Carry values of the source to places of the same kind on the target.
 
-    Every value of the target is a convex combination of the source's. Integers and truth values are labels, of which
-    the one with the largest share wins. Masks do not count.
+    Every value of the target is a convex combination of the source's. Integers and booleans are labels:
+    the one with the largest share is taken. Masks are ignored.
 
     Parameters
     ----------
@@ -50,17 +50,17 @@ def carry_values(
         One row for each place of the source.
     at : str, optional
         "vertices" (control vertices), "faces" (control faces), "corners" (of the control faces, face by face) or
-        "refined" (vertices of the finest level). Default: the first of these that has as many rows.
+        "refined" (vertices of the finest level). Default: the first kind with as many places as there are rows.
 
     Returns
     -------
     array, or dict of name to array
-        As given; one row for each such place of the target.
+        Of the form of ``values``; one row for each such place of the target.
 
     Raises
     ------
     ParameterError
-        If no place has as many rows, or the values are no numbers.
+        If no kind has as many places as rows, or the values are no numbers.
     """
     sides = result.target.refinement, result.source.refinement
     source = sides[1].control
@@ -99,7 +99,7 @@ def carry_values(
 def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | None = 4) -> FloatArray:
     """Carry skinning weights of the source's control vertices to the target's.
 
-    Vertices where the map is not to be trusted take weights from those around them.
+    Vertices where the map is not trusted take weights from the vertices around them.
 
     Parameters
     ----------
@@ -107,12 +107,12 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
     weights : (n2, j) array
         Weight of each joint, not negative; rows with any weight sum to 1.
     influences : int, optional
-        How many joints may move a vertex; None for all.
+        Most joints per vertex; None for all.
 
     Returns
     -------
     (n1, j) float64
-        Rows sum to 1, unless the source's rows around have none.
+        Rows sum to 1, unless the source rows that they come from are 0.
 
     Raises
     ------
@@ -134,8 +134,8 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
 def trusted_vertices(result: MatchResult) -> NDArray[np.bool_]:
     """(n1,) whether a target control vertex takes its skinning weights from its image."""
     count = result.target.control.n_vertices
-    found = counterpart_mask(result.point_map)[:count] >= 0.5
-    return np.asarray((result.trust[:count] >= _TRUSTED) & found)
+    has_counterpart = counterpart_mask(result.point_map)[:count] >= 0.5
+    return np.asarray((result.trust[:count] >= _TRUSTED) & has_counterpart)
 
 
 @kinds_checked

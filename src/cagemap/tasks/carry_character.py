@@ -1,4 +1,4 @@
-"""A character carried to another body: weights, shapes, skeleton, animations and passengers."""
+"""Carry a character to another body: weights, shapes, skeleton, animations and passengers."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import ready_mesh
 from cagemap.tasks.progress import Stages
 
-# Finest vertices of a body that is subdivided; plain ones are matched as they are.
+# Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedCharacter:
-    """A character on another body, and what tells how it came about."""
+    """A character on another body, with its match and notes."""
 
     character: Character  # In the target's file units. Its first part is the target's body, named like the source's.
     result: MatchResult = field(repr=False)  # from the target's body to the source's
     # (n,) and (m,) for every control vertex of the matched target and source, a vertex of the body's part as given
     rows: tuple[IndexArray, IndexArray] = field(repr=False)
-    # as on the source, in the order of the last parts of ``character``; pieces of the source's body that could not be
-    # matched are among them
+    # parts of the source, in the order of the last parts of ``character``; with pieces of the source's body that could
+    # not be matched
     passengers: tuple[Part, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
 
@@ -63,7 +63,7 @@ def carry_character(
     ----------
     target : Character
         With a body among its parts; the other parts stay, and get the weights of the body's nearest vertices. Its rig
-        and animations are replaced; of shapes with the same name its own stay.
+        and animations are replaced. Its own shapes are kept, also against shapes of the same name.
     source : Character
         With a body among its parts; all other parts are passengers.
     landmarks : Landmarks, optional
@@ -71,11 +71,11 @@ def carry_character(
     bodies : (str or None, str or None)
         Names of the target's and of the source's body; by default `find_body` finds them.
     passengers : sequence of str, optional
-        Names of those to carry. Default: all whose `passenger_word` no other part of the target has.
+        Names of passengers to carry. Default: all whose `passenger_word` no other part of the target has.
     kinds : mapping of str to kind, optional
         See `carry_passengers`.
     influences : int, optional
-        Joints that may move a vertex of the body; None for all.
+        Most joints per vertex of the body; None for all.
     stages : Stages, optional
 
     Raises
@@ -83,7 +83,7 @@ def carry_character(
     InvalidMeshError
         If a body cannot be matched.
     ParameterError
-        If there is no part of a name given.
+        If no part has a given name.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
@@ -117,20 +117,20 @@ def carry_character(
             notes.append(
                 "the body stands in another pose than the character: animations are adapted to the pose of the body"
             )
-    made = Character((body, *extras, *dressed), rig, animations)
-    return CarriedCharacter(made, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
+    character = Character((body, *extras, *dressed), rig, animations)
+    return CarriedCharacter(character, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Two bodies as given, as they were matched, and the map."""
+    """Two bodies as given and as repaired for the match, and the map."""
 
     given: tuple[Part, Part]
     ready: tuple[PlainMesh | Welded, PlainMesh | Welded]
     result: MatchResult
 
     def rows(self, side: int) -> IndexArray:
-        """For every vertex of a mesh that was matched (0 the target's, 1 the source's), a vertex of the one given."""
+        """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
         vertex_of = self.ready[side].vertex_of
         given = np.flatnonzero(vertex_of >= 0)[::-1]  # reversed, so that the first of several is kept
         rows = np.zeros(self.ready[side].mesh.n_vertices, dtype=np.int64)
@@ -138,7 +138,7 @@ class Bodies:
         return rows
 
     def on_target(self, values: FloatArray) -> FloatArray:
-        """Values at the vertices of the target as given; vertices that were set aside copy the nearest matched one."""
+        """Values at the given target's vertices; vertices that were set aside copy the nearest matched vertex."""
         vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
@@ -148,9 +148,9 @@ class Bodies:
 
 
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Match two parts, repaired where they need it."""
+    """Repair two parts if necessary, and match them."""
     ready = ready_mesh(target.mesh), ready_mesh(source.mesh)
-    landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready))
+    landmarks = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
@@ -166,7 +166,7 @@ def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | 
 
 
 def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
-    """Blend shapes of the source, as offsets of the target's vertices as given, by name."""
+    """Blend shapes of the source as offsets of the given target's vertices, by name."""
     shapes = bodies.given[1].shapes
     if not shapes:
         return {}
@@ -177,7 +177,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
 
 
 def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
-    """Pieces of a body's mesh that are not matched, as a part of their own."""
+    """Unmatched pieces of a body's mesh as a separate part; None without any."""
     mesh = body.mesh
     kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
     if kept.all():
@@ -195,7 +195,7 @@ def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
 
 
 def _following(part: Part, body: Part, taken: set[str]) -> Part:
-    """A part of the target with the weights of the body's nearest vertices, and a name that is not taken."""
+    """The part with weights of the body's nearest vertices and an unused name."""
     name = f"{part.name} (own)" if part.name in taken else part.name
     if body.weights is None:
         return replace(part, name=name)
@@ -203,30 +203,30 @@ def _following(part: Part, body: Part, taken: set[str]) -> Part:
 
 
 def with_part(character: Character, part: Part, made: Part) -> Character:
-    """A character with another part in the place of one."""
-    return replace(character, parts=tuple(made if one is part else one for one in character.parts))
+    """A character with ``part`` replaced by ``made``."""
+    return replace(character, parts=tuple(made if candidate is part else candidate for candidate in character.parts))
 
 
 def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
-    """(m,) number of the nearest of some places (n, 3) for others (m, 3)."""
+    """(m,) row of ``places`` (n, 3) nearest to each point of ``asked`` (m, 3)."""
     return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)
 
 
 def _chosen(
     source: Character, source_body: Part, target: Character, target_body: Part, names: Sequence[str] | None
 ) -> tuple[list[Part], list[str]]:
-    """The passengers that are carried, and what is said of the others."""
-    there = [part for part in source.parts if part is not source_body]
+    """Passengers to carry, and notes about the other parts."""
+    candidates = [part for part in source.parts if part is not source_body]
     if names is not None:
-        known = {part.name for part in there}
+        known = {part.name for part in candidates}
         missing = [name for name in names if name not in known]
         if missing:
             raise ParameterError(
                 f"passengers: expected names of parts of the character ({', '.join(sorted(known)) or 'it has none'}), "
                 f"got {', '.join(missing)}"
             )
-        return [part for part in there if part.name in names], []
+        return [part for part in candidates if part.name in names], []
     roles = {passenger_word(part.name) for part in target.parts if part is not target_body} - {""}
-    declined = [part.name for part in there if passenger_word(part.name) in roles]
+    declined = [part.name for part in candidates if passenger_word(part.name) in roles]
     notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
-    return [part for part in there if part.name not in declined], notes if declined else []
+    return [part for part in candidates if part.name not in declined], notes if declined else []

@@ -1,4 +1,4 @@
-"""`cagemap transfer`: images and colours of the source, or of a detailed mesh, baked into the target's layout."""
+"""`cagemap transfer`: bake images and colours of the source, or of a detailed mesh, into the target's layout."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ from cagemap.transfer.vectors import (
     share_of_normals,
 )
 
-# Share of an image's colours that are directions, below which it is hardly a normal map. JPEG leaves most of them so.
+# Least share of a normal map's colours that are unit vectors; JPEG compression keeps more.
 FEWEST_NORMALS = 0.3
 
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """One image, or all maps of a material; the map is followed once for all of them."""
-    given = request.maps if request.texture is None else (("", request.texture),)
-    maps = [(name, _image_file(path, request, result)) for name, path in given]
+    """Carry one image, or all maps of a material, with one prepared bake."""
+    images = request.maps if request.texture is None else (("", request.texture),)
+    maps = [(name, _image_file(path, request, result)) for name, path in images]
     outputs = [map_path(request.output, name) for name, _ in maps]
     for output, (name, path) in zip(outputs, maps, strict=True):
         dtype, channels = read_image_form(path)
@@ -71,10 +71,10 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         check_writable(output, kept, written_channels(request, result, channels, name))
     prepared = prepare_bake(request, result, stages, outputs)
     for (name, path), output in zip(maps, outputs, strict=True):
-        own = replace(request, output=output)
-        image = _bake_map(own, result, prepared, name, path, stages)
+        map_request = replace(request, output=output)
+        image = _bake_map(map_request, result, prepared, name, path, stages)
         entry = _entry("texture", path, image)
-        summary, warnings = finish(own, prepared, entry | ({"map": name} if name else {}))
+        summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
         images_by_use = {
@@ -94,7 +94,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 
 
 def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Path:
-    """An image as given, or the one that a glTF or FBX file holds, written into RESULT."""
+    """An image file as given, or the image of a glTF or FBX file, written into RESULT."""
     if path.suffix.lower() not in SCENE_SUFFIXES:
         return path
     image = extract_texture(path, result.source.control, request.result)
@@ -109,45 +109,47 @@ def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Pa
 def _bake_map(
     request: TransferRequest, result: MatchResult, prepared: Prepared, name: str, path: Path, stages: Stages
 ) -> SourceImage:
-    """Bake one map into all tiles; returns what was read."""
-    given = read_source_image(request, result, path, name=name)
-    turned = not request.as_color and looks_like_normal_map(given.first.pixels)
-    if turned and not name:
+    """Bake one map into all tiles; returns the source image."""
+    source_image = read_source_image(request, result, path, name=name)
+    is_normal_map = not request.as_color and looks_like_normal_map(source_image.first.pixels)
+    if is_normal_map and not name:
         raise ParameterError(
             f"{path}: looks like a normal map, whose directions must turn with the map. Give it as --normal-map, or "
             "add --as-color if it is a picture after all."
         )
-    if turned:
+    if is_normal_map:
         prepared.warnings.append(f"{path} looks like a normal map and is turned with the map, not carried as colours")
-    carry = partial(bake_normal_map, green=cast(Green, request.green)) if turned else bake_texture
+    carry = partial(bake_normal_map, green=cast(Green, request.green)) if is_normal_map else bake_texture
 
     def bake(options: BakeOptions) -> Image:
-        pixels = carry(prepared.transfer, given.texture, size=given.size, dtype=given.dtype, options=options)
-        return replace(given.first, pixels=pixels)
+        pixels = carry(
+            prepared.transfer, source_image.texture, size=source_image.size, dtype=source_image.dtype, options=options
+        )
+        return replace(source_image.first, pixels=pixels)
 
     bake_tiles(request, prepared, bake, stages, name)
-    return given
+    return source_image
 
 
 def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
-    """What the manifest notes of an image that was carried: its file, size baked, and word for the colour space."""
+    """Manifest entry of a carried image: its file, baked size and colour space."""
     return {"kind": kind, "image": path, "size": given.size, "color_space": given.first.color_space}
 
 
 def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """A normal map, in tangent or object space."""
+    """Carry a normal map, in tangent or object space."""
     bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
     return _carry("normal-map", request.normal_map, 3, bake, {"space": request.space}, request, result, stages)
 
 
 def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Displacement along the normal."""
+    """Carry displacement along the normal."""
     bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
     return _carry("displacement", request.displacement, 1, bake, {}, request, result, stages)
 
 
 def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Vector displacement, in tangent or object space."""
+    """Carry vector displacement, in tangent or object space."""
     space = cast(Space, request.space)
     bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
     more = {"space": request.space}
@@ -164,18 +166,18 @@ def _carry(
     result: MatchResult,
     stages: Stages,
 ) -> Outcome:
-    """Bake an image of the source into all tiles, by a bake whose own options are bound; note ``more`` beside it."""
+    """Bake an image of the source into all tiles; the manifest entry gets ``more``."""
     assert path is not None
-    given = read_source_image(request, result, path, channels)
+    source_image = read_source_image(request, result, path, channels)
     prepared = prepare_bake(request, result, stages)
-    if kind == "normal-map" and (share := share_of_normals(given.first.pixels)) < FEWEST_NORMALS:
+    if kind == "normal-map" and (share := share_of_normals(source_image.first.pixels)) < FEWEST_NORMALS:
         prepared.warnings.append(
             f"{path}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
             "Colours go through --texture."
         )
-    bound = partial(bake, prepared.transfer, given.texture, size=given.size, dtype=given.dtype)
+    bound = partial(bake, prepared.transfer, source_image.texture, size=source_image.size, dtype=source_image.dtype)
     baked = bake_tiles(request, prepared, bound, stages)
-    entry = _entry(kind, path, given) | more
+    entry = _entry(kind, path, source_image) | more
     if not isinstance(baked, Displacement):
         return finish(request, prepared, entry)
     summary, warnings = finish(request, prepared, entry | {"midlevel": baked.midlevel, "scale": baked.scale})
@@ -184,7 +186,7 @@ def _carry(
 
 
 def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Colours of the source's materials."""
+    """Bake colours of the source's materials."""
     floats = request.output.suffix.lower() == ".exr"
     dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)
     check_writable(request.output, dtype, written_channels(request, result, 3))
@@ -198,15 +200,15 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
 
 
 def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Normals, displacement, ambient occlusion and colours of a detailed mesh, or of the source itself."""
+    """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
     bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
     mesh = None if request.detail is None else read_mesh(request.detail)
     if mesh is not None and request.detail_texture is not None:
         bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, cast(Filter, request.filter)))
-    own = {kind: bakes.channels(kind) for kind in kinds}
-    bakes.check({kind: written_channels(request, result, own[kind], kind) - own[kind] for kind in kinds})
+    channels = {kind: bakes.channels(kind) for kind in kinds}
+    bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, list(images.values()))
     warnings = prepared.warnings
     if mesh is not None:
@@ -238,7 +240,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
 
 
 def _kinds(request: TransferRequest) -> list[Kind]:
-    """What to bake, checked."""
+    """Checked kinds of images to bake."""
     names = list(dict.fromkeys(request.bake))
     unknown = [name for name in names if name not in KINDS]
     if unknown:

@@ -1,4 +1,4 @@
-"""`cagemap demo`: the built-in pair, end to end, into one folder."""
+"""`cagemap demo`: match and bake the built-in pair into one folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VERTICES = 100_000
 
 
 def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path, str]:
-    """Write the pair's files, match them, bake, report; returns the report's path and the commands that do the same."""
+    """Write the pair's files, match, bake and report; returns the report's path and the equivalent commands."""
     if folder.exists() and not folder.is_dir():
         raise FormatError(f"{folder}: expected a folder to write to, got a file. Give another name.")
     stages("model and paint the pair")
@@ -47,7 +47,7 @@ def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path
 
 
 def _by_hand(target: str, source: str, landmarks: str, result: str, texture: str, baked: str, report: str) -> str:
-    """The commands that do the same."""
+    """Equivalent commands."""
     return "\n".join(
         [
             f"  cagemap match --target {target} --source {source} --landmarks {landmarks} "

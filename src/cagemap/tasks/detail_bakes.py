@@ -1,4 +1,4 @@
-"""Images baked from a detailed mesh, for `cagemap transfer --bake` and onto the cage of `cagemap wrap`."""
+"""Bake images from a detailed mesh, for `cagemap transfer --bake` and `cagemap wrap`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 
 Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-# Kinds that say where the detail is, or which way it faces: nothing, for a surface over itself.
+# Kinds of the detail's offset or direction: empty for a surface over itself.
 OFFSETS: tuple[Kind, ...] = ("normal", "displacement", "vector-displacement")
 _CHANNELS: dict[Kind, int] = {
     "normal": 3,
@@ -60,20 +60,20 @@ _CHANNELS: dict[Kind, int] = {
     "vector-displacement": 3,
     "ao": 1,
     "colors": 3,
-    "texture": 1,  # of the image itself, once it is read
+    "texture": 1,  # replaced by the image's number once it is read
 }
-# Formats with 16 bits, and what needs them.
+# Formats with 16 bits.
 _DEEP = (".png", ".tif", ".tiff")
-# Less of the source than this has detail near it: worth a warning.
+# Share of the source with detail near it; below it there is a warning.
 _COVERED = 0.99
 
 
 @dataclass(frozen=True, eq=False)
 class DetailTexture:
-    """A detailed mesh's own image, and where its triangles lie in it."""
+    """A detailed mesh's own image, with its texture coordinates."""
 
     texture: Pixels | dict[int, Pixels]
-    first: Image  # whose form (number type, colour space) the result takes
+    first: Image  # gives the result its number type and colour space
     uvs: FloatArray  # (p, 2)
     uv_triangles: IndexArray  # (t, 3)
     filter: Filter = "smooth"  # as `BakeOptions` has it
@@ -81,12 +81,12 @@ class DetailTexture:
 
 @dataclass(frozen=True)
 class DetailBakes:
-    """What to bake from a detailed mesh, and where to."""
+    """Images to bake from a detailed mesh, with their files."""
 
     images: dict[Kind, Path]
     size: int
     bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
-    request: TransferRequest | WrapRequest  # whose space, green, rays and force hold
+    request: TransferRequest | WrapRequest  # gives space, green, rays and force
     texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
 
     def channels(self, kind: Kind) -> int:
@@ -104,13 +104,13 @@ class DetailBakes:
         return pixel_type(self.bits or default, suffix)
 
     def check(self, more: Mapping[Kind, int] = MappingProxyType({})) -> None:
-        """Refuse images whose formats cannot hold what they are to; some have more channels (alpha)."""
+        """Refuse file formats that cannot hold their images, with ``more`` channels (alpha)."""
         for kind, path in self.images.items():
             check_writable(path, self.dtype(kind), self.channels(kind) + more.get(kind, 0))
 
 
 def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str]]:
-    """A detailed mesh over the source of a bake; and warnings."""
+    """`Detail` of a mesh over the source of a bake, and warnings."""
     source = transfer.point_map.source
     detail = detail_over(source, mesh.positions, cage_triangles(mesh)[0])
     share = detailed_share(detail, source)
@@ -120,7 +120,7 @@ def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str
 
 
 def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> DetailTexture:
-    """An image on a detailed mesh, refused where that has no texture coordinates."""
+    """Read an image of a detailed mesh; refuse meshes without texture coordinates."""
     if mesh.uvs is None or mesh.uv_indices is None:
         raise ParameterError(f"{mesh.name}: expected texture coordinates for --detail-texture, the mesh has none")
     texture = read_texture(path)
@@ -129,7 +129,7 @@ def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> De
 
 
 def vertex_colors(mesh: ControlMesh) -> FloatArray:
-    """(n, 3) colours of a detailed mesh, refused where it has none."""
+    """(n, 3) vertex colours of a detailed mesh; refuse meshes without them."""
     if mesh.vertex_colors is None:
         raise ParameterError(
             f"{mesh.name}: expected colours at its vertices to bake, got none (OBJ: six numbers a `v` line; PLY: red, "
@@ -148,11 +148,11 @@ def bake_detail(
     units: str,
     finished: Callable[[Kind], Callable[[Image, BakeOptions], Image]] = lambda _: lambda image, _: image,
 ) -> list[str]:
-    """Bake and write all images; returns a line about each.
+    """Bake and write all images; returns one line about each.
 
-    ``colors``: (n, 3) or None, at the detail's vertices, where colours are asked for.
-    ``units``: whose units lengths are in, as the reader is told.
-    ``finished``: of every kind, what is written of an image that was baked.
+    ``colors``: (n, 3) at the detail's vertices, or None if colours are not requested.
+    ``units``: owner of the units of lengths, for the lines.
+    ``finished``: kind -> function from a baked image to the image to write.
     """
     lines, request = [], bakes.request
     for kind, path in bakes.images.items():
@@ -165,7 +165,7 @@ def bake_detail(
         bake = _baker(bakes, kind, transfer, detail, colors, dtype, scale)
         write_tiles(path, tiles, bake, stages, finished(kind), force=request.force, name=kind)
         meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
-        says: dict[Kind, str] = {
+        descriptions: dict[Kind, str] = {
             "normal": f"normals in {request.space} space, green {request.green}",
             "displacement": f"height along the normal = {meaning}",
             "vector-displacement": f"offset in {request.space} space = {meaning}",
@@ -173,7 +173,7 @@ def bake_detail(
             "colors": "colours",
             "texture": "the detailed mesh's texture",
         }
-        lines.append(f"wrote {path}: {says[kind]}")
+        lines.append(f"wrote {path}: {descriptions[kind]}")
     return lines
 
 
@@ -186,17 +186,24 @@ def _baker(
     dtype: np.dtype[Any],
     scale: float,
 ) -> Callable[..., Pixels | Image | Displacement]:
-    """The bake of one kind of image, for the ``options`` of any tile."""
-    size, own = bakes.size, bakes.texture
+    """Function that bakes one kind of image, with ``options`` of a tile."""
+    size, image = bakes.size, bakes.texture
     space, green = cast(Space, bakes.request.space), cast(Green, bakes.request.green)
-    if kind == "texture" and own is not None:
+    if kind == "texture" and image is not None:
 
         def bake(*, options: BakeOptions) -> Image:
-            read = replace(options, filter=own.filter)
+            image_options = replace(options, filter=image.filter)
             pixels = bake_detail_texture(
-                transfer, detail, own.texture, own.uvs, own.uv_triangles, size=size, dtype=dtype, options=read
+                transfer,
+                detail,
+                image.texture,
+                image.uvs,
+                image.uv_triangles,
+                size=size,
+                dtype=dtype,
+                options=image_options,
             )
-            return replace(own.first, pixels=pixels)
+            return replace(image.first, pixels=pixels)
 
         return bake
     if kind in ("ao", "colors"):
@@ -211,18 +218,18 @@ def _baker(
 
 
 def _range(bake: Callable[..., Pixels | Image | Displacement], tiles: list[int]) -> float:
-    """What the values 0 and 1 of integers are apart, so that they hold all that a bake of floats has."""
+    """Scale of integer images: length between the values 0 and 1 that holds all floats of a bake."""
     largest = 0.0
     for tile in tiles:
         baked = bake(options=BakeOptions(tile=tile))
         pixels = baked.pixels if isinstance(baked, Displacement | Image) else baked
         largest = max(largest, float(np.abs(pixels).max()))
-    # A trace of room, since the largest is rounded to single precision.
+    # Slightly larger, since the maximum is rounded to single precision.
     return 2.0 * (1.0 + 1e-6) * largest or 1.0
 
 
 def wrap_bakes(request: WrapRequest) -> DetailBakes:
-    """What is to be baked onto the wrapped cage."""
+    """Images to bake onto the wrapped cage."""
     images: dict[Kind, Path | None] = {
         "normal": request.normal_map,
         "displacement": request.displacement,
@@ -236,20 +243,20 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
 
 
 def outputs_beside(request: WrapRequest) -> list[Path]:
-    """What is written beside the mesh: images, or patterns of their tiles, and a file for MakeHuman."""
+    """Further output files: images, or patterns of their tiles, and a file for MakeHuman."""
     carried = None if request.detail_texture is not None else request.baked
     others = (path for path in (carried, request.mhclo) if path is not None)
     return [*wrap_bakes(request).images.values(), *others]
 
 
 def textures_read(request: WrapRequest) -> list[Path]:
-    """Images that are read, tile by tile."""
+    """Image files to read, one per tile."""
     given = (path for path in (request.texture, request.detail_texture) if path is not None)
     return [file for path in given for file in texture_files(path)]
 
 
 def require_bakeable(request: WrapRequest, result: MatchResult) -> ControlMesh | None:
-    """Refuse images that cannot be baked, before any work is done for the mesh; gives the detailed mesh, if any."""
+    """Refuse images that cannot be baked, before wrapping; returns the detailed mesh, if any."""
     images, control = wrap_bakes(request).images, result.target.control
     if images and control.uvs is None:
         raise ParameterError(
@@ -271,7 +278,7 @@ def require_bakeable(request: WrapRequest, result: MatchResult) -> ControlMesh |
 def bake_wrapped(
     request: WrapRequest, result: MatchResult, wrapped: Wrapped, mesh: ControlMesh | None, stages: Stages
 ) -> tuple[list[str], list[str]]:
-    """Bake the images that were asked for, of a detailed mesh or the source; returns lines about them and warnings."""
+    """Bake the requested images of a detailed mesh or the source; returns lines and warnings."""
     bakes = wrap_bakes(request)
     if not bakes.images:
         return [], []

@@ -1,4 +1,4 @@
-"""`cagemap run --dry-run`: the tasks of a job, how large they are, and about what they will take."""
+"""`cagemap run --dry-run`: the tasks of a job, their sizes and estimated costs."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from cagemap.spectral.surface import DEFAULT_VERTICES
 from cagemap.subdivision.refinement import default_scheme, vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest
 
-# Side of an image that is baked, unless the job says otherwise.
+# Default side of a baked image.
 IMAGE = 2048
 
-# What an output of `transfer` bakes: images over the source's texture coordinates, and what needs the target's alone.
+# Options of `transfer` that bake: from images over the source's UVs, and those that need only the target's UVs.
 _OVER_SOURCE = ("texture", "maps", "displacement", "normal_map", "vector_displacement")
 _BAKED = ("material_colors", "bake")
 
 
 @dataclass(frozen=True)
 class AssetSize:
-    """How large a model is; zeros where its mesh cannot be read."""
+    """Vertex counts of a model; zeros if its mesh cannot be read."""
 
-    # `control`, `finest`, `prepared`: vertices of the control mesh, of the finest level, and of the level that its
-    # basis ends on
+    # `control`, `finest`, `prepared`: vertices of the control mesh, of the finest level, and of the last level of its
+    # basis
     control: int = 0
     finest: int = 0
     prepared: int = 0
@@ -53,7 +53,7 @@ class AssetSize:
 
 
 def dry_run(job: Job, plan: Plan, workers: int) -> str:
-    """The tasks of a job, which are done, how large they are, and about what the others will take."""
+    """Text with a job's tasks, their states and sizes, and estimated time, memory and disk space."""
     sizes = {name: _size(job, name, plan) for name in job.assets}
     lines, total, memory, disk = [], 0.0, 0.0, 0.0
     missing = missing_tasks(plan)
@@ -62,12 +62,16 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         if task.name not in waiting:
             lines.append(f"  {number} {task.name}: done")
             continue
-        own = [sizes[name] for name in task.pair or (task.request["asset"],)]
-        both = [size.both for size in own]
-        seconds = _seconds(task, both)
-        total, memory, disk = total + seconds, max(memory, worker_memory(both)), disk + _bytes(task, own)
-        shown = " + ".join(f"{size.finest:,}" for size in own)
-        lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, own)}")
+        asset_sizes = [sizes[name] for name in task.pair or (task.request["asset"],)]
+        vertex_sizes = [size.both for size in asset_sizes]
+        seconds = _seconds(task, vertex_sizes)
+        total, memory, disk = (
+            total + seconds,
+            max(memory, worker_memory(vertex_sizes)),
+            disk + _bytes(task, asset_sizes),
+        )
+        shown = " + ".join(f"{size.finest:,}" for size in asset_sizes)
+        lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, asset_sizes)}")
     used = max(min(workers, len(missing)), 1)
     minutes = (total / used + STARTUP_SECONDS * bool(missing)) / 60
     return "\n".join(
@@ -85,7 +89,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
 
 
 def _foreseen(task: Task, sizes: list[AssetSize]) -> str:
-    """What an image will be refused for: a mesh without texture coordinates."""
+    """Why a bake will be refused (a mesh without texture coordinates), or an empty text."""
     if task.kind != "transfer" or task.pair is None:
         return ""
     source, target = (size.laid_out for size in sizes)
@@ -107,18 +111,18 @@ def _seconds(task: Task, sizes: list[Size]) -> float:
 
 
 def _bytes(task: Task, sizes: list[AssetSize]) -> float:
-    """Bytes that a task leaves on the disk, images of outputs aside."""
+    """Bytes that a task writes to the disk, without output images."""
     if task.kind == "prepare":
         return surface_bytes(sizes[0].both, sizes[0].prepared)
     return result_bytes([size.both for size in sizes]) if task.kind in ("match", "compose") else 0.0
 
 
 def _size(job: Job, name: str, plan: Plan) -> AssetSize:
-    """How large an asset will be with the options of its first pair."""
+    """Size of an asset with the options of its first pair."""
     options = next((_options(task.request) for task in plan.tasks if _reads(task, name)), {})
     try:
-        own = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
-        control = own.applied(read_whole(job.assets[name].file))
+        subdivision = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
+        control = subdivision.applied(read_whole(job.assets[name].file))
         wanted = int(options.get("vertices") or DEFAULT_VERTICES)
         level = int(options.get("level") or choose_level(control, wanted))
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
@@ -135,7 +139,7 @@ def _reads(task: Task, name: str) -> bool:
 
 
 def _options(request: Mapping[str, object]) -> dict[str, str]:
-    """Options of a task's request, wherever they stand."""
-    inner = request.get("options")
-    found = inner if isinstance(inner, dict) else request
-    return {key: str(value) for key, value in found.items() if key in ("vertices", "level", "scheme") and value}
+    """Size options of a task's request, from its ``options`` or the request itself."""
+    nested = request.get("options")
+    options = nested if isinstance(nested, dict) else request
+    return {key: str(value) for key, value in options.items() if key in ("vertices", "level", "scheme") and value}

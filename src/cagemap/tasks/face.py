@@ -1,4 +1,4 @@
-"""`cagemap face`: the face shapes that ARKit names, put onto a head."""
+"""`cagemap face`: add ARKit's face shapes to a head."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cagemap.tasks.requests.models import FaceRequest
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.rig_character import body_in, read_body
 
-# Share of a head's area on which the match is to be trusted: heads have 0.98 and more, a whole body 0.5.
+# Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _TRUSTED = 0.8
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
@@ -41,14 +41,14 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     _require_paths(request)
     stages("read")
     kit = read_face_kit(None if request.only is None else _names(request.only))
-    document, given = read_body(request.head)
-    body = body_in(given, request.part, request.head)
+    document, file_character = read_body(request.head)
+    body = body_in(file_character, request.part, request.head)
     kept = [name for name in kit.shapes if name in body.shapes]
-    kit = replace(kit, shapes={name: one for name, one in kit.shapes.items() if name not in kept})
-    vertices = _head_vertices(body, given.rig)
+    kit = replace(kit, shapes={name: offsets for name, offsets in kit.shapes.items() if name not in kept})
+    vertices = _head_vertices(body, file_character.rig)
     head = body if vertices is None else _cut(body, vertices)
-    found = match_bodies(head, kit, _landmarks(request, head), stages)
-    trusted = found.result.quality.trusted_area
+    bodies = match_bodies(head, kit, _landmarks(request, head), stages)
+    trusted = bodies.result.quality.trusted_area
     if trusted < _TRUSTED:
         raise ParameterError(
             f"{request.head}: expected a head, but on {1.0 - trusted:.0%} of the part {body.name!r} the face's map "
@@ -56,8 +56,8 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
             "--landmarks."
         )
     stages("shapes")
-    shapes = _on_body(body_shapes(found), head, body)
-    character = with_part(given, body, replace(body, shapes={**body.shapes, **shapes}))
+    shapes = _on_body(body_shapes(bodies), head, body)
+    character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
     stages("write")
     with all_or_nothing():
         write_document(request.output, character_glb(character, document), force=request.force)
@@ -82,14 +82,14 @@ def _require_paths(request: FaceRequest) -> None:
 
 
 def _names(words: str) -> tuple[str, ...]:
-    found = tuple(dict.fromkeys(comma_words(words)))
-    if not found:
+    names = tuple(dict.fromkeys(comma_words(words)))
+    if not names:
         raise ParameterError("only: expected names of shapes with commas between them, such as jawOpen, got none")
-    return found
+    return names
 
 
 def _head_vertices(body: Part, rig: Rig | None) -> IndexArray | None:
-    """Vertices that head and neck move; None where a body has no such joints, or is a head alone."""
+    """Vertices moved by head and neck; None without such joints or for a head alone."""
     if rig is None or body.weights is None:
         return None
     joint = humanoid_joints(rig)
@@ -104,7 +104,7 @@ def _head_vertices(body: Part, rig: Rig | None) -> IndexArray | None:
 
 
 def _cut(body: Part, vertices: IndexArray) -> Part:
-    """The faces between some vertices."""
+    """The part's faces whose vertices are all among ``vertices``."""
     inside = np.zeros(body.mesh.n_vertices, dtype=bool)
     inside[vertices] = True
     faces = np.flatnonzero(np.logical_and.reduceat(inside[body.mesh.face_indices], body.mesh.face_offsets[:-1]))
@@ -114,7 +114,7 @@ def _cut(body: Part, vertices: IndexArray) -> Part:
 
 
 def _landmarks(request: FaceRequest, head: Part) -> Landmarks:
-    """Points of HEAD's file and those of the kit of the same names, as vertices."""
+    """Landmarks from points of HEAD's file to the kit's points of the same names."""
     if request.landmarks is None:
         return Landmarks.none()
     mesh = read_mesh(request.head)
@@ -125,7 +125,7 @@ def _landmarks(request: FaceRequest, head: Part) -> Landmarks:
 
 
 def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str, FloatArray]:
-    """Shapes of a head cut from a body, on all of it."""
+    """Shapes of a head as shapes of the whole body; 0 outside the head."""
     if head is body:
         return shapes
     number = numbers_on_part(head.mesh, body.mesh)
@@ -133,11 +133,11 @@ def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str,
 
 
 def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part) -> Image:
-    """Pictures of shapes of the part ``name``, row by row in their order, after one of the face at rest.
+    """Pictures of shapes of the part ``name``, in rows, after a picture of the face at rest.
 
     mouthClose corrects jawOpen and is shown with it.
 
-    ``head``: what the camera shows. Returns (h, w, 3) uint8.
+    ``head``: the part that the camera frames. Returns (h, w, 3) uint8.
     """
     meshes = [part.mesh for part in character.parts]
     starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
@@ -146,14 +146,14 @@ def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: 
     )
     rest = np.concatenate([mesh.positions for mesh in meshes])
     number = next(k for k, part in enumerate(character.parts) if part.name == name)
-    own = character.parts[number].shapes
+    part_shapes = character.parts[number].shapes
     camera = frame(head.mesh.positions, _VIEW, aspect=1.0)
     cells = []
     for shape in (None, *shapes):
         places = rest.copy()
         if shape is not None:
-            along = own.get("jawOpen", 0.0) if shape == "mouthClose" else 0.0
-            places[starts[number] : starts[number + 1]] += own[shape] + along
+            along = part_shapes.get("jawOpen", 0.0) if shape == "mouthClose" else 0.0
+            places[starts[number] : starts[number + 1]] += part_shapes[shape] + along
         model = Model(places, triangles)
         cells.append(render(model, Skin(), camera, width=_PIXELS, height=_PIXELS, floor=False))
     blank = np.full_like(cells[0], 255)

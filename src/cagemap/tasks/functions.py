@@ -1,4 +1,4 @@
-"""`cagemap functions`: one mesh in, its eigenfunctions and descriptors at vertices out (paper, 4 and 5.1)."""
+"""`cagemap functions`: write eigenfunctions and descriptors of a mesh at its vertices (paper, 4 and 5.1)."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ ARRAYS = (".npz", ".npy", ".csv")
 
 
 def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
-    """Write functions of a mesh, as arrays or as its colours; returns a summary and notes."""
+    """Write functions of a mesh as arrays or vertex colours; returns a summary and notes."""
     kinds = _kinds(request)
     check_outputs([request.output], [request.mesh], force=request.force)
     basis = _basis(request)
     stages("read")
-    read = read_mesh(request.mesh)
-    welded = weld_asked(read, request.weld)
+    file_mesh = read_mesh(request.mesh)
+    welded = weld_asked(file_mesh, request.weld)
     control = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing).applied(welded.mesh)
     require_valid(control)
-    points = welded.vertex_of[_points(request, kinds, read)]
+    points = welded.vertex_of[_points(request, kinds, file_mesh)]
     level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level
     require_size(control, level)
     surface = prepare_surface(control, level, basis, progress=stages)
@@ -48,19 +48,19 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     if at > finest:
         raise ParameterError(f"--at: expected a level from 0 to {finest}, got {at}")
     if at < surface.basis.last_level and basis.schedule is None and not surface.refinement.is_plain:
-        # Functions of a coarser level than the usual one are computed there.
+        # Functions of a level coarser than the basis are computed on that level.
         surface = prepare_surface(control, level, replace(basis, schedule=(*(0 for _ in range(at)), request.k)))
     stages("functions")
-    found = functions_at(surface, at, kinds, (request.heat, request.wave), points)
+    arrays = functions_at(surface, at, kinds, (request.heat, request.wave), points)
     stages("write")
-    count, n = sum(found[name].shape[1] for name in _names(kinds)), len(found[_names(kinds)[0]])
+    count, n = sum(arrays[name].shape[1] for name in _names(kinds)), len(arrays[_names(kinds)[0]])
     if request.output.suffix.lower() == ".ply":
-        column = _write_colors(request, surface, at, found[_names(kinds)[0]])
+        column = _write_colors(request, surface, at, arrays[_names(kinds)[0]])
         text = f"wrote {request.output}: {kinds[0]} {column} in colours, at {n} vertices of level {at}"
         return text, list(welded.notes)
     if request.output.suffix.lower() != ".npz":
-        found = {name: found[name] for name in _names(kinds)}
-    write_attributes(request.output, found, force=request.force)
+        arrays = {name: arrays[name] for name in _names(kinds)}
+    write_attributes(request.output, arrays, force=request.force)
     text = f"wrote {request.output}: {count} functions ({', '.join(kinds)}) at {n} vertices of level {at}"
     return text, list(welded.notes)
 
@@ -68,32 +68,32 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
 def functions_at(
     surface: Surface, level: int, kinds: tuple[str, ...], filters: tuple[int, int], points: IndexArray
 ) -> dict[str, FloatArray]:
-    """Functions of some `KINDS` at the vertices of a level, and what they are made of.
+    """Functions of some `KINDS` at the vertices of a level, with their eigenvalues, areas and filters.
 
-    ``filters``: (int, int), heat and wave filters.
-    ``points``: (p,), control vertices that kernels start from. Returns of each kind (n, q), by its name with ``_`` for
+    ``filters``: (int, int), numbers of heat and wave filters.
+    ``points``: (p,), control vertices that kernels start from. Returns (n, q) of each kind, by its name with ``_`` for
         ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with signatures and kernels ``heat_times``,
         ``wave_energies``; with kernels ``points``. Kernel j of point i is column ``i q + j``.
     """
     on = surface.finest if surface.refinement.is_plain else level
     rows, eigenvalues = research.eigenfunctions(surface, on)
-    found = {"eigenvalues": eigenvalues, "vertex_areas": surface.triangles(on).vertex_areas}
+    arrays = {"eigenvalues": eigenvalues, "vertex_areas": surface.triangles(on).vertex_areas}
     heat, wave = filters
     values: dict[str, FloatArray] = {EIGENFUNCTIONS: rows}
     if set(kinds) - {EIGENFUNCTIONS}:
-        made = research.heat_and_wave_filters(surface, surface, heat, wave)
-        found |= {"heat_times": made.times, "wave_energies": made.energies}
-        both = research.signature_functions(surface, made, on)
-        values |= {"heat-signatures": both[:, :heat], "wave-signatures": both[:, heat:]}
+        filter_bank = research.heat_and_wave_filters(surface, surface, heat, wave)
+        arrays |= {"heat_times": filter_bank.times, "wave_energies": filter_bank.energies}
+        signatures = research.signature_functions(surface, filter_bank, on)
+        values |= {"heat-signatures": signatures[:, :heat], "wave-signatures": signatures[:, heat:]}
         if any(kind.endswith("kernels") for kind in kinds):
-            found["points"] = points.astype(np.float64)
-            kernels = research.landmark_functions(surface, made, points, on)
+            arrays["points"] = points.astype(np.float64)
+            kernels = research.landmark_functions(surface, filter_bank, points, on)
             table = kernels.reshape(len(rows), len(points), heat + wave)
             values["heat-kernels"] = table[:, :, :heat].reshape(len(rows), -1)
             values["wave-kernels"] = table[:, :, heat:].reshape(len(rows), -1)
     for kind, name in zip(kinds, _names(kinds), strict=True):
-        found[name] = values[kind]
-    return found
+        arrays[name] = values[kind]
+    return arrays
 
 
 def _kinds(request: FunctionsRequest) -> tuple[str, ...]:
@@ -123,7 +123,7 @@ def _basis(request: FunctionsRequest) -> BasisConfig:
 
 
 def _points(request: FunctionsRequest, kinds: tuple[str, ...], control: ControlMesh) -> IndexArray:
-    """Control vertices that kernels start from; none where there are none."""
+    """Control vertices that kernels start from; none without kernels."""
     if not any(kind.endswith("kernels") for kind in kinds):
         return np.zeros(0, dtype=np.int64)
     try:
@@ -143,7 +143,7 @@ def _names(kinds: tuple[str, ...]) -> list[str]:
 
 
 def _write_colors(request: FunctionsRequest, surface: Surface, level: int, values: FloatArray) -> int:
-    """The mesh of a level with one function as vertex colours: blue and red around 0, or dark to light."""
+    """Write the mesh of a level with one function as vertex colours; returns the function's column."""
     signed = values.min() < 0.0
     spread = np.ptp(values, axis=0) > 1e-6 * max(float(np.abs(values).max()), np.finfo(float).tiny)
     column = int(np.argmax(spread)) if request.column is None else request.column

@@ -1,4 +1,4 @@
-"""`cagemap map`: a RESULT from a point map of any program, for transfer, wrap and report."""
+"""`cagemap map`: write a RESULT from a point map of any program, for transfer, wrap and report."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAP_VERTICES = 50_000
 
 
 def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
-    """Judge a map and write it as a RESULT folder; returns a summary and warnings."""
+    """Measure a map's quality and write it as a RESULT folder; returns a summary and warnings."""
     files = {"target": request.target, "source": request.source, "map": request.map}
     files.update(mask_inputs(request))
     check_result_folder(request.output, force=request.force)
@@ -36,22 +36,24 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     stages("read")
     stated = stated_inputs(files, request.output)
     filed = read_mesh(request.target), read_mesh(request.source)
-    words = (request.weld if own is None else own for own in (request.target_weld, request.source_weld))
+    words = (
+        request.weld if side_weld is None else side_weld for side_weld in (request.target_weld, request.source_weld)
+    )
     welded = [weld_asked(mesh, word) for mesh, word in zip(filed, words, strict=True)]
-    target, source = (_surface(one.mesh, request.level) for one in welded)
+    target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.n_levels:
         source = Surface(source.refinement.up_to(level))
     places = target.finest_triangles, source.finest_triangles
-    # A map may count the vertices of any level: those of a coarser one are the first of every finer one.
+    # A map may have the vertices of any level: they are the first vertices of every finer level.
     point_map = dense_map(read_images(request.map, places[1]), target.refinement, places[0])
-    given = read_masks(request, filed, (request.target, request.source))
-    masks = masks_on(given, (target, source))
+    file_masks = read_masks(request, filed, (request.target, request.source))
+    masks = masks_on(file_masks, (target, source))
     masks.require_fit(places[0].n, places[1].n)
     stages("quality")
     quality = measure_quality(point_map, masks=masks)
-    asked = said(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
-    parameters = {"method": "map of the user's", "level": request.level, **asked}
+    options = said(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
+    parameters = {"method": "map of the user's", "level": request.level, **options}
     provenance = {"parameters": parameters, "inputs": stated}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
@@ -63,7 +65,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     )
     if level is not None:
         text += f"\n  its points are taken for those of level {level} of {request.source.name}; --level says another"
-    return text, [*(note for one in welded for note in one.notes), *quality.warnings]
+    return text, [*(note for joined in welded for note in joined.notes), *quality.warnings]
 
 
 def _surface(control: ControlMesh, level: int | None) -> Surface:

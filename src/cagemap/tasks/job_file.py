@@ -19,13 +19,13 @@ from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import WRITTEN
 
 JOB = "job.toml"
-# Fields of requests that are no options of a job: where things are, and what may be overwritten.
+# Fields of requests that are no options of a job: paths, and permission to overwrite.
 _PLACES = ("target", "source", "result", "results", "output", "cache", "force")
 _log = logging.getLogger(__name__)
 
 
 def note_match(request: Any) -> None:
-    """Write the job file of a match, or of a given map, into its RESULT folder; one that somebody edited stays."""
+    """Write the job file of a match or map into its RESULT folder, unless it was edited."""
     folder: Path = request.output
     if (folder / JOB).exists() and not is_own(folder / JOB):
         _log.info("%s: was edited, so this match is not noted in it", folder / JOB)
@@ -43,7 +43,7 @@ def note_match(request: Any) -> None:
 
 
 def note_output(command: str, folder: Path, request: Any) -> None:
-    """Add an output to the job file of its RESULT folder; the same file replaces. A file that was edited stays."""
+    """Add or replace an output in the job file of its RESULT folder, unless it was edited."""
     place = folder / JOB
     if not place.is_file() or not is_own(place):
         _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
@@ -59,26 +59,26 @@ def note_output(command: str, folder: Path, request: Any) -> None:
 
 
 def _without(entry: dict[str, Any], files: set[str]) -> dict[str, Any]:
-    """An output that writes none of some files beside its own."""
+    """An output entry without options that write one of ``files``."""
     beside = WRITTEN.get(entry.get("command", ""), ())
     return {name: value for name, value in entry.items() if name not in beside or value not in files}
 
 
 def stated_options(request: Any, folder: Path) -> dict[str, Any]:
-    """Options of a request that are not the defaults, as TOML has them; paths relative to the RESULT folder."""
+    """Options that differ from the defaults, for TOML; paths are relative to the RESULT folder."""
     options = {}
     for field in fields(request):
         value = getattr(request, field.name)
         if field.name in _PLACES or value is None or value == _default(field):
             continue
-        # A name or a file: which one it is, its words say, not its type.
+        # A mask is a name or a file: its suffix decides, not its type.
         file = mask_file(value) if field.name in ("target_mask", "source_mask") else None
         options[field.name] = stated(value, folder) if file is None else value.replace(str(file), str(file.resolve()))
     return options
 
 
 def _asset_name(path: Path) -> str:
-    """A mesh file's name as an asset may be called."""
+    """A valid asset name from a mesh file's name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")[:60] or "model"
 
 
@@ -94,5 +94,5 @@ def _write(path: Path, data: dict[str, Any]) -> None:
         return
     try:
         write_whole(path, content)
-    except FormatError as error:  # what it would repeat is there; a RESULT may be somebody else's
+    except FormatError as error:  # the result itself is written; its folder may be read-only
         _log.warning("%s What was done is not noted there.", error)

@@ -1,4 +1,4 @@
-"""`--target-mask`, `--source-mask`: weights of both models, and `--base`, the target's own values outside them."""
+"""`--target-mask`, `--source-mask`: weights of both models; `--base`: the target's own values outside the masks."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.tasks.requests.matching import MapRequest, MatchRequest
 from cagemap.tasks.requests.results import TransferRequest, WrapRequest, base_of
 
-# Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
+# Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02
-# Before a name: everything but that.
+# Prefix of a name that inverts the mask.
 NOT = "not:"
 
 
 @dataclass(frozen=True, eq=False)
 class GivenMask:
-    """A mask as it was given, for a file's whole mesh."""
+    """A mask of a file's whole mesh: values, faces or an image."""
 
     vertices: FloatArray | None = None  # (n_0,) values at the file's control vertices
     faces: FloatArray | None = None  # (m_0,) values at the file's control faces
-    image: Pixels | dict[int, Pixels] | None = None  # painted over the UVs; several by UDIM number
-    inverted: bool = False  # everything but that
+    image: Pixels | dict[int, Pixels] | None = None  # over the UVs; several images by UDIM number
+    inverted: bool = False  # whether values v become 1 - v
     edge: float = 0.0  # width of its soft edge, see `cagemap.maps.masks.soft_edge`
 
     def on(self, refinement: Refinement, surface: TriangleSurface) -> FloatArray:
-        """(n,) mask of the finest vertices of the file's mesh or of a part of it."""
+        """(n,) mask of the finest vertices of the file's mesh or a part of it."""
         control = refinement.control
         if self.vertices is not None:
             rows = slice(None) if control.file_vertices is None else control.file_vertices
@@ -79,7 +79,7 @@ Masked = MatchRequest | MapRequest | TransferRequest | WrapRequest
 
 
 def mask_file(text: str | None) -> Path | None:
-    """The file that a mask is read from, where it is not a part's name."""
+    """The file of a mask; None if the text is a part's name."""
     if text is None:
         return None
     path = Path(text.removeprefix(NOT))
@@ -88,19 +88,19 @@ def mask_file(text: str | None) -> Path | None:
 
 
 def mask_inputs(request: Masked) -> dict[str, Path]:
-    """Files of both masks, an image's tiles too, by the names that a manifest has for them."""
-    found: dict[str, Path] = {}
+    """Files of both masks, with an image's tiles, by their names in a manifest."""
+    files: dict[str, Path] = {}
     for side, text in (("target", request.target_mask), ("source", request.source_mask)):
         path = mask_file(text)
         if path is not None:
             from cagemap.files.images.image import texture_files
 
-            found |= {f"{side}_mask_{i}": file for i, file in enumerate(texture_files(path))}
-    return found
+            files |= {f"{side}_mask_{i}": file for i, file in enumerate(texture_files(path))}
+    return files
 
 
 def read_masks(request: Masked, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
-    """Masks of the target's and the source's whole files."""
+    """Read the masks of the target's and the source's whole files."""
     texts = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
     target, source = (
         None if text is None else read_mask(text, request.mask_edge, control, file, option)
@@ -121,24 +121,28 @@ def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
 
 
 def with_masks(result: MatchResult, request: Masked, folder: Path) -> MatchResult:
-    """The same result with more left out of it: what counts is the product of its own masks and the request's.
+    """A result whose masks are multiplied by the request's masks.
 
-    Masks are in the words and numbers of the files that were matched, which are looked up from ``folder``, the RESULT.
+    Masks use names and numbers of the matched files, whose paths are relative to ``folder``, the RESULT.
     """
-    asked = {"target": request.target_mask, "source": request.source_mask}
-    if (*asked.values(), request.mask_edge) == (None, None, None):
+    texts = {"target": request.target_mask, "source": request.source_mask}
+    if (*texts.values(), request.mask_edge) == (None, None, None):
         return result
-    whole = [_matched_file(result, side, folder, given=text is not None) for side, text in asked.items()]
-    given = read_masks(request, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
-    more = masks_on(given, (result.target, result.source))
-    both = zip((result.masks.target, result.masks.source), (more.target, more.source), strict=True)
-    masks = Masks(*(one if two is None else two if one is None else one * two for one, two in both))
+    matched_files = [_matched_file(result, side, folder, given=text is not None) for side, text in texts.items()]
+    file_masks = read_masks(
+        request, (matched_files[0][0], matched_files[1][0]), (matched_files[0][1], matched_files[1][1])
+    )
+    more = masks_on(file_masks, (result.target, result.source))
+    pairs = zip((result.masks.target, result.masks.source), (more.target, more.source), strict=True)
+    masks = Masks(
+        *(first if second is None else second if first is None else first * second for first, second in pairs)
+    )
     masks.require_fit(len(result.target.vertices), len(result.source.vertices))
     return replace(result, masks=masks)
 
 
 def _matched_file(result: MatchResult, side: str, folder: Path, *, given: bool) -> tuple[ControlMesh, Path]:
-    """The whole mesh of a side's file and its name, as far as a mask for it is given."""
+    """The whole mesh of a side's file and its path; without a mask, the matched mesh."""
     control = (result.target if side == "target" else result.source).control
     file = input_file(folder, result.manifest, side) if given else None
     if control.file_vertices is None or not given:
@@ -152,11 +156,11 @@ def _matched_file(result: MatchResult, side: str, folder: Path, *, given: bool) 
 
 
 def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Path, option: str) -> GivenMask:
-    """Read what a mask option says about a file's mesh.
+    """Read the mask of a file's mesh from a mask option.
 
     ``text``: a file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's
-        primvar, or names of objects, groups, materials or components; after ``not:`` all but that.
-    ``edge``: width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
+        primvar, or names of objects, groups, materials or components; ``not:`` before it inverts the mask.
+    ``edge``: width of the soft edge; default: `DEFAULT_EDGE` for sets of faces, 0 for values.
     """
     inverted = text.startswith(NOT)
     name = text.removeprefix(NOT)
@@ -176,8 +180,8 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
     if primvar is not None:
         return _of_values(primvar, f"{option}: primvar {name}", control, inverted, edge)
     faces = np.zeros(control.n_faces)
-    for one in name.split(","):
-        faces[find_part(control, one).faces] = 1.0
+    for part in name.split(","):
+        faces[find_part(control, part).faces] = 1.0
     return GivenMask(faces=faces, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
 
 
@@ -198,7 +202,7 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
 
 
 def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
-    """Values of a USD file's only mesh under a name; None where there is none."""
+    """A primvar of a USD file's only mesh; None without it."""
     if mesh_file.suffix.lower() not in USD_SUFFIXES:
         return None
     meshes = read_usd_meshes(mesh_file)
@@ -209,7 +213,7 @@ def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
 def keep_base(
     request: TransferRequest, result: MatchResult, carried: Attributes, rows: FileRows | None
 ) -> tuple[Attributes, list[str]]:
-    """Carried values over the target's own ones outside the masks; and what is to be said where there are none."""
+    """Carried values blended over the target's own values outside the masks; and notes."""
     if not result.masks.any:
         return carried, []
     base = base_of(request)
@@ -217,15 +221,15 @@ def keep_base(
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    own = read_attributes(base, result.target.control, rows)
+    own_values = read_attributes(base, result.target.control, rows)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():
-        below = _named(own, name, len(carried))
+        below = _named(own_values, name, len(carried))
         if below is None or below.shape != values.shape:
-            found = "none" if below is None else f"shape {below.shape}"
+            shape = "none" if below is None else f"shape {below.shape}"
             raise ParameterError(
-                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {found}. Give "
+                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {shape}. Give "
                 "the target's own values."
             )
         share = _rows(result, weight, len(values)).reshape(-1, *([1] * (values.ndim - 1)))
@@ -237,21 +241,21 @@ def keep_base(
 
 
 def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
-    """Values of a part of the target's file numbered as the file: elsewhere those of ``--base``, or 0."""
+    """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
     usd = base is not None and base.suffix.lower() in USD_SUFFIXES
-    own = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
-    below = {name: values for name in carried if (values := _named(own, name, len(carried))) is not None}
+    own_values = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
+    below = {name: values for name in carried if (values := _named(own_values, name, len(carried))) is not None}
     return to_file(carried, rows, below)
 
 
 def _named(own: Attributes, name: str, count: int) -> NDArray[Any] | None:
-    """The target's own values of a name, or its only ones where only one is carried."""
+    """The target's own values of a name, or its only array if one array is carried."""
     return own.get(name, next(iter(own.values())) if len(own) == count == 1 else None)
 
 
 def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:
-    """(count,) how much control vertices, control faces, face corners or refined vertices count."""
+    """(count,) weights at control vertices, control faces, face corners or refined vertices."""
     control = result.target.control
     at_vertices = weight[: control.n_vertices]
     if count == len(at_vertices):

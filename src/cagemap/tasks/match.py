@@ -1,4 +1,4 @@
-"""`cagemap match`: files in, RESULT folder out."""
+"""`cagemap match`: match two mesh files and write a RESULT folder."""
 
 from __future__ import annotations
 
@@ -53,24 +53,24 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a match works on, read and checked."""
+    """Checked inputs of a match."""
 
-    # `target`, `source`: of all parts
+    # `target`, `source`: meshes with all parts
     target: ControlMesh
     source: ControlMesh
     parts: tuple[PartInputs, ...]  # pairs of meshes that are matched, one by one
-    named: bool  # whether parts were asked for; else the only one is the whole of both files
-    masks: GivenMasks = (None, None)  # what counts of target and source
-    notes: tuple[str, ...] = ()  # what the user is to know
+    named: bool  # whether parts were requested; otherwise the only pair is both whole files
+    masks: GivenMasks = (None, None)  # of target and source
+    notes: tuple[str, ...] = ()  # messages to the user
 
 
 @dataclass(frozen=True, eq=False)
 class MatchSettings:
-    """How meshes are matched."""
+    """Settings of a match."""
 
-    bases: tuple[BasisConfig, BasisConfig]  # of target and source, like ``levels``
-    levels: tuple[int, int]  # the finest ones
-    config: MatchConfig  # but for masks, which depend on the surfaces
+    bases: tuple[BasisConfig, BasisConfig]  # of target and source
+    levels: tuple[int, int]  # finest levels of target and source
+    config: MatchConfig  # without masks, which depend on the surfaces
     cache: Path | None = None  # folder of prepared surfaces
     entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
 
@@ -79,7 +79,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     require_level_or_vertices(request)
     config = match_config(request)
-    side_bases(request)  # what is wrong with them is said before meshes are read
+    side_bases(request)  # refuse invalid bases before meshes are read
     started = time.perf_counter()
     stages("read")
     optional = ("landmarks", "target_points", "source_points", "curves")
@@ -99,19 +99,19 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
     }
     parts = asked_parts(request.part, request.target_part, request.source_part)
-    given = partial(said, request)
+    options = partial(said, request)
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
-        **given("target_vertices", "source_vertices"),
+        **options("target_vertices", "source_vertices"),
         **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
         "method": request.method,
         "spectral": used_parameters(config),
-        **given("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
-        **given("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
-        **given("weld", "target_weld", "source_weld"),
+        **options("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
+        **options("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
+        **options("weld", "target_weld", "source_weld"),
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
-        **given("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
+        **options("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
     }
     entries = {"parameters": parameters, "inputs": stated}
     result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
@@ -122,7 +122,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
 
 
 def match_config(request: MatchRequest) -> MatchConfig:
-    """Parameters of the match that was asked for on the command line."""
+    """Configuration of a match from its request."""
     config = MatchConfig(
         method=request.method,
         use_symmetry=request.symmetry,
@@ -134,7 +134,7 @@ def match_config(request: MatchRequest) -> MatchConfig:
 
 
 def read_inputs(request: MatchRequest) -> Inputs:
-    """Read both meshes and the landmarks, and check all of them before anything expensive begins."""
+    """Read and check both meshes and the landmarks, before expensive steps."""
     files = request.target, request.source
     target, source = (read_control(path, request, side) for side, path in zip(SIDES, files, strict=True))
     landmarks, notes = read_given_landmarks(request, target, source)
@@ -142,9 +142,9 @@ def read_inputs(request: MatchRequest) -> Inputs:
     masks = read_masks(request, (target, source), files)
     welded = [weld_control(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
     check_landmarks(landmarks, target, source)
-    landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in welded))
-    target, source = (one.mesh for one in welded)
-    notes = (*notes, *(note for one in welded for note in one.notes))
+    landmarks = landmarks.renumbered(*(weld.vertex_of.__getitem__ for weld in welded))
+    target, source = (weld.mesh for weld in welded)
+    notes = (*notes, *(note for weld in welded for note in weld.notes))
     names = asked_parts(request.part, request.target_part, request.source_part)
     named = names != (None, None)
     whole = PartInputs(target, source, landmarks)
@@ -155,7 +155,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
 
 
 def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
-    """Finest levels of one part of each file by its own size; of several, which become pieces of one, by all of it."""
+    """Finest levels of target and source, by the only pair of parts or the whole files."""
     matched = inputs.parts[0] if len(inputs.parts) == 1 else inputs
     return side_levels(request, (matched.target, matched.source))
 
@@ -163,7 +163,7 @@ def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
 def read_given_landmarks(
     request: MatchRequest, target: ControlMesh, source: ControlMesh
 ) -> tuple[Landmarks, tuple[str, ...]]:
-    """Landmarks of the files given, with the curves of ``--curves`` beside theirs; and notes."""
+    """Landmarks of the given files, with the curves of ``--curves`` added; and notes."""
     landmarks, notes = _read_points_or_pairs(request, target, source)
     if request.curves is None:
         return landmarks, notes
@@ -174,7 +174,7 @@ def read_given_landmarks(
 
 
 def _read_pairs(path: Path, request: MatchRequest) -> tuple[Landmarks, tuple[str, ...]]:
-    """A file of pairs, made for this direction or the other."""
+    """Read a file of pairs, reversed with ``--exchange-landmarks``; and notes."""
     if request.exchange_landmarks:
         exchanged, notes = read_landmarks(path, request.source, request.target)
         return exchanged.reversed(), notes
@@ -184,7 +184,7 @@ def _read_pairs(path: Path, request: MatchRequest) -> tuple[Landmarks, tuple[str
 def _read_points_or_pairs(
     request: MatchRequest, target: ControlMesh, source: ControlMesh
 ) -> tuple[Landmarks, tuple[str, ...]]:
-    """Landmarks of a pair file, or of a file for each mesh, or none; and notes."""
+    """Landmarks of a pair file, of a point file for each mesh, or none; and notes."""
     points = request.target_points, request.source_points
     if points[0] is not None and points[1] is not None and request.landmarks is None:
         return pair_by_name(read_points(points[0], target), read_points(points[1], source), target, source)
@@ -199,7 +199,7 @@ def _read_points_or_pairs(
 
 
 def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
-    """Read the control mesh of one side, and what was asked for about its subdivision and its UVs."""
+    """Read the control mesh of one side, with the requested subdivision options and UV set."""
     scheme = getattr(request, f"{side}_scheme") or request.scheme
     subdivision = SubdivisionRequest(scheme, request.boundary, request.uv_interpolation, request.creasing)
     parts = asked_parts(request.part, request.target_part, request.source_part)[SIDES.index(side)]
@@ -210,23 +210,23 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
 
 
 def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> Welded:
-    """The mesh of one side, welded as asked for."""
-    asked = getattr(request, f"{side}_weld")
-    return weld_asked(control, request.weld if asked is None else asked)
+    """Weld the mesh of one side as requested."""
+    side_weld = getattr(request, f"{side}_weld")
+    return weld_asked(control, request.weld if side_weld is None else side_weld)
 
 
 def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
-    """Match the whole of both meshes, or every pair of parts, all at the same levels, as one result."""
+    """Match both whole meshes, or every pair of parts at the same levels, as one result."""
     results = [_match_part(part, inputs, settings, stages) for part in inputs.parts]
     if not inputs.named:
         return results[0]
     stages("merge parts")
-    faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
+    faces = [[len(side.control.face_sizes) for side in (result.target, result.source)] for result in results]
     return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
 
 
 def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
-    """Prepare both surfaces, match them, and say how."""
+    """Prepare and match both surfaces; the result has timings and provenance."""
     controls, config = (part.target, part.source), settings.config
     for control, level in zip(controls, settings.levels, strict=True):
         require_size(control, level)
@@ -235,8 +235,8 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
     target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    found = match(target, source, part.landmarks, config, progress=stages)
-    repairs = [one.repairs for one in inputs.parts]
+    result = match(target, source, part.landmarks, config, progress=stages)
+    repairs = [pair.repairs for pair in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         **settings.entries,
@@ -244,11 +244,11 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
         "repairs": repairs[0] if len(repairs) == 1 else repairs,
         "peak_memory_bytes": peak_memory(),
     }
-    return replace(found, timings=dict(stages.timings), provenance=provenance)
+    return replace(result, timings=dict(stages.timings), provenance=provenance)
 
 
 def summary(result: MatchResult, folder: Path, seconds: float) -> str:
-    """A few lines for the terminal."""
+    """Summary of a match for the terminal."""
     manifest = result.manifest
     quality, typed = manifest["quality"], shlex.quote(str(folder))
     lines = [
@@ -264,7 +264,7 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
 
 
 def _shared_summary(result: MatchResult) -> list[str]:
-    """How much of each surface the other has, where one of them ends somewhere."""
+    """Line with the shared share of each surface; none without unshared parts."""
     if result.shared is None:
         return []
     shares = 100 * result.shared.target_share, 100 * result.shared.source_share
@@ -272,7 +272,7 @@ def _shared_summary(result: MatchResult) -> list[str]:
 
 
 def landmark_summary(result: MatchResult) -> str:
-    """How well landmarks are met; how many were left out, and by how much they are missed."""
+    """Text about errors of landmarks and curves, and about landmarks that were left out."""
     left_out = sorted({suspect.pair for suspect in result.suspects})
     errors = 100 * np.delete(result.landmark_errors, left_out)
     parts = []

@@ -1,4 +1,4 @@
-"""`--part`: which parts of two files are matched, their landmarks, and the repair of plain meshes."""
+"""`--part`: choose parts of two files to match, with their landmarks; repair plain meshes."""
 
 from __future__ import annotations
 
@@ -39,16 +39,15 @@ class PartInputs:
 
     target: ControlMesh
     source: ControlMesh
-    landmarks: Landmarks  # those that lie on both, in the meshes' own numbers
-    notes: tuple[str, ...] = ()  # what was done to plain meshes
-    repairs: dict[str, dict[str, float]] = field(default_factory=dict)  # the same in numbers, for a manifest, by side
+    landmarks: Landmarks  # landmarks on both meshes, in their own numbering
+    notes: tuple[str, ...] = ()  # repairs of plain meshes
+    repairs: dict[str, dict[str, float]] = field(default_factory=dict)  # repairs in numbers, for a manifest, by side
 
 
 def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:
-    """What is asked for on each side by `--part`, `--target-part` and `--source-part`.
+    """Requested part of each side from `--part`, `--target-part` and `--source-part`.
 
-    Where one side asks for its pieces (`EACH`) or materials and the other for nothing, they are looked for among the
-    other's pieces or materials.
+    If one side has `EACH` (its pieces) or `MATERIAL` and the other none, the word holds for both.
     """
     words = target_part or part, source_part or part
     every = next((word for word in words if word in (EACH, MATERIAL)), None)
@@ -58,14 +57,14 @@ def asked_parts(part: str | None, target_part: str | None, source_part: str | No
 def chosen_parts(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: str | None, source_part: str | None
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
-    """What is matched of two files, and sentences about what is left alone.
+    """Pairs of parts of two files to match, and notes about the other parts.
 
     ``target``, ``source``: as in their files.
     ``landmarks``: in the files' numbers.
     ``target_part``, ``source_part``: a part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for
         the whole. See `asked_parts`.
     """
-    # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
+    # A part has the scheme of the whole file, even if all its faces are triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
     if target_part is not None and source_part is not None and {target_part, source_part} & {EACH, MATERIAL}:
         return _each(target, source, landmarks, (target_part, source_part))
@@ -85,14 +84,14 @@ def chosen_parts(
 def _each(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, words: tuple[str, str]
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
-    mine, theirs = _pieces(target, words[0]), _pieces(source, words[1])
-    pairs, *alone = pair_parts(
+    target_pieces, source_pieces = _pieces(target, words[0]), _pieces(source, words[1])
+    pairs, *unpaired = pair_parts(
         target,
         source,
         np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
-        (mine, theirs),
+        (target_pieces, source_pieces),
     )
-    left = {side: _titled(parts) for side, parts in zip(("target", "source"), alone, strict=True) if parts}
+    left = {side: _titled(parts) for side, parts in zip(("target", "source"), unpaired, strict=True) if parts}
     if not pairs:
         word = next(word for word in words if word in (EACH, MATERIAL))
         listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
@@ -108,7 +107,7 @@ def _each(
 
 
 def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
-    """What of a side is to be paired: all its pieces, its materials' faces, or those of the part of that name."""
+    """Parts of a side to pair: all pieces, its materials' faces, or the pieces of the part ``word``."""
     if word == EACH:
         return connected_parts(mesh)
     return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
@@ -124,7 +123,9 @@ def _inputs(
     sides = [_taken(mesh, part) for mesh, part in ((target, target_part), (source, source_part))]
     for mesh, _ in sides:
         if mesh.object_schemes:
-            words = ", ".join(f"{name} {own}" for name, own in zip(mesh.object_names, mesh.object_schemes, strict=True))
+            words = ", ".join(
+                f"{name} {scheme}" for name, scheme in zip(mesh.object_names, mesh.object_schemes, strict=True)
+            )
             raise ParameterError(
                 f"{mesh.name}: expected a part that is subdivided in one way, got {words}. Name one of these objects."
             )
@@ -133,7 +134,7 @@ def _inputs(
 
 
 def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumbering]:
-    """A part as a mesh, and what numbers the whole's vertices have on it."""
+    """A part as a mesh, and the renumbering from the whole's vertices to its vertices."""
     if part is None or len(part.faces) == mesh.n_faces:
         return mesh, lambda vertices: vertices
     taken = extract_faces(mesh, part.faces)
@@ -141,14 +142,14 @@ def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumberi
 
 
 def ready_inputs(given: PartInputs) -> PartInputs:
-    """Check two meshes and their landmarks; plain ones are mended, and what of them is set aside is said."""
+    """Check two meshes and their landmarks, and repair plain meshes; notes name pieces set aside."""
     check_landmarks(given.landmarks, given.target, given.source)
     ready = dict(zip(("target", "source"), in_threads(ready_mesh, [given.target, given.source]), strict=True))
-    plain = {side: one for side, one in ready.items() if isinstance(one, PlainMesh)}
-    meshes = [one.mesh for one in ready.values()]
-    numbers = [one.vertex_of.__getitem__ for one in ready.values()]
-    notes = [note for one in plain.values() for note in one.notes]
-    repairs = {side: one.repairs.summary() for side, one in plain.items()}
+    plain = {side: prepared for side, prepared in ready.items() if isinstance(prepared, PlainMesh)}
+    meshes = [prepared.mesh for prepared in ready.values()]
+    numbers = [prepared.vertex_of.__getitem__ for prepared in ready.values()]
+    notes = [note for prepared in plain.values() for note in prepared.notes]
+    repairs = {side: prepared.repairs.summary() for side, prepared in plain.items()}
     landmarks = given.landmarks.renumbered(*numbers)
     for what, before, after in (
         ("landmarks", len(given.landmarks), len(landmarks)),
@@ -156,13 +157,13 @@ def ready_inputs(given: PartInputs) -> PartInputs:
     ):
         if after < before:
             notes.append(f"{before - after} of {before} {what} lie on pieces that are set aside and are left out")
-    if not plain:  # a scan's holes and bridges say little
+    if not plain:  # handles of a scan mean little
         notes += _handle_notes(*meshes)
     return PartInputs(meshes[0], meshes[1], landmarks, tuple(notes), repairs)
 
 
 def _handle_notes(*meshes: ControlMesh) -> list[str]:
-    """Whether two cages cannot be one to one."""
+    """A note if numbers of handles differ, so that no map is one to one."""
     counts = [handle_count(mesh) for mesh in meshes]
     if counts[0] == counts[1]:
         return []
@@ -173,7 +174,7 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
 
 
 def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:
-    """A cage as it is, or a plain mesh repaired, once checked; both have ``mesh``, ``vertex_of`` and ``notes``."""
+    """A checked cage, or a repaired plain mesh; both have ``mesh``, ``vertex_of`` and ``notes``."""
     ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else keep_unwelded(mesh)
     require_valid(ready.mesh)
     return ready

@@ -36,7 +36,7 @@ MOST_PARTS = 40
 def check_files(
     paths: Sequence[Path], subdivision: SubdivisionRequest = SubdivisionRequest(), weld: str | None = None
 ) -> tuple[str, bool]:
-    """Text of a report per file, and whether all are sound; a file that cannot be read is a problem like others."""
+    """Text with a report per file, and whether all are sound; unreadable files are not."""
     parts, sound = [], True
     for path in paths:
         try:
@@ -54,26 +54,29 @@ def check_files(
 def check_values(
     paths: Sequence[Path], subdivision: SubdivisionRequest = SubdivisionRequest(), weld: str | None = None
 ) -> tuple[str, bool]:
-    """The same as JSON: a list with the fields of a `MeshReport` and the parts of each file, or why it is not read."""
-    found: list[dict[str, Any]] = []
+    """Reports as JSON, and whether all files are usable.
+
+    The list has the fields of a `MeshReport` and the parts of each file, or the error of reading it.
+    """
+    reports: list[dict[str, Any]] = []
     for path in paths:
         try:
             mesh, report, holds = _checked(path, subdivision, weld)
         except CagemapError as error:
-            found.append({"file": str(path), "usable": False, "error": str(error)})
+            reports.append({"file": str(path), "usable": False, "error": str(error)})
             continue
         parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
         held = {} if holds is None else {"contents": asdict(holds)}
-        found.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
-    return json.dumps(found, indent=1, default=int), all(one["usable"] for one in found)
+        reports.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
+    return json.dumps(reports, indent=1, default=int), all(entry["usable"] for entry in reports)
 
 
 def _checked(
     path: Path, subdivision: SubdivisionRequest, weld: str | None
 ) -> tuple[ControlMesh, MeshReport, Contents | None]:
-    """A file's mesh, what `cagemap match` finds of it, and what a glTF or FBX file holds beside it.
+    """A file's mesh, its report for `cagemap match`, and the contents of a glTF or FBX file.
 
-    Of a character only the body is reported on: what else it has is no part of the body's surface.
+    The report of a character is about its body only: other parts do not belong to the body's surface.
     """
     scene = read_scene(read_document(path)) if path.suffix.lower() in SCENE_SUFFIXES else None
     if scene is None:
@@ -82,14 +85,14 @@ def _checked(
     mesh, holds = scene_mesh(scene), contents_of(scene)
     if not holds.is_character:
         return mesh, _report(mesh, subdivision, weld), holds
-    body = next(one.part.mesh for one in scene.parts if one.part.name == holds.body)
+    body = next(scene_part.part.mesh for scene_part in scene.parts if scene_part.part.name == holds.body)
     name = f"{mesh.name}: {holds.body}" if holds.passengers else mesh.name
     named = replace(body, name=name, file_vertices=None, file_faces=None, file_copies=None)
     return mesh, _report(named, subdivision, weld, pieces=False), holds
 
 
 def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None, *, pieces: bool = True) -> MeshReport:
-    """What a match finds of a mesh: a plain one is made ready first, and said how; without ``pieces`` they ride."""
+    """Report of a mesh for a match, after repairs; without ``pieces``, notes about a character's body."""
     if structure_problems(read):
         return check_mesh(read)
     welded = weld_asked(read, weld)
@@ -102,18 +105,18 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
             repairs = ready.repairs.sentences() if pieces else ready.repairs.sentences_of_body()
     except InvalidMeshError as error:
         report = check_mesh(mesh)
-        own = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
-        report = replace(report, problems=(*report.problems, own))
-    said = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
-    said += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
-    return replace(report, notes=(*report.notes, *said))
+        problem = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
+        report = replace(report, problems=(*report.problems, problem))
+    notes = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
+    notes += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
+    return replace(report, notes=(*report.notes, *notes))
 
 
 def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
     try:
         return list_parts(mesh)
     except (IndexError, ValueError):
-        return ()  # what keeps the mesh from having parts is among its problems
+        return ()  # the report has the problem of the mesh
 
 
 def _of_one_piece(mesh: ControlMesh) -> bool:
@@ -122,20 +125,20 @@ def _of_one_piece(mesh: ControlMesh) -> bool:
 
 
 def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
-    """Objects, groups, materials and components with their sizes, where there is anything to choose from.
+    """Lines with objects, groups, materials and components and their sizes, if there are several.
 
-    Without ``pieces`` no components, and what has the faces of another part once.
+    Without ``pieces``, components are left out, and of parts with equal faces one is listed.
     """
-    found = _parts(mesh)
+    parts = _parts(mesh)
     if not pieces:
-        different = {part.faces.tobytes(): part for part in reversed(found) if part.kind != "component"}
-        found = tuple(reversed(different.values()))
-    if len(found) < 2:
+        different = {part.faces.tobytes(): part for part in reversed(parts) if part.kind != "component"}
+        parts = tuple(reversed(different.values()))
+    if len(parts) < 2:
         return ""
-    width = max(len(part.title) for part in found[:MOST_PARTS])
-    lines = [f"    {part.title:<{width}}  {count_noun(len(part.faces), 'face')}" for part in found[:MOST_PARTS]]
-    if len(found) > MOST_PARTS:
-        lines.append(f"    and {len(found) - MOST_PARTS} more")
+    width = max(len(part.title) for part in parts[:MOST_PARTS])
+    lines = [f"    {part.title:<{width}}  {count_noun(len(part.faces), 'face')}" for part in parts[:MOST_PARTS]]
+    if len(parts) > MOST_PARTS:
+        lines.append(f"    and {len(parts) - MOST_PARTS} more")
     return "\n".join(["\n  parts, for --part:", *lines])
 
 
@@ -149,7 +152,7 @@ def refine_file(
     quads: bool = False,
     force: bool = False,
 ) -> str:
-    """Refine a mesh file into another; returns the table of levels, and what was welded and joined."""
+    """Refine a mesh file into another; returns the table of levels and notes about welds and quads."""
     check_mesh_path(output)
     check_outputs([output], [path], force=force)
     welded = weld_asked(read_mesh(path), weld)
@@ -169,7 +172,7 @@ def refine_file(
 
 
 def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh, tuple[str, ...]]:
-    """The mesh with its triangles joined in pairs, to be subdivided as quads are; a glTF says that it is plain."""
+    """The mesh with triangles joined to quads, and notes; a plain scheme, as of glTF, is dropped."""
     joined, count = join_quads(mesh)
     left = int((joined.face_sizes == 3).sum())
     scheme = None if isinstance(joined.scheme, Plain) else joined.scheme
@@ -178,7 +181,7 @@ def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh,
 
 
 def require_size(control: ControlMesh, level: int) -> None:
-    """Refuse levels that no machine holds, before memory runs out."""
+    """Refuse levels with more than `MOST_VERTICES` vertices, before memory runs out."""
     fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(

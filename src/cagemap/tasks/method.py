@@ -22,12 +22,12 @@ _OWN = {"elastic": "start", "hfm": "hfm", "paper": "paper"}
 
 
 def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
-    """Set parameters of the method from texts such as ``laplacian=0.01``."""
-    own = getattr(config, _OWN[config.method])
-    values = _named_values(own)
+    """The configuration with parameters of its method set from texts such as ``laplacian=0.01``."""
+    method_config = getattr(config, _OWN[config.method])
+    values = _named_values(method_config)
     for setting in settings:
-        name, given, text = setting.partition("=")
-        if not given or name not in values:
+        name, equals, text = setting.partition("=")
+        if not equals or name not in values:
             raise ParameterError(
                 f"--set method: expected NAME=VALUE with one of {', '.join(sorted(values))} for {config.method}, "
                 f"got {setting!r}."
@@ -39,7 +39,7 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
             form = "a whole number" if kind is int else "a number"
             raise ParameterError(f"--set method.{name}: expected {form}, got {text!r}.") from None
     try:
-        return replace(config, **{_OWN[config.method]: _filled(own, values)})
+        return replace(config, **{_OWN[config.method]: _filled(method_config, values)})
     except CagemapError as error:
         raise ParameterError(f"--set method: {error}") from None
 
@@ -50,17 +50,17 @@ def used_parameters(config: MatchConfig) -> dict[str, Any]:
 
 
 def read_symmetries(target: Sequence[Path], source: Sequence[Path]) -> tuple[SymmetryPair, ...]:
-    """Self-maps of both control meshes from files, the first of one side with the first of the other."""
+    """Pairs of self-maps of both control meshes from files, paired in order."""
     if len(target) != len(source):
         raise ParameterError(
             "--set target.symmetry and source.symmetry: expected as many files for one side as for the other, got "
             f"{len(target)} and {len(source)}. A symmetry is used where both surfaces have it."
         )
-    return tuple((read_symmetry(one), read_symmetry(two)) for one, two in zip(target, source, strict=True))
+    return tuple((read_symmetry(first), read_symmetry(second)) for first, second in zip(target, source, strict=True))
 
 
 def _named_values(config: Any) -> dict[str, Any]:
-    """Numbers of a configuration and of those inside it, by name."""
+    """Numbers of a configuration and of its nested configurations, by name."""
     values: dict[str, Any] = {}
     for name, value in vars(config).items():
         values |= _named_values(value) if is_dataclass(value) else {name: value}
@@ -68,7 +68,7 @@ def _named_values(config: Any) -> dict[str, Any]:
 
 
 def _filled(config: Any, values: dict[str, Any]) -> Any:
-    """The configuration with numbers of these names, in those inside it too."""
+    """The configuration with numbers set by name, also in nested configurations."""
     changed = {
         name: _filled(value, values) if is_dataclass(value) else values[name] for name, value in vars(config).items()
     }
@@ -79,7 +79,7 @@ SIDES = ("target", "source")
 
 
 def basis_config(request: MatchRequest, level: int = MOST_LEVELS, side: str = "") -> BasisConfig:
-    """Parameters of the basis of a surface up to a level: those of both, and those of one side where it is given."""
+    """Parameters of a surface's basis up to a level; options of ``side`` override those of both."""
     basis, literal = default_basis(request.method, level), False
     for before, option in dict.fromkeys(
         (("", "--set "), (f"{side}_" * bool(side), f"--set {side}." if side else "--set "))
@@ -87,7 +87,7 @@ def basis_config(request: MatchRequest, level: int = MOST_LEVELS, side: str = ""
         k, schedule, accuracy, laplacian = (
             getattr(request, before + name) for name in ("k", "schedule", "accuracy", "laplacian")
         )
-        if k is not None:  # a number of functions, so no schedule that was known before holds
+        if k is not None:  # a number of functions replaces an earlier schedule
             basis = replace(basis, count=k, schedule=None)
         if schedule is not None:
             basis = replace(basis, schedule=parse_schedule(schedule, f"{option}schedule"))
@@ -97,28 +97,28 @@ def basis_config(request: MatchRequest, level: int = MOST_LEVELS, side: str = ""
         literal |= getattr(request, f"{before}literal")
     if side and literal and basis.schedule is None:
         raise ParameterError(f"--set literal: expected a schedule of the {side} with it, as in Definition 2, got none")
-    # Other search levels (maybe above the usual one's) and schedules need the finest level's operators.
-    exact = basis.schedule is not None or any("search_vertices" in given for given in request.parameter)
+    # Schedules and other search levels, which may be above the default one, need the finest level's operators.
+    exact = basis.schedule is not None or any("search_vertices" in text for text in request.parameter)
     return replace(basis, literal=literal and basis.schedule is not None, vertices=None if exact else basis.vertices)
 
 
 def side_bases(
     request: MatchRequest, levels: tuple[int, int] = (MOST_LEVELS, MOST_LEVELS)
 ) -> tuple[BasisConfig, BasisConfig]:
-    """Parameters of the target's and the source's basis, whose finest levels are given."""
+    """Parameters of the target's and the source's basis for given finest levels."""
     return basis_config(request, levels[0], SIDES[0]), basis_config(request, levels[1], SIDES[1])
 
 
 def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:
-    """A basis of the Laplacian that is named, such as ``alexa-wardetzky`` or ``alexa-wardetzky:2``."""
+    """The basis with a Laplacian given by name, such as ``alexa-wardetzky`` or ``alexa-wardetzky:2``."""
     if text is None:
         return basis
-    name, given, number = text.partition(":")
+    name, colon, number = text.partition(":")
     try:
-        stabilisation = float(number) if given else 1.0
+        stabilisation = float(number) if colon else 1.0
     except ValueError:
         name = ""
-    if name not in LAPLACIANS or (given and name == "mean"):
+    if name not in LAPLACIANS or (colon and name == "mean"):
         raise ParameterError(
             f"{option}: expected {', '.join(LAPLACIANS)}, the last two with :LAMBDA after it where it is not 1, "
             f"got {text!r}."
@@ -127,7 +127,7 @@ def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisCo
 
 
 def require_level_or_vertices(request: MatchRequest) -> None:
-    """Refuse a level and a number of vertices that are asked for in one breath."""
+    """Refuse requests with both a level and a number of vertices."""
     for prefix in ("", "target_", "source_"):
         if None not in (getattr(request, f"{prefix}level"), getattr(request, f"{prefix}vertices")):
             before = f"--set {prefix[:-1]}." if prefix else "--"
@@ -138,19 +138,19 @@ def require_level_or_vertices(request: MatchRequest) -> None:
 
 
 def side_levels(request: MatchRequest, controls: Sequence[ControlMesh]) -> tuple[int, int]:
-    """Finest level of the target and of the source; 0 of a plain mesh, whatever is asked for both."""
-    found = []
+    """Finest levels of target and source; plain meshes have 0, whatever ``--level`` is."""
+    levels = []
     for side, control in zip(SIDES, controls, strict=True):
         level, vertices = getattr(request, f"{side}_level"), getattr(request, f"{side}_vertices")
         if level is None and vertices is None:
             level = None if isinstance(control.scheme, Plain) else request.level
         wanted = vertices or request.vertices or DEFAULT_VERTICES
-        found.append(choose_level(control, wanted) if level is None else level)
-    return found[0], found[1]
+        levels.append(choose_level(control, wanted) if level is None else level)
+    return levels[0], levels[1]
 
 
 def basis_parameters(basis: BasisConfig) -> dict[str, Any]:
-    """What decided about a basis: a schedule or a number of functions, and how it was computed."""
+    """Parameters of a basis for the manifest: schedule or number of functions, accuracy, Laplacian."""
     how = {"accuracy": basis.accuracy, "laplacian": basis.laplacian}
     if basis.laplacian != "mean":
         how["stabilisation"] = basis.stabilisation

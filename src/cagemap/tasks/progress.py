@@ -14,14 +14,14 @@ Outcome = tuple[str, list[str]]
 
 
 class Stages:
-    """Callable that is told the name of each stage as it begins, as a context manager also when the last one ends.
+    """Times the stages of a task: call it with the name of each stage that begins.
 
-    It times them and shows nothing.
+    As a context manager it also ends the last stage. It shows nothing.
 
     Attributes
     ----------
     timings : dict of str to float
-        Seconds of every finished stage, in order; a stage that comes again adds to its time.
+        Seconds of every finished stage, in order; a repeated stage adds to its time.
     """
 
     def __init__(self) -> None:
@@ -36,10 +36,10 @@ class Stages:
         _log.info("stage: %s", stage)
 
     def show(self, text: str) -> None:
-        """Say how far the running stage is."""
+        """Show the progress of the running stage; nothing by default."""
 
     def note(self, text: str) -> None:
-        """Say something that stays; in the log in any case."""
+        """Show a permanent message, and log it."""
         _log.info("%s", text)
 
     def __enter__(self) -> Self:
@@ -58,4 +58,4 @@ class Stages:
         self._name = None
 
     def _finished(self, stage: str, seconds: float) -> None:
-        """Show a finished stage."""
+        """Show a finished stage; nothing by default."""

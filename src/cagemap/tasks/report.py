@@ -1,4 +1,4 @@
-"""`cagemap report`: RESULT folder in, one HTML page out."""
+"""`cagemap report`: write an HTML page about a RESULT folder."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
 
 
 def carried_data(folder: Path, result: MatchResult) -> CarriedData:
-    """The last wrapped cage, weights and shapes that the result knows of, as far as their files are still there."""
+    """Last wrapped cage, weights and shapes in the manifest whose files still exist."""
     last = {entry["kind"]: entry for entry in result.manifest.get("transfers", [])}
     carried = CarriedData()
     for kind, add in (("wrap", _wrapped), ("weights", _weights), ("blend-shapes", _shapes)):
@@ -103,10 +103,10 @@ def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
     for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
         if file is None:
             raise FormatError("the file that they were carried from is not known")
-        given = read_attributes(folder / file, side.control, file_rows(folder, result, name))
-        given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]} if JOINT_WEIGHTS in given else given
+        arrays = read_attributes(folder / file, side.control, file_rows(folder, result, name))
+        arrays = {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]} if JOINT_WEIGHTS in arrays else arrays
         table = np.column_stack(
-            [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in given.values()]
+            [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in arrays.values()]
         )
         if len(table) != side.control.n_vertices:
             raise FormatError(f"{file}: expected {side.control.n_vertices} rows, got {len(table)}")
@@ -134,7 +134,7 @@ def _same(a: Path, b: Path) -> bool:
 
 
 def _baked(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[MatchResult, Pixels | None]:
-    """What was baked, and the result with the layout that it was baked into."""
+    """The result with the layout of a bake, and the baked pixels; None for several tiles."""
     if len(entry.get("tiles", [0])) != 1:
         return result, None
     pixels = read_image(folder / entry["output"]).pixels

@@ -1,4 +1,4 @@
-"""`cagemap transfer`: skinning weights, joints and blend shapes, and the map itself."""
+"""`cagemap transfer`: carry skinning weights, joints and blend shapes; write the map itself."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ from cagemap.tasks.requests.results import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
 from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, normalised, normalised_skin, pruned
 
-# A mesh further from its base than this, in units of sqrt(area), is hardly meant to follow it as it stands.
+# Mean distance of a mesh from its base, in units of sqrt(area), above which there is a warning.
 _APART = 0.05
 
 
 def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Skinning weights: a column or array for each joint, or one array of all joints."""
+    """Carry skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
     rows = file_rows(request.result, result, "source")
-    given = read_attributes(request.weights, result.source.control, rows)
-    if JOINT_WEIGHTS in given:  # a USD or glTF file: other primvars are no weights
-        given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
-    _require_rows(given, result.source.control, rows, request)
-    table = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
+    arrays = read_attributes(request.weights, result.source.control, rows)
+    if JOINT_WEIGHTS in arrays:  # a USD or glTF file: other primvars are no weights
+        arrays = {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]}
+    _require_rows(arrays, result.source.control, rows, request)
+    table = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in arrays.values()])
     try:
         skin, scaled = normalised_skin(table)
     except ParameterError as error:
@@ -58,7 +58,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     skeleton = None
     if request.joints is not None:
         skeleton = read_skeleton(request.joints, result.source.control)
-        _require_joints(given, skeleton, request)
+        _require_joints(arrays, skeleton, request)
     elif request.weights.suffix.lower() in USD_SUFFIXES:
         skeleton = read_usd_skeleton(request.weights, result.source.control)
     elif request.weights.suffix.lower() in SCENE_SUFFIXES:
@@ -68,23 +68,23 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         carried = carry_weights(result, skin, influences=request.influences or None)
     except ParameterError as error:
         raise ParameterError(f"{request.weights}: {error}") from None
-    own = file_rows(request.result, result, "target")
-    named = all(array.ndim == 1 for array in given.values())
-    names = tuple(given) if named else () if skeleton is None else skeleton.names
-    carried = with_choice(request, result.target.control, carried, names, own)
-    ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in given.values()])[:-1]
+    target_rows = file_rows(request.result, result, "target")
+    named = all(array.ndim == 1 for array in arrays.values())
+    names = tuple(arrays) if named else () if skeleton is None else skeleton.names
+    carried = with_choice(request, result.target.control, carried, names, target_rows)
+    ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in arrays.values()])[:-1]
     parts = np.split(carried, ends, axis=1)
     columns = {
-        name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
+        name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(arrays.items(), parts, strict=True)
     }
-    columns, notes = keep_base(request, result, columns, own)
+    columns, notes = keep_base(request, result, columns, target_rows)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
     most = int((carried > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
     with all_or_nothing():
-        write_attributes(request.output, in_file(request, columns, own), force=request.force)
+        write_attributes(request.output, in_file(request, columns, target_rows), force=request.force)
         if request.usd is not None:
             kept = np.column_stack(list(columns.values()))
             skinning = UsdResults(
@@ -122,14 +122,14 @@ def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequ
 
 
 def _by_joint(columns: Attributes, skeleton: Skeleton) -> Attributes:
-    """A table of all joints as a column for each, under its name; columns that have names keep them."""
+    """A table of all joints as one named column per joint; columns with names keep them."""
     named = all(array.ndim == 1 for array in columns.values()) or len(set(skeleton.names)) < len(skeleton.names)
     table = np.column_stack(list(columns.values()))
     return columns if named else dict(zip(skeleton.names, table.T, strict=True))
 
 
 def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:
-    """A skeleton in the target, its joints in the order of the columns of weights."""
+    """The skeleton carried to the target, its joints in the order of the weights' columns."""
     if skeleton is None:
         return None
     moved = _moved(skeleton, point_map)
@@ -143,7 +143,7 @@ def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap
 
 
 def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
-    """A skeleton of the source where it belongs in the target."""
+    """The source's skeleton carried to the target."""
     count = len(skeleton.names)
     ends, turns = carry_joints(point_map, np.concatenate([skeleton.heads, skeleton.tails]))
     axes = None if skeleton.axes is None else skeleton.axes @ turns[:count]
@@ -151,7 +151,7 @@ def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
 
 
 def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Heads and tails of joints."""
+    """Carry heads and tails of joints."""
     assert request.joints is not None
     check_outputs([request.output], [request.joints], force=request.force)
     skeleton = read_skeleton(request.joints, result.source.control)
@@ -163,18 +163,18 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
 
 
 def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Blend shapes of the source's cage for the target's."""
-    rows, own = (
+    """Carry blend shapes of the source's cage to the target's."""
+    rows, target_rows = (
         file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
     )
     shapes = read_shapes(request.blend_shapes, result.source.control, rows)
     stages("shapes")
     carried = carry_shapes(result, shapes)
     assert isinstance(carried, dict)
-    rest = result.target.control if own is None else own.whole
+    rest = result.target.control if target_rows is None else target_rows.whole
     inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     with all_or_nothing():
-        files = write_shapes(request.output, to_file(carried, own), rest, inputs, force=request.force)
+        files = write_shapes(request.output, to_file(carried, target_rows), rest, inputs, force=request.force)
         text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
         if request.usd is not None:
             shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
@@ -184,7 +184,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
 
 
 def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """The map itself, for other programs."""
+    """Write the map itself, for other programs."""
     check_outputs([request.output], [], force=request.force)
     stages("write map")
     point_map = result.point_map
@@ -207,13 +207,13 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
 def with_choice(
     request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
 ) -> FloatArray:
-    """Carried weights (n, j), made symmetric if asked; joints that are not chosen keep the target's own weights.
+    """Carried weights (n, j), symmetric if requested; joints not chosen keep the target's own weights.
 
     ``carried``: (n, j).
-    ``names``: of the joints; empty where the weights have none.
+    ``names``: of the joints; empty if the weights have no names.
     """
-    for option, asked in (("--mirror", request.mirror), ("--only", request.only is not None)):
-        if asked and not names:
+    for option, requested in (("--mirror", request.mirror), ("--only", request.only is not None)):
+        if requested and not names:
             raise ParameterError(f"{option}: expected weights of named joints. Give a column for each, or --joints.")
     if request.mirror:
         carried = _alike(control, carried, names)
@@ -222,16 +222,16 @@ def with_choice(
 
 
 def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> FloatArray:
-    """Means with the mirror image, of the plane that changes least."""
+    """Means of the weights and their mirror image, for the mirror plane that changes them least."""
     joints = mirrored_joints(names)
     if np.array_equal(joints, np.arange(len(names))):
         raise ParameterError(
             "--mirror: expected joints of both sides, such as arm.L and arm.R, got none by their names"
         )
-    found = [mirrored_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
-    if not found:
+    mirrored = [mirrored_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
+    if not mirrored:
         raise ParameterError(f"--mirror: expected a target with a mirror plane, {control.name} has none. Leave it out.")
-    return min(found, key=lambda skin: float(np.abs(skin - carried).sum()))
+    return min(mirrored, key=lambda skin: float(np.abs(skin - carried).sum()))
 
 
 def _chosen(
@@ -250,11 +250,11 @@ def _chosen(
 
 
 def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:
-    """(n, j) weights of a file, by the joints' names; a table is taken to be in their order."""
-    own = read_attributes(base, control, rows)
-    if all(name in own for name in names):
-        return np.column_stack([own[name] for name in names]).astype(np.float64)
-    (table,) = own.values() if len(own) == 1 else (None,)
+    """(n, j) weights of a file, by the joints' names; a single table has their order."""
+    arrays = read_attributes(base, control, rows)
+    if all(name in arrays for name in names):
+        return np.column_stack([arrays[name] for name in names]).astype(np.float64)
+    (table,) = arrays.values() if len(arrays) == 1 else (None,)
     if table is None or table.shape != (control.n_vertices, len(names)):
         raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
     return np.asarray(table, dtype=np.float64)

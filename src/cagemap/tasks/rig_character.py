@@ -1,4 +1,4 @@
-"""`cagemap rig`: a body rigged, textured, dressed and animated like a character, as one file."""
+"""`cagemap rig`: rig, texture, dress and animate a body like a character, and write one file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _DOUBT = "the bodies may be matched wrongly: look at the result, and give --land
 
 
 def run_rig(request: RigRequest, stages: Stages) -> Outcome:
-    """Carry all of a character to another body and write one file; returns a summary and warnings."""
+    """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
     document = read_document(request.like)
@@ -81,16 +81,16 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
             replace(carried, character=dressed), source, of, document, request.size
         )
     stages("write")
-    made = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
-    _require_readable(made, dressed)
+    rigged_document = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
+    _require_readable(rigged_document, dressed)
     if request.report is not None:
         stages("report")
     with all_or_nothing():
-        write_document(request.output, made, force=request.force)
+        write_document(request.output, rigged_document, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
-    found = carried.result.confidence
-    doubt = [] if found is None or found.verdict == SURE else [_DOUBT]
+    confidence = carried.result.confidence
+    doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     return _summary(request, dressed), [*carried.notes, *notes, *doubt]
 
 
@@ -111,7 +111,7 @@ def _require_paths(request: RigRequest) -> None:
 
 
 def read_body(path: Path) -> tuple[Document | None, Character]:
-    """A glTF or FBX file and the character in it, or the mesh of any other file as one."""
+    """A glTF or FBX document and its character, or another file's mesh as a character."""
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
         return document, character_of(document)
@@ -119,7 +119,7 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
 
 
 def body_in(character: Character, name: str | None, path: Path) -> Part:
-    """The body of a file's character; messages name the file."""
+    """The body of a file's character; errors name the file."""
     try:
         return find_body(character.parts, name)
     except ParameterError as error:
@@ -127,9 +127,9 @@ def body_in(character: Character, name: str | None, path: Path) -> Part:
 
 
 def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Character, Part]:
-    """A character with another mesh of a part, and that part."""
-    made = replace(part, mesh=mesh)
-    return with_part(character, part, made), made
+    """The character with a part's mesh replaced, and the new part."""
+    new_part = replace(part, mesh=mesh)
+    return with_part(character, part, new_part), new_part
 
 
 def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
@@ -137,19 +137,21 @@ def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
     if request.landmarks is None:
         return Landmarks.none()
     meshes = [read_mesh(path) for path in (request.body, request.like)]
-    given, _ = read_landmarks(request.landmarks, request.body, request.like)
-    check_landmarks(given, *meshes)
-    found = [
+    file_landmarks, _ = read_landmarks(request.landmarks, request.body, request.like)
+    check_landmarks(file_landmarks, *meshes)
+    vertices = [
         nearest(part.mesh.positions, mesh.positions[points.nearest_vertices])
-        for part, mesh, points in zip((target, source), meshes, (given.target_points, given.source_points), strict=True)
+        for part, mesh, points in zip(
+            (target, source), meshes, (file_landmarks.target_points, file_landmarks.source_points), strict=True
+        )
     ]
-    return Landmarks(given.names, found[0], found[1])
+    return Landmarks(file_landmarks.names, vertices[0], vertices[1])
 
 
 def _in_one_square(mesh: ControlMesh) -> ControlMesh:
-    """A mesh with UVs in the unit square, as glTF has images: unwrapped, or its tiles side by side.
+    """A mesh with UVs in the unit square, as glTF needs: unwrapped, or with its tiles side by side.
 
-    The UVs in tiles stay as a second set.
+    The UVs in tiles are kept as a second set.
     """
     if mesh.uvs is None or mesh.uv_indices is None:
         return unwrap(mesh)
@@ -180,35 +182,35 @@ def _kinds(request: RigRequest) -> dict[str, PassengerKind]:
 def _with_own_materials(
     carried: CarriedCharacter, document: Document, given: Document | None, *, body: bool
 ) -> tuple[Character, Document]:
-    """The target's own parts, its body only if asked for, with the materials and textures that its document has."""
+    """The character and document with own materials of the target's parts; ``body``: of its body too."""
     parts = list(carried.character.parts)
-    own = range(0 if body else 1, len(parts) - len(carried.passengers))
+    own_parts = range(0 if body else 1, len(parts) - len(carried.passengers))
     known = () if given is None else material_names(given)
-    names = dict.fromkeys(name for number in own for name in parts[number].mesh.material_names if name in known)
+    names = dict.fromkeys(name for number in own_parts for name in parts[number].mesh.material_names if name in known)
     if given is None or not names:
         return carried.character, document
     document, new = with_materials_of(document, given, list(names))
-    for number in own:
+    for number in own_parts:
         mesh = parts[number].mesh
         words = tuple(new.get(name, name) for name in mesh.material_names)
         parts[number] = replace(parts[number], mesh=replace(mesh, material_names=words))
     return replace(carried.character, parts=tuple(parts)), document
 
 
-# An image of the character's body, and the same in the layout of the body; by material and slot.
+# An image of the character's body, and the image baked into the target body's layout; by material and slot.
 _Images = dict[tuple[str, str], tuple[Image, Image]]
 
 
 def _textured(
     carried: CarriedCharacter, source: Character, of: Part, document: Document, size: int | None
 ) -> tuple[Character, Document, _Images, list[str]]:
-    """The character with its body's materials, the document with them, and their images in the body's layout."""
+    """Character and document with the source body's materials, their baked images, and notes."""
     result, (body, *others) = carried.result, carried.character.parts
-    given = of.mesh
-    assert given.face_materials is not None
+    source_mesh = of.mesh
+    assert source_mesh.face_materials is not None
     notes = []
     others_use = {name for part in source.parts if part is not of for name in part.mesh.material_names}
-    copies = {name: f"{name} {of.name}" if name in others_use else name for name in given.material_names if name}
+    copies = {name: f"{name} {of.name}" if name in others_use else name for name in source_mesh.material_names if name}
     if body.mesh.material_names and any(body.mesh.material_names):
         notes.append(
             f"the body's own materials ({', '.join(body.mesh.material_names)}) give way to the character's; "
@@ -218,19 +220,19 @@ def _textured(
     mesh = replace(
         body.mesh,
         face_materials=_carried_materials(result, transfer, body.mesh),
-        material_names=tuple(copies.get(name, name) for name in given.material_names),
-        material_colors=given.material_colors,
+        material_names=tuple(copies.get(name, name) for name in source_mesh.material_names),
+        material_colors=source_mesh.material_colors,
     )
     images = {}
     for name, copy in copies.items():
-        for found in material_images(document, name):
-            images[copy, found.slot] = _baked(found, document, result, size)
+        for material_image in material_images(document, name):
+            images[copy, material_image.slot] = _baked(material_image, document, result, size)
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
     return dressed, with_copied_materials(document, list(copies.items())), images, notes
 
 
 def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None = None) -> Transfer:
-    """The match in the form that bakes need, the source with other texture coordinates."""
+    """The match prepared for bakes, with other texture coordinates of the source."""
     level, target = result.source.refinement.finest, result.target.refinement
     if uvs is not None and source.uv_indices is not None:
         layout = uvs, source.uv_indices.reshape(level.n_faces, -1)
@@ -239,11 +241,11 @@ def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None =
 
 
 def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMesh) -> IndexArray:
-    """The character's material of every face of a body, of pieces that were not matched the nearest face's."""
+    """Carried material of every face of the body; unmatched pieces take the nearest face's material."""
     matched, source = result.target.control, result.source.control
     assert source.face_materials is not None
-    found = pull_back_faces(transfer, source.face_materials, n_target_faces=matched.n_faces)
-    return np.asarray(found[nearest(face_centres(matched), face_centres(mesh))])
+    materials = pull_back_faces(transfer, source.face_materials, n_target_faces=matched.n_faces)
+    return np.asarray(materials[nearest(face_centres(matched), face_centres(mesh))])
 
 
 def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> tuple[Image, Image]:
@@ -258,9 +260,9 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
 
 
 def _require_readable(document: Document, character: Character) -> None:
-    """Read what is about to be written, as its user will."""
-    found = character_of(document)
-    names = {part.name: part.mesh.n_faces for part in found.parts}
+    """Require that all parts of a document can be read back."""
+    read_back = character_of(document)
+    names = {part.name: part.mesh.n_faces for part in read_back.parts}
     missing = [part.name for part in character.parts if part.name not in names]
     if missing:
         raise AssertionError(f"parts that cannot be read back: {missing}")
@@ -275,9 +277,9 @@ def _write_report(
     *,
     force: bool,
 ) -> None:
-    """A page with both bodies, dressed, and in keys of the first animation."""
-    made, result = carried.character, carried.result
-    body, dressed = made.parts[0], made.parts[len(made.parts) - len(carried.passengers) :]
+    """Write a page with both dressed bodies, and poses of the first animation."""
+    character, result = carried.character, carried.result
+    body, dressed = character.parts[0], character.parts[len(character.parts) - len(carried.passengers) :]
     rows = carried.rows
     weights = None
     if of.weights is not None and body.weights is not None:
@@ -288,12 +290,12 @@ def _write_report(
             CarriedShape(name, offsets[rows[1]], body.shapes[name][rows[0]]) for name, offsets in of.shapes.items()
         ),
         passengers=tuple(
-            Passenger(there.name, there.mesh, here.mesh)
-            for there, here in zip(carried.passengers, dressed, strict=True)
+            Passenger(source_part.name, source_part.mesh, carried_part.mesh)
+            for source_part, carried_part in zip(carried.passengers, dressed, strict=True)
         ),
-        poses=tuple(_poses(source, made, (of, body), (rows[1], rows[0]))),
+        poses=tuple(_poses(source, character, (of, body), (rows[1], rows[0]))),
     )
-    colors = next((one for (_, slot), one in baked.items() if slot == "baseColorTexture"), None)
+    colors = next((images for (_, slot), images in baked.items() if slot == "baseColorTexture"), None)
     pictures = (None, None) if colors is None else (colors[0].pixels, colors[1].pixels)
     write_report(path, result, texture=pictures[0], baked=pictures[1], carried=shown, force=force)
 
@@ -308,8 +310,8 @@ def _poses(
     end = max(float(track.times[-1]) for track in pair[0].tracks)
     for share in (0.25, 0.5, 0.75):
         both = [
-            skinned_positions(body, rig, pose_at(rig, animation, share * end))[own]
-            for body, rig, animation, own in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
+            skinned_positions(body, rig, pose_at(rig, animation, share * end))[body_rows]
+            for body, rig, animation, body_rows in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
         yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
 

@@ -1,4 +1,4 @@
-"""`cagemap run`: a job file in, all its results, a page and a table out."""
+"""`cagemap run`: run a job file; write its results, a page and a table."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ from cagemap.tasks.requests.matching import MapRequest, RunRequest
 
 
 class Ticker:
-    """Tells the progress of the whole, and which kind of task is slowest so far."""
+    """Shows the progress of a job and its slowest task so far."""
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
         self._slowest: TaskOutcome | None = None
 
     def __call__(self, outcome: TaskOutcome, finished: int, total: int) -> None:
-        """Note an outcome and show where things stand."""
+        """Record an outcome and show the progress."""
         if outcome.state == "done" and (self._slowest is None or outcome.seconds > self._slowest.seconds):
             self._slowest = outcome
         slowest = "" if self._slowest is None else f"; slowest: {self._slowest.name}, {self._slowest.seconds:.1f} s"
@@ -70,7 +70,7 @@ class Ticker:
 
 
 def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
-    """Do what a job file says; returns a summary, and whether everything is there."""
+    """Run a job file; returns a summary, and whether all results exist."""
     stages("read job")
     job = read_job(request.job, COMMANDS, WRITTEN)
     version = code_version()
@@ -93,7 +93,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
             plan = add_detours(plan, verdict.detours, version)
             stages("run tasks")
         outcomes = run_plan(plan, run_task, connect, Ticker(stages))
-    # What the first half did is no leftover of an earlier run.
+    # Matches of the first pass were done in this run: they are not "kept".
     outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
     return _concluded(job.path.stem, plan, outcomes, verdict, started)
@@ -107,9 +107,9 @@ def exported(kind: str, job: Path, plan: Plan) -> str:
 
 
 def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:
-    """Do the tasks of some numbers, one after the other in this process; what is done is kept.
+    """Run tasks by their numbers, one after the other in this process; finished tasks are kept.
 
-    A task whose needs are not done fails. Detours around doubtful maps have no number and are made first.
+    A task whose needs are not done fails. Detours around doubtful maps have no number and are composed first.
     """
     steps = farm_steps(plan)
     numbers = parse_task_range(words, steps[-1].last)
@@ -120,9 +120,9 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
         if step.name not in ("prepare", "match"):
             verdict, current = _with_verdict(plan, version)
         if step.name == PAGE_STEP:
-            text, there = _concluded(title, current, _kept_so_far(current), verdict, time.perf_counter())
+            text, complete = _concluded(title, current, _kept_so_far(current), verdict, time.perf_counter())
             lines.append(f"{number} page:\n{text}")
-            whole &= there
+            whole &= complete
         for task in step.tasks[number - step.first]:
             stages(task.name)
             outcome = _done_alone(task.name, current)
@@ -132,22 +132,22 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
 
 
 def _require_one_way(request: RunRequest) -> None:
-    """Refuse options of which one would be ignored."""
-    ways = {
+    """Refuse combinations of options in which one would be ignored."""
+    options = {
         "--task": request.task is not None,
         "--export": request.export is not None,
         "--dry-run": request.dry_run,
         "--scheduler": request.scheduler is not None,
     }
-    given = [name for name, said in ways.items() if said]
+    used = [name for name, is_given in options.items() if is_given]
     if request.workers is not None and not request.dry_run:
-        given.append("--workers")
-    if len(given) > 1 and given != ["--scheduler", "--workers"]:
-        raise ParameterError(f"{given[0]}: expected none of {', '.join(given[1:])} beside it. Give one of them.")
+        used.append("--workers")
+    if len(used) > 1 and used != ["--scheduler", "--workers"]:
+        raise ParameterError(f"{used[0]}: expected none of {', '.join(used[1:])} beside it. Give one of them.")
 
 
 def _done_alone(name: str, plan: Plan) -> TaskOutcome:
-    """Do one task of a plan, after the composed maps that it needs."""
+    """Run one task of a plan, after the composed maps that it needs."""
     tasks = {task.name: task for task in plan.tasks}
     task, before = tasks[name], []
     for need in task.needs:
@@ -162,14 +162,14 @@ def _done_alone(name: str, plan: Plan) -> TaskOutcome:
 
 
 def _kept_so_far(plan: Plan) -> dict[str, TaskOutcome]:
-    """Outcomes of what is done, and of what is not."""
+    """Outcomes of finished tasks; missing tasks are failed."""
     kept = {task.name: kept_outcome(plan.root, task) for task in plan.tasks}
     missing = {task.name: TaskOutcome(task.name, "failed", "not done") for task in missing_tasks(plan)}
     return {name: outcome for name, outcome in kept.items() if outcome is not None} | missing
 
 
 def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
-    """How the maps that are done agree, and the plan with detours around the doubtful ones; measured once at a time."""
+    """Consistency of finished maps, and the plan with detours around doubtful ones; under a file lock."""
     if not has_detours(plan):
         return Consistency({}, 0, (), {}), plan
     from filelock import FileLock
@@ -183,11 +183,11 @@ def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
 def _concluded(
     title: str, plan: Plan, outcomes: dict[str, TaskOutcome], verdict: Consistency, started: float
 ) -> tuple[str, bool]:
-    """Write the page of a job; its summary, and whether everything is there."""
+    """Write the page of a job; returns a summary, and whether all results exist."""
     carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
     notes = [*plan.omitted_outputs, *cycle_notes(verdict), *carry_notes([outcome.figures for outcome in carried])]
     page = None
-    try:  # where the disk is full the outcomes are still told
+    try:  # with a full disk the outcomes are still reported
         page = write_library(plan.root, title, in_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
     except (CagemapError, OSError) as error:
         notes.append(f"the page could not be written: {error}")
@@ -202,12 +202,12 @@ _EXPORTS: dict[str, Callable[[Path, tuple[Step, ...]], str]] = {
 
 
 def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
-    """Rows of the page with messages in the words of the command line and of job files."""
+    """Rows of the page, with option names in their messages as users type them."""
     return [replace(row, messages=tuple(map(use_option_names, row.messages))) for row in rows]
 
 
 def collection_verdict(plan: Plan, outcomes: dict[str, TaskOutcome]) -> Consistency:
-    """How the maps of a job agree with each other; kept beside them, and measured again when one of them changes."""
+    """Consistency of a job's maps; stored with them, and measured again if a map changes."""
     matches = [task for task in plan.tasks if task.kind == "match" and outcomes[task.name].usable]
     keys = {task.name: task.key for task in matches}
     place = plan.root / STATE_FOLDER / "consistency.json"
@@ -224,18 +224,18 @@ def collection_verdict(plan: Plan, outcomes: dict[str, TaskOutcome]) -> Consiste
 
 
 def cycle_notes(verdict: Consistency) -> list[str]:
-    """Sentences about pairs that break cycles."""
+    """Sentences about pairs that are inconsistent with their detours."""
     notes = []
     for pair in verdict.doubtful:
         target, source = pair
         text = f"{source} -> {target} disagrees with its detours by {100 * verdict.errors[pair]:.1f} % of the size"
-        way = verdict.detours.get(pair)
-        notes.append(f"{text}; replaced by the way through {', '.join(way[1:-1])}" if way else text)
+        detour = verdict.detours.get(pair)
+        notes.append(f"{text}; replaced by the way through {', '.join(detour[1:-1])}" if detour else text)
     return notes
 
 
 def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page: Path | None, seconds: float) -> str:
-    """A few lines for the terminal: what was done, what failed and why."""
+    """Summary for the terminal: numbers of outcomes, failures and notes."""
     states = {
         state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")
     }
@@ -252,7 +252,7 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
 
 
 def run_task(task: Task) -> dict[str, Any]:
-    """Do one task of a plan, here or on a worker; returns what it has to say about its result."""
+    """Run one task of a plan, here or on a worker; returns its figures and notes."""
     stages = Stages()
     if task.kind == "prepare":
         return _prepare(task)
@@ -262,22 +262,22 @@ def run_task(task: Task) -> dict[str, Any]:
     if task.kind == "carry":
         return carry_landmarks(task.request)
     if task.kind == "compose":
-        way = [read_result(folder) for folder in task.request["way"]]
-        result = compose_results(way, task.request["names"])
+        results = [read_result(folder) for folder in task.request["way"]]
+        result = compose_results(results, task.request["names"])
         write_result(task.request["output"], result)
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
     if task.kind == "match":
         return _match(task, stages)
-    given = dict(task.request)
+    arguments = dict(task.request)
     if task.kind == "wrap":
-        given["results"] = [given.pop("result")]
-    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(given)
+        arguments["results"] = [arguments.pop("result")]
+    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(arguments)
     _, warnings = run_request(request, stages)
     return {"warnings": warnings}
 
 
 def _match(task: Task, stages: Stages) -> dict[str, Any]:
-    """Find the map of a pair, or take the one that is given."""
+    """Match a pair, or import its given map."""
     if "map" in task.request:
         run_map(TypeAdapter(MapRequest).validate_python(task.request), stages)
     else:
@@ -290,10 +290,10 @@ def _match(task: Task, stages: Stages) -> dict[str, Any]:
 
 
 def _prepare(task: Task) -> dict[str, Any]:
-    """Prepare one surface and keep it in the store; the same as a match would do for that side."""
+    """Prepare one surface as a match would do for that side, and keep it in the store."""
     file, side = Path(task.request["file"]), SIDES.index(task.request["side"])
-    given = {"target": file, "source": file, "landmarks": None, "output": file, **task.request["options"]}
-    request: MatchRequest = TypeAdapter(MatchRequest).validate_python(given)
+    arguments = {"target": file, "source": file, "landmarks": None, "output": file, **task.request["options"]}
+    request: MatchRequest = TypeAdapter(MatchRequest).validate_python(arguments)
     control = weld_control(read_control(file, request, task.request["side"]), request, task.request["side"]).mesh
     if isinstance(control.scheme, Plain):
         control = plain_mesh(control).mesh

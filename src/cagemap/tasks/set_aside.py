@@ -1,4 +1,4 @@
-"""Pieces of the target that are not matched (eyes, teeth, buttons of one mesh), laid on the source one by one."""
+"""Place unmatched pieces of the target (eyes, teeth, buttons of one mesh) on the source, one by one."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
 from cagemap.transfer.textured_surface import TexturedSurface
 
-# Matched vertices around each vertex of a piece, whose images say where the piece goes.
+# Matched vertices around each vertex of a piece, to whose images the piece is fitted.
 _AROUND = 16
-# Corners are told apart by points this far from them towards the centre of their face.
+# Share of the way from a corner to its face's centre; such points distinguish corners at one place.
 _INWARD = 0.1
-# Barycentric coordinates below this are none.
+# Barycentric coordinates below this are set to 0.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class SetAside:
-    """What of the target is not matched, and what of the source it goes to."""
+    """Unmatched vertices, corners and faces of the target, and their nearest ones on the source."""
 
-    # `vertices`, `corners`, `faces`: (k,) of the target as given
+    # `vertices`, `corners`, `faces`: (k,) of the given target
     vertices: IndexArray
     corners: IndexArray
     faces: IndexArray
-    # `source_vertices`, `source_corners`, `source_faces`: (k,) the nearest ones of the source as given, of any piece
+    # `source_vertices`, `source_corners`, `source_faces`: (k,) nearest ones of the given source, of any piece
     source_vertices: IndexArray
     source_corners: IndexArray
     source_faces: IndexArray
-    places: FloatArray  # (k, 3) of the vertices on the source, in its file's units
-    turns: FloatArray  # (k, 3, 3) an offset at the source, as a row, times it is the offset of the vertex
+    places: FloatArray  # (k, 3) vertices placed on the source, in its file's units
+    turns: FloatArray  # (k, 3, 3) source offset as a row vector times it is the vertex's offset
 
 
 def lay_set_aside(bodies: Bodies) -> SetAside:
-    """Move every piece that is not matched like the matched surface around it, by a rotation, scale and shift."""
+    """Place every unmatched piece on the source by the similarity transform of the matched surface around it."""
     target, source = (part.mesh for part in bodies.given)
     vertex_of = bodies.ready[0].vertex_of
     vertices = np.flatnonzero(vertex_of < 0)
     if not len(vertices):
-        none = np.zeros(0, dtype=np.int64)
-        return SetAside(none, none, none, none, none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        empty = np.zeros(0, dtype=np.int64)
+        return SetAside(empty, empty, empty, empty, empty, empty, np.zeros((0, 3)), np.zeros((0, 3, 3)))
     faces = np.flatnonzero(np.maximum.reduceat(vertex_of[target.face_indices], target.face_offsets[:-1]) < 0)
     corners = np.flatnonzero(np.isin(target.corner_faces, faces))
     rest = keep_faces(target, faces)
@@ -62,7 +62,7 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
     laid = rest.with_positions(moved)
     source_corners = nearest(_corner_points(source), _corner_points(laid))
     source_vertices = nearest(source.positions, places)
-    # The vertex of a corner, not the nearest one: layers of cloth have vertices at one place.
+    # The vertex of the nearest corner, not the nearest vertex: layers of cloth have vertices at one place.
     number = np.full(target.n_vertices, -1, dtype=np.int64)
     number[vertices] = np.arange(len(vertices))
     source_vertices[number[rest.face_indices]] = source.face_indices[source_corners]
@@ -71,9 +71,9 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
 
 
 def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) -> Transfer:
-    """What bakes need of the pieces set aside: they go to the closest points of the source's faces as they are.
+    """Transfer of the pieces set aside, to closest points of the source's control faces.
 
-    ``aside``: with faces.
+    ``aside``: has at least one face.
     """
     rest = keep_faces(target, aside.faces)
     laid = target.positions.copy()
@@ -81,7 +81,7 @@ def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) ->
     sides = _textured(rest), _textured(source)
     surfaces = [TriangleSurface.from_faces(side.positions, side.triangles) for side in sides]
     triangle, weights, _ = closest_points(surfaces[1].tree, surfaces[1].scale * laid)
-    weights = np.where(weights < _ROUNDING, 0.0, weights)  # a vertex on a vertex is exactly there
+    weights = np.where(weights < _ROUNDING, 0.0, weights)  # keeps vertices on vertices exact
     barycentric = weights / weights.sum(axis=1, keepdims=True)
     point_map = PointMap.from_arrays(surfaces[0], surfaces[1], triangle, barycentric)
     return Transfer(*sides, point_map, map_surface(*sides, point_map))
@@ -94,9 +94,9 @@ def _textured(mesh: ControlMesh) -> TexturedSurface:
 
 
 def _laid(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Places (k, 3) on the source of vertices of pieces (k,), and turns (k, 3, 3) back."""
-    found = bodies.result.point_map
-    target, source, images = found.target, found.source, found.images.positions
+    """Positions (k, 3) on the source of vertices of pieces (k,), and inverse rotations with scale (k, 3, 3)."""
+    point_map = bodies.result.point_map
+    target, source, images = point_map.target, point_map.source, point_map.images.positions
     points = target.scale * positions
     around = np.asarray(cKDTree(target.positions).query(points, k=min(_AROUND, target.n))[1])
     places, turns = np.empty_like(points), np.empty((len(points), 3, 3))
@@ -110,7 +110,7 @@ def _laid(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[Fl
 
 
 def _corner_points(mesh: ControlMesh) -> FloatArray:
-    """(c, 3) points of faces near their corners."""
+    """(c, 3) points inside faces near their corners."""
     if not mesh.n_faces:
         return np.zeros((0, 3))
     corners, centres = mesh.positions[mesh.face_indices], face_centres(mesh)[mesh.corner_faces]

@@ -1,4 +1,4 @@
-"""How the command line says that meshes are to be welded and subdivided."""
+"""Options of the command line for welding and subdivision."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BoundaryName(StrEnum):
 
 
 class UvName(StrEnum):
-    """Where UVs stay linear."""
+    """Rules for linear interpolation of UVs."""
 
     NONE = "none"
     CORNERS_ONLY = "corners-only"
@@ -47,7 +47,7 @@ class UvName(StrEnum):
 
 
 class CreasingName(StrEnum):
-    """How sharpness falls."""
+    """Rules for semi-sharp creases."""
 
     UNIFORM = "uniform"
     CHAIKIN = "chaikin"
@@ -55,7 +55,7 @@ class CreasingName(StrEnum):
 
 @dataclass(frozen=True)
 class SubdivisionRequest:
-    """Options of the command line; None leaves what the file says."""
+    """Subdivision options of the command line; None keeps the file's option."""
 
     scheme: str | None = None
     boundary: str | None = None
@@ -63,7 +63,7 @@ class SubdivisionRequest:
     creasing: str | None = None
 
     def applied(self, control: ControlMesh) -> ControlMesh:
-        """The mesh, to be subdivided as asked."""
+        """The mesh with these subdivision options."""
         from cagemap.subdivision import with_options
 
         words = (self.boundary, self.uv_interpolation, self.creasing)
@@ -71,7 +71,10 @@ class SubdivisionRequest:
         if (self.scheme, boundary, uvs, creasing) == (None,) * 4:
             return control
         options = self.scheme, boundary, uvs, creasing
-        objects = (with_options(replace(control, scheme=own), *options).scheme for own in control.object_schemes)
+        objects = (
+            with_options(replace(control, scheme=object_scheme), *options).scheme
+            for object_scheme in control.object_schemes
+        )
         schemes = tuple(scheme for scheme in objects if scheme is not None)
         return replace(with_options(control, *options), object_schemes=schemes)
 
@@ -80,7 +83,7 @@ AUTO = "auto"
 
 
 def weld_asked(control: ControlMesh, word: str | None) -> Welded:
-    """The mesh welded as ``--weld`` says, ``auto`` or a tolerance; as it is where nothing is asked for."""
+    """The mesh welded by ``--weld`` (``auto`` or a tolerance); not welded for None."""
     from cagemap.mesh.weld import keep_unwelded, weld_mesh
 
     return keep_unwelded(control) if word is None else weld_mesh(control, _tolerance(word))

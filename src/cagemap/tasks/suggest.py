@@ -1,4 +1,4 @@
-"""`cagemap suggest`: RESULT folder in, a landmark file with the next landmarks out, for a person to correct."""
+"""`cagemap suggest`: write a landmark file with suggested landmarks of a RESULT, for correction by hand."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks
 
 
 def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
-    """Write the landmarks of a result and some more; returns a few lines for the terminal."""
+    """Write the landmarks of a result and ``count`` suggested ones; returns lines for the terminal."""
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
     require_no_input([output], read_files(folder, result.manifest))
@@ -35,7 +35,7 @@ def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) 
 
 
 def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
-    """Landmarks of parts in the numbers of their files, which is what a match reads."""
+    """Landmarks of parts in the numbering of their files."""
     numbers = [side.control.file_vertices for side in (result.target, result.source)]
     return landmarks.renumbered(
         *(lambda vertices, own=own: vertices if own is None else own[vertices] for own in numbers)
@@ -43,7 +43,7 @@ def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
 
 
 def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
-    """The landmarks of a result, and ``count`` more where they would tell most, with the points of the map."""
+    """Landmarks of a result and ``count`` most informative further ones, paired by the map."""
     target, source = result.point_map.target, result.point_map.source
     vertices = result.target.control.n_vertices
     pairs = result.landmarks

@@ -1,4 +1,4 @@
-"""`cagemap transfer`: images, values, rigs, shapes or passengers of the source, carried to the target."""
+"""`cagemap transfer`: carry images, values, rigs, shapes or passengers of the source to the target."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
-# What is carried whole, whatever masks say.
+# Options whose results ignore masks.
 _WHOLE = ("--source-uvs", "--joints", "--passenger", "--write-map")
 
-# Which of the things to carry read an option; the others would take it without a word and do nothing.
+# Commands that read an option; others refuse it, since they would ignore it.
 _PICTURES = ("--texture", "--displacement", "--normal-map", "--vector-displacement", "--bake")
 _READ_BY = {
     "usd": ("--texture", "--attribute", "--weights", "--blend-shapes"),
@@ -74,14 +74,14 @@ _SAID_AS = {"kind": "as"}  # options whose field has another name
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
-    """Carry one thing from source to target, write it and note it; returns a summary and warnings."""
+    """Carry one kind of data to the target, write and record it; returns a summary and warnings."""
     outcome = carry_one(request, stages)
     note_output("transfer", request.result, request)
     return outcome
 
 
 def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
-    """Carry one thing from source to target and write it, as a part of another command."""
+    """Carry one kind of data to the target and write it; the job file is unchanged."""
     carry = _carrier(request)
     require_map_names(request.maps)
     named = [base for base in request.bases if base[0]]
@@ -108,7 +108,7 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:
-    """Choose the one thing to carry."""
+    """Function for the only kind of data that is requested."""
     options = {
         "--texture": (request.texture is not None or bool(request.maps), carry_texture),
         "--displacement": (request.displacement is not None, carry_displacement),
@@ -124,7 +124,7 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
         "--passenger": (request.passenger is not None, transfer_passenger),
         "--write-map": (request.write_map, write_point_map),
     }
-    chosen = [option for option, (given, _) in options.items() if given]
+    chosen = [option for option, (requested, _) in options.items() if requested]
     if len(chosen) != 1:
         raise ParameterError(
             f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run once for each."
@@ -141,17 +141,17 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
 
 
 def _require_read(request: TransferRequest, carried: str) -> None:
-    """Refuse options that what is carried does not read."""
+    """Refuse options that the requested transfer does not read."""
     for option, readers in _READ_BY.items():
         if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
-            said = _SAID_AS.get(option, option.replace("_", "-"))
+            flag = _SAID_AS.get(option, option.replace("_", "-"))
             raise ParameterError(
-                f"--{said}: expected it beside {' or '.join(readers)}, which read it, got {carried}. Leave it out."
+                f"--{flag}: expected it beside {' or '.join(readers)}, which read it, got {carried}. Leave it out."
             )
 
 
 def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Values at control vertices, control faces, face corners or refined vertices; each arrives at its own kind."""
+    """Carry values at control vertices, control faces, face corners or refined vertices."""
     assert request.attribute is not None
     check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
@@ -172,9 +172,9 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         for name, array in values.items()
         if len(array) == source.n_vertices == source.n_faces
     ]
-    own = file_rows(request.result, result, "target")
-    carried, notes = keep_base(request, result, carried, own)
-    whole = in_file(request, carried, own)
+    target_rows = file_rows(request.result, result, "target")
+    carried, notes = keep_base(request, result, carried, target_rows)
+    whole = in_file(request, carried, target_rows)
     lines = []
     with all_or_nothing():
         write_attributes(request.output, whole, force=request.force)
@@ -187,7 +187,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
 
 
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """The target's mesh with the source's texture coordinates, so that the source's own image fits it."""
+    """Write the target's mesh with the source's texture coordinates, for the source's images."""
     sides = result.target.refinement, result.source.refinement
     stages("prepare")
     transfer = transfer_of(result)
@@ -209,12 +209,12 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
 
 
-# A passenger further from the body than this on average, of sqrt(area), has probably other units or another place.
+# Mean distance of a passenger from the body, of sqrt(area), above which its units or position are doubtful.
 _FAR_PASSENGER = 0.5
 
 
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Clothes, eyes, hair or a prop; UVs and materials stay as they are."""
+    """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
     check_mesh_path(request.output)
     mesh = read_mesh(request.passenger)

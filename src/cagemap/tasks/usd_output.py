@@ -1,4 +1,4 @@
-"""`--usd`: results as a layer over the target's USD file, or as a USD file of their own."""
+"""`--usd`: write results as a layer over the target's USD file, or as a separate USD file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
 from cagemap.maps.result import MatchResult
 
-# What is said where a target's file cannot be asked.
+# Message if the target's file is missing.
 NO_UNITS = (
     "the file is no longer where the match read it, or has changed: units, up axis and transform are not known, "
     "and metres with Y up are written"
@@ -49,10 +49,10 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
 
 
 def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
-    """Results about a part of a mesh prim as those of the prim: 0 elsewhere, and places and UVs that stay put."""
+    """Results of a part as results of its whole mesh prim; outside, 0 and old positions."""
     points = None if results.points is None else rows.placed(results.points)
     uvs = results.uvs
-    if uvs is not None:  # faces outside the part lie in one point of a layout that is not theirs
+    if uvs is not None:  # faces outside the part have all UVs at one point
         name, values, indices = uvs
         every = np.full(len(rows.whole.face_indices), len(values), dtype=np.int64)
         every[rows.corners] = indices
@@ -61,7 +61,7 @@ def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
 
 
 def texture_reference(image: Path, layer: Path) -> str:
-    """How a layer names an image: relative to itself, ``<UDIM>`` for the tile of a set."""
+    """Path of an image relative to a layer, with ``<UDIM>`` for the tile number."""
     relative = Path(os.path.relpath(image.resolve(), layer.resolve().parent)).as_posix()
     relative = relative.replace("%(UDIM)d", UDIM_MARK)
     return relative if relative.startswith(".") else f"./{relative}"

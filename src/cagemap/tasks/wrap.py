@@ -1,4 +1,4 @@
-"""`cagemap wrap`: the target's cage in the source's shape."""
+"""`cagemap wrap`: fit the target's cage to the source's shape."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
 from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
 
-# Less of the target's area than this without a counterpart is not told: single triangles.
+# Least share of the target's area without a counterpart that is reported; less is single triangles.
 _TOLD = 5e-4
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
     _check_request(request)
-    given = (request.target, request.source, request.landmarks, request.map)
-    if not any(given):
+    match_inputs = (request.target, request.source, request.landmarks, request.map)
+    if not any(match_inputs):
         return _with_texture(request, *_run(request, stages), stages)
     if request.results or request.target is None or request.source is None:
         raise ParameterError("expected RESULT folders, or --target and --source together to match first")
@@ -62,7 +62,7 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 
 
 def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
-    """Write the RESULT to wrap with: of a match, or of a point map of the user's."""
+    """Write the RESULT to wrap with, from a match or the user's point map."""
     if request.map is not None:
         return run_map(MapRequest(request.map, target, source, result, **_of_both(request, "weld")), stages)
     options = _of_both(request, "scheme", "weld")
@@ -70,12 +70,12 @@ def _found(request: WrapRequest, target: Path, source: Path, result: Path, stage
 
 
 def _of_both(request: WrapRequest, *names: str) -> dict[str, Any]:
-    """Options of both meshes, and of each."""
+    """Options for both meshes and for each of them."""
     return said(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
 
 
 def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
-    """Carry the source's texture into the target's layout as well, if that was asked for."""
+    """Also bake the source's texture into the target's layout, if requested."""
     if request.texture is None or request.baked is None:
         return summary, warnings
     options = said(request, "texture", "size", "target_mask", "source_mask", "mask_edge", "force")
@@ -150,8 +150,8 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     note_output("wrap", folder, request)
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
-        places, own = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
-        write_mhclo(request.mhclo, bind_on(places, result.source, own), request.output, force=request.force)
+        places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
+        write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     more, outside = bake_wrapped(request, result, wrapped, detail, stages)
     if more and not np.allclose(space, np.eye(4)):
@@ -163,7 +163,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
 
 
 def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]:
-    """What the results were made from."""
+    """Files that the results were made from."""
     both = zip(request.results, results, strict=True)
     return [file for folder, result in both for file in read_files(folder, result.manifest)]
 
@@ -180,11 +180,11 @@ def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages:
 
 
 def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray:
-    """(n_f,) how far finest vertices may follow, where masks leave some of the surfaces out."""
-    counts, refinement = result.masks.joint(result.point_map), result.target.refinement
-    if follow is None or len(follow) == len(counts):
-        return counts if follow is None else counts * follow
-    return np.asarray(counts * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
+    """(n_f,) weights of finest vertices from masks and ``follow``."""
+    weights, refinement = result.masks.joint(result.point_map), result.target.refinement
+    if follow is None or len(follow) == len(weights):
+        return weights if follow is None else weights * follow
+    return np.asarray(weights * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
 
 
 def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
@@ -204,16 +204,16 @@ def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
 def _symmetry(control: ControlMesh, level: int) -> IndexArray:
     if level:
         raise ParameterError("--symmetric: expected --fit-level 0, since symmetry is that of the control mesh")
-    found = next((mirror.image for mirror in mirror_symmetries(control) if mirror.exact), None)
-    if found is None:
+    image = next((mirror.image for mirror in mirror_symmetries(control) if mirror.exact), None)
+    if image is None:
         raise ParameterError(f"{control.name}: expected a mirror symmetric mesh for --symmetric, found no symmetry")
-    return found
+    return image
 
 
 def _write(
     request: WrapRequest, wrapped: Wrapped, result: MatchResult, original: Path | None, output: Path
 ) -> list[str]:
-    """Write the cage; all that the target's own file says but positions stays, where that file is still there."""
+    """Write the cage into a copy of the target's own file, if it exists; returns warnings."""
     rest = level_mesh(result.target.refinement, wrapped.level)
     mesh = wrapped.mesh
     if request.amount < 1.0:
@@ -245,17 +245,17 @@ def _write(
 
 
 def _to_target(folder: Path, result: MatchResult) -> FloatArray:
-    """(4, 4) from the source's space to the target's, where two USD files say that they differ."""
+    """(4, 4) transform from the source's space to the target's; identity unless USD files differ."""
     return between_spaces(*(input_file(folder, result.manifest, side) for side in ("target", "source")))
 
 
 def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
-    """A wrapped cage in the target's own units and axes."""
+    """The wrapped cage in the target's own units and axes."""
     return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
 
 
 def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Outcome:
-    """A folder of OBJ files: the target at rest, and its cage in every source's shape."""
+    """Write a folder of OBJ files: the target at rest, and its cage in every source's shape."""
     names = [Path(result.source.control.name).stem for result in results]
     rest_name = Path(results[0].target.control.name).stem
     if len({*names, rest_name}) <= len(names):

@@ -1,4 +1,4 @@
-"""Transfer: textures, displacement and attributes, pulled back from source to target through the point map."""
+"""Pull textures, displacement and attributes back from source to target through the point map."""
 
 from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back_faces
 from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles

@@ -1,4 +1,4 @@
-"""Attributes pulled back from source to target: values at vertices and faces, and material colours as an image."""
+"""Pull face values back from source to target; bake material colours as an image."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cagemap.transfer.texture import Pixels
 
 # Samples along a texel's side at borders of materials: 16 levels between two colours.
 _EDGE_SAMPLES = 4
-# Linear grey of materials without a colour; the default of most programs.
+# Linear grey for materials without a colour; the default of most programs.
 UNKNOWN_COLOR = 0.8
 
 
@@ -33,7 +33,7 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     values : (m2,) integers, or (m2,) or (m2, q) floats
         At the source's control faces.
     n_target_faces : int, optional
-        By default the number of control faces that the target's level has.
+        Default: number of control faces of the target's level.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
 
 
 def largest_share(owners: IndexArray, labels: NDArray[Any], shares: FloatArray, count: int) -> NDArray[Any]:
-    """(count,) label with the largest share at every owner; the smaller label where two are equal."""
+    """(count,) label with the largest share of every owner; the smaller label if two shares are equal."""
     distinct, number = np.unique(labels, return_inverse=True)
     keys, inverse = np.unique(owners * len(distinct) + number, return_inverse=True)
     weight = np.bincount(inverse, shares)
@@ -72,7 +72,7 @@ def largest_share(owners: IndexArray, labels: NDArray[Any], shares: FloatArray, 
 
 
 def face_colors(control: ControlMesh) -> FloatArray:
-    """(m, 3) linear RGB colour of every control face by its material; grey where that is not known."""
+    """(m, 3) linear RGB colour of every control face by its material; grey for materials without a colour."""
     if control.face_materials is None or control.material_colors is None or len(control.material_colors) == 0:
         raise ParameterError(
             f"{control.name}: expected materials with colours, found none; check that the .mtl lies beside the .obj"
@@ -89,7 +89,7 @@ def bake_face_colors(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake colours of the source's control faces into the target's layout, sharp and without jagged edges.
+    """Bake colours of the source's control faces into the target's layout, with antialiased edges.
 
     Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light.
 
@@ -129,21 +129,21 @@ def bake_face_colors(
 def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:
     """(t1,) whether a boundary between source labels may cross a target triangle.
 
-    A band around the boundaries is grown over the source's triangles, as wide as a target triangle's image.
+    A band as wide as a target triangle's image is grown around the boundaries, over the source's triangles.
     """
     neighbors = transfer.mapped.neighbors
     across = np.where(neighbors >= 0, labels[neighbors], labels[:, None])
     near = (across != labels[:, None]).any(axis=1)
-    image = triangle_areas(transfer.mapped.mapped, transfer.target.triangles).mean()
-    own = triangle_areas(transfer.source.positions, transfer.source.triangles).mean()
-    for _ in range(2 + int(np.ceil(2 * np.sqrt(image / own)))):
+    image_area = triangle_areas(transfer.mapped.mapped, transfer.target.triangles).mean()
+    source_area = triangle_areas(transfer.source.positions, transfer.source.triangles).mean()
+    for _ in range(2 + int(np.ceil(2 * np.sqrt(image_area / source_area)))):
         near = near | (np.where(neighbors >= 0, near[neighbors], False)).any(axis=1)
     start = transfer.mapped.start_triangles[transfer.target.triangles]
     return near[start].any(axis=1) | (labels[start] != labels[start][:, :1]).any(axis=1)
 
 
 def encode_srgb(linear: FloatArray) -> FloatArray:
-    """SRGB encoding of linear values from 0 to 1 (IEC 61966-2-1)."""
+    """Encode linear values from 0 to 1 as sRGB (IEC 61966-2-1)."""
     clipped = np.clip(linear, 0.0, 1.0)
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
 

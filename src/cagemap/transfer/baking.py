@@ -1,9 +1,10 @@
-"""Bake images: every texel of the target takes the value at its image under T12 on the source.
+"""Bake images: every texel of the target takes the source's value at its image under T12.
 
     texel -> point of the target -> T12 -> point of the source -> value there
 
 Each arrow is a function of its own module: `texels` rasterises, `locate` follows the map, and a *shade* function
-gives the value at the source points. This module runs them over bands of the image, in threads, and fills the rest.
+gives the value at the source points. This module runs them over bands of the image, in threads, and fills the
+background.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 Shade = Callable[[TexelSamples], FloatArray]
 
-# Area in the layout below which a triangle is degenerate: a side of 1e-6; a texel of a 16k image has 6e-5.
+# Area in the layout below which a triangle is degenerate: sides of about 1e-6. A texel's side in a 16k image is 6e-5.
 _MIN_AREA = 1e-12
-# Texels that one thread works on at a time: about 100 bytes each.
+# Texels per band, the work of one thread at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
 # Samples located at a time within a band: 60 bytes each.
 _SAMPLE_BUDGET = 1 << 20
@@ -49,12 +50,12 @@ _SAMPLE_BUDGET = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """A match in the form that bakes use: prepare it once, bake many images.
+    """A match prepared for bakes; one serves many images.
 
     Attributes
     ----------
     point_map : PointMap
-        T12, for the target's vertices and the source's triangles.
+        T12, from the target's vertices to the source's triangles.
     mapped : MappedSurface
         Images of the target's vertices, and the source as triangles to walk over.
     masks : Masks
@@ -73,14 +74,14 @@ class Transfer:
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """How an image is baked; every bake takes them.
+    """Options of every bake of an image.
 
     Attributes
     ----------
     tile : int
         UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
     supersample : int, optional
-        Raster samples along a texel's side. By default 1, and 3 or 5 where triangles are smaller than texels. With odd
+        Raster samples along a texel's side. Default: 1, or 3 or 5 if triangles are smaller than texels. With odd
         numbers, texels that span at most one texel of the source use their centre alone.
     dilation : int, optional
         Width in texels of the filled border around islands; the whole background by default.
@@ -89,7 +90,7 @@ class BakeOptions:
     threads : int, optional
         By default as many as `cagemap.thread_limit` allows.
     filter : "smooth", "linear" or "nearest"
-        Interpolation where the texture is not minified. Nearest is for labels: colours are never mixed.
+        Interpolation of textures that are not minified. Nearest is for labels: colours are never mixed.
     """
 
     tile: int = 0
@@ -125,7 +126,7 @@ def prepare_transfer(
     Parameters
     ----------
     target, source : Level
-        The refined levels that the point map was computed on.
+        Refined levels of the point map.
     point_map : PointMap
     masks : Masks
         Weights of both surfaces' vertices.
@@ -151,7 +152,7 @@ def prepare_transfer(
 
 
 def target_tiles(target: TexturedSurface) -> list[int]:
-    """UDIM numbers of the tiles that the target's layout uses, ascending; [0] if it stays in one unit square."""
+    """UDIM numbers of the target layout's tiles, ascending; [0] for the unit square alone."""
     corners, laid = target.corner_uvs(), _laid_out(target)
     cells = tile_cells(corners[laid] if laid.any() else corners)
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
@@ -186,7 +187,7 @@ def bake_texture(
     Raises
     ------
     ParameterError
-        If target or source have no texture coordinates, or the image or its size is not one.
+        If target or source have no texture coordinates, or the image or its size is invalid.
     """
     options = options or BakeOptions()
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
@@ -220,7 +221,7 @@ class Canvas:
 
 
 def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
-    """Lay the target's UV triangles of one tile on the raster of an image."""
+    """Place the target's UV triangles of one tile on the raster of an image."""
     target = transfer.target
     sides: Any = (size, size) if np.ndim(size) == 0 else size
     try:
@@ -234,18 +235,23 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     corner_uvs = target.corner_uvs() - udim_origin(options.tile)
     neighbors = triangle_neighbors(target.layout()[1])
     if target.holes is not None:
-        # Triangles of holes shrink to a point, so that they cover no texel; their rims are borders of islands.
+        # Triangles of holes shrink to a point, so that they cover no texel; their edges become island borders.
         corner_uvs[target.holes] = corner_uvs[target.holes, :1]
         neighbors = np.where(target.holes[neighbors], -1, neighbors)
     _require_covered(target, corner_uvs, options.tile)
-    finer = options.supersample or (1 if options.filter == "nearest" else _supersample(target, height, width))
-    if not 1 <= finer <= 16:
-        raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
-    band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer
+    supersample = options.supersample or (1 if options.filter == "nearest" else _supersample(target, height, width))
+    if not 1 <= supersample <= 16:
+        raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {supersample}")
+    band_rows = max(1, _BAND_TEXELS // (width * supersample * supersample)) * supersample
     layout = lay_out(
-        corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows, gutter=GUTTER_RADIUS * finer
+        corner_uvs,
+        neighbors,
+        height * supersample,
+        width * supersample,
+        band_rows=band_rows,
+        gutter=GUTTER_RADIUS * supersample,
     )
-    return Canvas(height, width, finer, layout)
+    return Canvas(height, width, supersample, layout)
 
 
 def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
@@ -254,7 +260,7 @@ def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
 
 
 def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int) -> None:
-    """Require that a triangle covers a part of a tile: else its image would be black."""
+    """Require that some triangle covers a part of the tile: otherwise its image would be black."""
     laid = _laid_out(target)
     outside = (corner_uvs.max(axis=1) <= 0.0).any(axis=1) | (corner_uvs.min(axis=1) >= 1.0).any(axis=1)
     if not np.any(laid & ~outside):
@@ -277,7 +283,7 @@ def run_bake(
     options: BakeOptions,
     crisp: NDArray[np.bool_] | None = None,
 ) -> Pixels:
-    """Run the bake: rasterise, locate and shade band by band, then fill the background.
+    """Rasterise, locate and shade band by band, then fill the background.
 
     ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle.
     ``shade``: samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several
@@ -340,7 +346,7 @@ def _shade_cells(
 
 
 def _keep_centres(cells: TriangleImage, finer: int, crisp: NDArray[np.bool_]) -> None:
-    """Leave only the middle cell of every texel that lies in a crisp triangle there."""
+    """Remove all but the middle cell of texels whose middle cell lies in a crisp triangle."""
     blocks = cells.reshape(cells.shape[0] // finer, finer, -1, finer)
     middle = blocks[:, finer // 2, :, finer // 2].copy()
     enough = (middle >= 0) & crisp[middle]
@@ -351,7 +357,7 @@ def _keep_centres(cells: TriangleImage, finer: int, crisp: NDArray[np.bool_]) ->
 def _average_cells(
     cells: IndexArray, values: FloatArray, shape: tuple[int, ...], finer: int
 ) -> tuple[IndexArray, FloatArray]:
-    """Texels with any covered cell, and the mean over their covered cells."""
+    """Texels with a covered cell, and mean values of their covered cells."""
     rows, columns = np.divmod(cells, shape[1])
     texel_of_cell = (rows // finer) * (shape[1] // finer) + columns // finer
     texels, inverse, counts = np.unique(texel_of_cell, return_inverse=True, return_counts=True)
@@ -359,7 +365,7 @@ def _average_cells(
 
 
 def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:
-    """Values as a number type: integers are rounded and clipped to its range."""
+    """Convert values to a number type; integers are rounded and clipped to its range."""
     if dtype.kind != "u":
         return values.astype(dtype)
     rounded = np.rint(values)

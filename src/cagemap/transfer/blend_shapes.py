@@ -1,14 +1,14 @@
-"""Blend shapes carried to another cage: deformation gradients through the map (Sumner and Popovic 2004).
+"""Carry blend shapes to another cage by deformation transfer through the map (Sumner and Popovic 2004).
 
 A shape moves every triangle of the source by a linear map F. With Q the rotation of the map's differential, from the
-target's triangle to its image, the target's triangle is to move by ``Q^T F Q``. The displacement d of the target's
+target's triangle to its image, the target's triangle should move by ``Q^T F Q``. The displacement d of the target's
 *control* vertices solves
 
     min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - Q_i^T D(T12(i))|^2,
 
 with S the refinement and D the source's displacement, all at unit area. The second term fixes rigid motion. Lengths of
-D are scaled by the median stretch of the map: other than the ratio of areas, it does not depend on parts that only one
-surface has (a mouth bag). Zero stays zero, and the identity map returns each shape.
+D are scaled by the median stretch of the map: unlike the ratio of areas, it does not depend on parts that only one
+surface has (a mouth bag). A zero shape stays zero, and the identity map returns each shape.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
 
 # About this many vertices of the target sample a shape.
 _SAMPLES = 25_000
-# Weight of displacements against gradients: gradients decide details smaller than about 0.6 of sqrt(area).
+# Weight of displacements against gradients: gradients determine details smaller than about 0.6 of sqrt(area).
 _ANCHOR = 100.0
-# Weight, relative to the anchor, of control points that hardly move the surface (of a cube, say).
+# Weight, relative to the anchor, of control points that hardly move the surface, as those of a cube.
 _RIDGE = 1e-7
 # Weight of contacts of the source's shape against the anchor.
 _CONTACT = 100.0
-# Ends of walks that differ by less, in units of sqrt(area), are equal.
+# Distances from walks' ends to their points are equal if they differ by less, in units of sqrt(area).
 _SAME_POINT = 1e-12
-# Contact: closer than this many edges of samples, and a cosine of normals below this.
+# Points are in contact if they are closer than this many sample edges and the cosine of their normals is smaller.
 _CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeCarrier:
-    """The linear system that carries shapes from one source to one target; prepare it once."""
+    """Factored linear system that carries shapes from one source to one target."""
 
     point_map: PointMap
     source: Refinement
@@ -66,7 +66,7 @@ class ShapeCarrier:
 
 
 def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
-    """Prepare to carry shapes from a source to a target.
+    """Linear system that carries shapes from a source to a target.
 
     ``target``, ``source``: up to the levels of the map.
     """
@@ -76,10 +76,10 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     places, images = point_map.target.positions[:count], point_map.images.positions[:count]
     gradient, areas = _gradients(places, triangles)
     masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
-    given = point_map.source
-    deforming, found = _deforming(point_map, triangles, images)
-    across = normalize_rows(triangle_normals(given.positions, deforming[found]))
-    rotations = _rotations(gradient, places, images, triangles, across)
+    source_surface = point_map.source
+    deforming, triangle_rows = _deforming(point_map, triangles, images)
+    source_normals = normalize_rows(triangle_normals(source_surface.positions, deforming[triangle_rows]))
+    rotations = _rotations(gradient, places, images, triangles, source_normals)
     around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
     samples = target.rows(slice(count), target.n_levels, 0)
     weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
@@ -97,7 +97,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         areas,
         masses,
         deforming,
-        found,
+        triangle_rows,
         rotations,
         nearest_rotations(around),
         _length_ratio(areas, triangle_areas(images, triangles)),
@@ -109,7 +109,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
 
 
 def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
-    """Median stretch of triangles, weighted by area, without those whose image is a point."""
+    """Median stretch of triangles, weighted by area; triangles whose image is a point are left out."""
     known = image_areas > 0.0
     if not known.any():
         return 1.0
@@ -118,42 +118,42 @@ def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
 
 
 def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Source triangles (r, 3) whose deformation is carried, and the one (t,) for every target triangle.
+    """Source triangles (r, 3) whose deformation is carried, and the row (t,) for every target triangle.
 
-    It is the one at the image of its centre. Under the identity map it is the triangle of its own three vertices: on a
-    coarse level that one deforms differently from the small triangle at its centre.
+    A target triangle takes the source triangle at the image of its centre. Under the identity map it takes its own
+    three vertices: on a coarse level they deform differently from the small triangle at the centre.
     """
-    given, count = point_map.source, len(images)
-    weights, corners = point_map.barycentric[:count], given.triangles[point_map.triangle[:count]]
+    source_surface, count = point_map.source, len(images)
+    weights, corners = point_map.barycentric[:count], source_surface.triangles[point_map.triangle[:count]]
     vertices = np.take_along_axis(corners, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     if (weights.max(axis=1) == 1.0).all() and np.array_equal(vertices, np.arange(count)):
         return triangles, np.arange(len(triangles))
-    frames = triangle_frames(given.positions, given.triangles)
-    return given.triangles, _centre_images(point_map, frames, triangles, images)
+    frames = triangle_frames(source_surface.positions, source_surface.triangles)
+    return source_surface.triangles, _centre_images(point_map, frames, triangles, images)
 
 
 def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
     """(t,) source triangle at the image of every triangle's centre.
 
-    The one that holds all corners, else the nearest one found by walks from the three corners: at a sharp fold, such as
-    a lip, a single walk may end on the wrong side.
+    The triangle that holds all corners, or else the nearest of three walks' ends, one from each corner: at a sharp
+    fold, such as a lip, a single walk may end on the wrong side.
     """
-    given, centres = point_map.source, images[triangles].mean(axis=1)
-    found = np.zeros(len(triangles), dtype=np.int64)
+    source_surface, centres = point_map.source, images[triangles].mean(axis=1)
+    nearest_triangles = np.zeros(len(triangles), dtype=np.int64)
     least = np.full(len(triangles), np.inf)
     for corner in range(3):
         starts = point_map.triangle[triangles[:, corner]]
-        triangle, barycentric = walk_from(frames, given.neighbors, starts, centres)
-        places = np.einsum("tc,tcd->td", barycentric, given.positions[given.triangles[triangle]])
+        triangle, barycentric = walk_from(frames, source_surface.neighbors, starts, centres)
+        places = np.einsum("tc,tcd->td", barycentric, source_surface.positions[source_surface.triangles[triangle]])
         distance = np.linalg.norm(places - centres, axis=1)
         nearer = distance < least - _SAME_POINT
-        found[nearer], least[nearer] = triangle[nearer], distance[nearer]
-    whole = whole_triangles(triangles, given.triangles, point_map.triangle, point_map.barycentric)
-    return np.where(whole >= 0, whole, found)
+        nearest_triangles[nearer], least[nearer] = triangle[nearer], distance[nearer]
+    whole = whole_triangles(triangles, source_surface.triangles, point_map.triangle, point_map.barycentric)
+    return np.where(whole >= 0, whole, nearest_triangles)
 
 
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
-    """Displacement of the target's control vertices from that of the source's.
+    """Displacement of the target's control vertices from the source's displacement.
 
     ``displacement``: (n2, 3), of the source's control vertices, in its file units. Returns (n1, 3), in the target's
     file units.
@@ -164,21 +164,21 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
             f"shape: expected {expected[0]} finite displacements, one a control vertex of the source, got an array of "
             f"shape {np.shape(displacement)}"
         )
-    given, maps = carrier.point_map.source, carrier.point_map
-    moved = given.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
+    source_surface, maps = carrier.point_map.source, carrier.point_map
+    moved = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
     used, of_triangle = np.unique(carrier.images, return_inverse=True)
-    inner = _deformation(given.positions, given.positions + moved, carrier.deforming[used])
-    change = inner[of_triangle] - np.eye(3)
+    deformation = _deformation(source_surface.positions, source_surface.positions + moved, carrier.deforming[used])
+    change = deformation[of_triangle] - np.eye(3)
     wanted = np.einsum("tba,tbc,tcd->tad", carrier.rotations, change, carrier.rotations)  # Q^T (F - I) Q
     count = len(carrier.masses)
-    own = carrier.ratio * np.einsum(
+    rotated_moves = carrier.ratio * np.einsum(
         "sba,sb->sa", carrier.vertex_rotations, maps.images.at(slice(count)).interpolate(moved)
     )
     flow = (
         (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)
     )  # rows (t, direction), columns x y z
-    right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * own)
-    control_moves = carrier.ratio * given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
+    right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * rotated_moves)
+    control_moves = carrier.ratio * source_surface.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
     right = right + carrier.ridge @ np.einsum(
         "nba,nb->na", carrier.vertex_rotations[: len(control_moves)], control_moves
     )
@@ -193,41 +193,41 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
 
 
 def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Pairs of samples (k,), (k,) whose images touch in a shape of the source, and their relative displacement (k, 3).
+    """Pairs of samples (k,), (k,) in contact in a source shape, and their relative displacement (k, 3).
 
-    Points touch if they are close, face each other and are not neighbours: closed lips and eyelids. Points that come
-    into contact get the gap of the source's shape. Points in contact at rest keep their gap, but for its change in the
-    source: where the source does not move, nothing moves.
+    Samples are in contact if their images are close, face each other and are not neighbours: closed lips and eyelids.
+    Samples that come into contact get the gap of the source's shape. The gap of samples in contact at rest changes as
+    it does on the source: if the source does not move, the target does not either.
 
     ``moved``: (n, 3), displacement of the source's finest vertices at unit area.
     """
-    given, count = carrier.point_map.source, len(carrier.masses)
+    source_surface, count = carrier.point_map.source, len(carrier.masses)
     images = carrier.point_map.images.at(slice(count))
-    shaped = given.positions + moved
+    shaped = source_surface.positions + moved
     places = images.interpolate(shaped)
-    normals = images.interpolate(vertex_normals(shaped, given.triangles))
+    normals = images.interpolate(vertex_normals(shaped, source_surface.triangles))
     edges = np.sqrt(2 * carrier.masses)
     distance, nearest = cKDTree(places).query(places, k=16, distance_upper_bound=_CONTACT_DISTANCE * float(edges.max()))
     nearest = np.minimum(nearest, count - 1)
     close = np.isfinite(distance) & (distance < _CONTACT_DISTANCE * edges[:, None])
     facing = np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE
-    # Neighbours across a sharp fold of the target are no contact: they are close at rest.
+    # Neighbours across a sharp fold of the target are not in contact: they are close at rest.
     apart = np.linalg.norm(
         carrier.point_map.target.positions[nearest] - carrier.point_map.target.positions[:count, None], axis=2
     )
     touching = close & facing & ((apart > 3 * edges[:, None]) | (distance < 0.1 * edges[:, None]))
-    has = touching.any(axis=1)
-    first = np.flatnonzero(has)
+    in_contact = touching.any(axis=1)
+    first = np.flatnonzero(in_contact)
     second = nearest[first, np.argmax(touching[first], axis=1)]
-    once = first < second
-    first, second = first[once], second[once]
+    unique_pairs = first < second
+    first, second = first[unique_pairs], second[unique_pairs]
     before = images.positions[first] - images.positions[second]
     gap = places[first] - places[second]
     at_rest = np.linalg.norm(before, axis=1) < _CONTACT_DISTANCE * edges[first]
     rotated = np.einsum("kba,kb->ka", carrier.vertex_rotations[first], np.where(at_rest[:, None], gap - before, gap))
     rotated *= carrier.ratio
-    own = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
-    return first, second, np.where(at_rest[:, None], rotated, rotated - own)
+    target_gap = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
+    return first, second, np.where(at_rest[:, None], rotated, rotated - target_gap)
 
 
 def _gradients(places: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_array, FloatArray]:

@@ -1,7 +1,7 @@
-"""Values painted on the source's control mesh, carried to the target's: at vertices, at face corners, as UV sets.
+"""Carry values of the source's control mesh to the target's: at vertices, at face corners, UV sets.
 
-Every value of the target is a convex combination of the source's values, so the identity map returns them. Labels take
-the largest weight.
+Every value of the target is a convex combination of the source's values, so the identity map returns them. Of labels
+the one with the largest weight is taken.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from cagemap.transfer.locate import locate_centers, walk_from
 
 # Texture coordinates of one vertex that differ by less are equal.
 _SAME_UV = 1e-7
-# Points share less than this much of their weights only if a seam lies between them.
+# A seam lies between two walks' ends if more than this share of their weights differs.
 _MAX_WEIGHT_CHANGE = 0.5
 
 
 def control_weights(transfer: Transfer, target: Refinement, source: Refinement) -> sparse.csr_array:
     """(n1, n2) weights of the source's control vertices at every control vertex of the target.
 
-    Source values are interpolated linearly over control faces at the image of the vertex, so rows are not negative and
-    sum to 1, and have at most as many entries as a source face has corners around it.
+    Source values are interpolated linearly over control faces at the image of the vertex, so rows are not negative,
+    sum to 1, and have at most as many entries as a source face has corners.
     """
     control = source.control
     linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
@@ -42,11 +42,11 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 
 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
-    """Values combined with weights; of integers and booleans (labels) the one with the largest weight.
+    """Weighted means of values; of labels (integers, booleans) the one with the largest weight.
 
     ``weights``: (n1, n2), rows not negative, with at least one entry.
-    ``values``: (n2,) or (n2, q), a row of several integers is one label. Returns (n1,) or (n1, q), of the same kind.
-        Where two labels weigh the same, the smaller one.
+    ``values``: (n2,) or (n2, q), a row of several integers is one label. Returns (n1,) or (n1, q), of the same kind;
+        of two labels of equal weight the smaller one.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:
@@ -60,7 +60,9 @@ def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray, NDArray[Any]]:
-    """Node of every face corner (c,), and the nodes' values (p, ...): corners of one vertex with one value share it.
+    """Node of every face corner (c,) and the nodes' values (p, ...).
+
+    Corners of one vertex with equal values share a node.
 
     ``values``: (c,) or (c, q), at the face corners, face by face.
     """
@@ -72,10 +74,10 @@ def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray
 def corner_weights(
     transfer: Transfer, target: Refinement, source: Refinement, nodes: IndexArray, count: int
 ) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
-    """Weights (c1, p2) of source nodes at the target's face corners; (m1,) whether a seam of the source crosses a face.
+    """Weights (c1, p2) of source nodes at target face corners; (m1,) whether a source seam crosses a face.
 
-    A corner takes its value from its own side of a seam: a walk from the centre of the refined triangle at the corner
-    to the image of its vertex never crosses a seam.
+    A corner takes its value from its own side of a seam: the walk from the centre of the refined triangle at the
+    corner to the image of its vertex does not cross seams.
 
     ``target``, ``source``: up to the levels of the transfer.
     ``nodes``: (c2,), node of every corner of the source's control faces; faces that do not share nodes along an edge
@@ -95,7 +97,7 @@ def corner_weights(
 def _crossed_faces(
     transfer: Transfer, control: ControlMesh, linear: LinearValues, sides: NDArray[np.int32], centres: IndexArray
 ) -> NDArray[np.bool_]:
-    """(m1,) faces with two neighbouring refined triangles that only a path across a seam connects."""
+    """(m1,) whether a seam separates the images of two neighbouring refined triangles of a face."""
     target = transfer.target
     face = target.face_parents[target.triangle_faces]
     neighbors = triangle_neighbors(target.triangles)
@@ -105,8 +107,8 @@ def _crossed_faces(
     near, far = near[inside], far[inside]
     points = transfer.mapped.mapped[target.triangles[far]].mean(axis=1)
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[near], points)
-    own = walk_from(transfer.mapped.frames, sides, centres[far], points)
-    apart = 0.5 * abs(linear.at(triangle, barycentric) - linear.at(*own)).sum(axis=1)
+    end_beyond = walk_from(transfer.mapped.frames, sides, centres[far], points)
+    apart = 0.5 * abs(linear.at(triangle, barycentric) - linear.at(*end_beyond)).sum(axis=1)
     crossed = np.zeros(control.n_faces, dtype=np.bool_)
     crossed[face[near[apart > _MAX_WEIGHT_CHANGE]]] = True
     return crossed
@@ -122,7 +124,7 @@ class CarriedUvs:
 
 
 def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> CarriedUvs:
-    """Give the target's corners the source's texture coordinates, so that the source's own image fits the target."""
+    """The source's texture coordinates at the target's corners: the source's image fits the target."""
     control = source.control
     if control.uvs is None or control.uv_indices is None:
         raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")

@@ -1,10 +1,10 @@
-"""Bakes from a detailed mesh over the source, along the map and then along the source's normals.
+"""Bake from a detailed mesh over the source, along the map and then along the source's normals.
 
     texel -> point of the target -> T12 -> point of the source -> along its normal to the detailed mesh
 
-Normals and displacement vectors rotate with the map (`vectors`); colours and ambient occlusion do not change. The
-detailed mesh of a *wrapped* cage is the source itself: then target and source of the bake are the wrapped surface, and
-the map is the identity (`own_transfer`).
+Normals and displacement vectors rotate with the map (`vectors`); colours and ambient occlusion do not change. For
+a *wrapped* cage the detailed mesh is the source itself: target and source of the bake are the wrapped surface, and the
+map is the identity (`own_transfer`).
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from cagemap.transfer.vectors import (
     normal_encoder,
 )
 
-# Corners of at least this weight may slide along the detail.
+# Least weight of corners that may slide along the detail.
 _FULL_WEIGHT = 1.0 - 1e-9
-# Rows of an image whose lengths are turned into values at a time.
+# Rows of an image that are encoded at a time.
 _ROWS = 256
 
 
@@ -64,7 +64,7 @@ class Detail:
     Attributes
     ----------
     surface : TriangleSurface
-        Over the source, scaled like it: to unit area *of the source*.
+        Scaled to unit area *of the source*.
     follow : (n2,) float64 or None
         Weight of the detail at every vertex of the source, from 0 to 1; default 1.
     """
@@ -74,19 +74,19 @@ class Detail:
 
 
 def detail_over(source: TriangleSurface, positions: FloatArray, triangles: IndexArray) -> Detail:
-    """A detailed mesh in the source's file units.
+    """`Detail` of a mesh in the source's file units.
 
     Parameters
     ----------
     source : TriangleSurface
-        The source of the map that will be followed.
+        Source of the map.
     positions : (n, 3) float64
     triangles : (t, 3) int64
 
     Raises
     ------
     ParameterError
-        If less than half of the source has detail near it: the mesh lies elsewhere, or is in another unit.
+        If less than half of the source has detail near it: the mesh has another position or unit.
     """
     detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
     share = detailed_share(detail, source)
@@ -101,14 +101,14 @@ def detail_over(source: TriangleSurface, positions: FloatArray, triangles: Index
 
 
 def detailed_share(detail: Detail, source: TriangleSurface) -> float:
-    """Share of the source's area that has detail near it."""
+    """Share of the source's area with detail closer than `MAX_DETAIL_DISTANCE`."""
     feet = SurfacePoints.nearest(detail.surface, source.positions)
     near = np.linalg.norm(feet.positions - source.positions, axis=1) <= MAX_DETAIL_DISTANCE
     return float(source.vertex_areas @ near)
 
 
 def own_transfer(level: Level) -> Transfer:
-    """The transfer from a surface to itself: for detail that lies on the very surface whose layout is baked."""
+    """Transfer from a surface to itself, for detail over the surface whose layout is baked."""
     surface = TriangleSurface.from_faces(level.positions, np.asarray(level.faces))
     return prepare_transfer(level, level, PointMap.from_vertices(surface, surface, np.arange(surface.n)))
 
@@ -134,7 +134,7 @@ def bake_detail_normals(
     space, green
         As `bake_normal_map` takes them.
     dtype : optional
-        Directions are stored as half of them plus a half.
+        Directions n are stored as (n + 1) / 2.
     options : BakeOptions, optional
 
     Returns
@@ -165,7 +165,7 @@ def bake_detail_vectors(
     dtype: DTypeLike = np.float32,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake the offset from the source to the detail as vector displacement of the target, in the target's units.
+    """Bake offsets from source to detail as vector displacement of the target, in the target's units.
 
     Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam.
 
@@ -178,7 +178,7 @@ def bake_detail_vectors(
     scale : float
         Length of a value of 1; integers hold the range from -scale / 2 to scale / 2.
     dtype : optional
-        Of integers, the middle value is zero.
+        The middle value of integers means zero.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
@@ -216,7 +216,7 @@ def bake_detail_heights(
     dtype: DTypeLike = np.float32,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake the height of the detail above the source, along its normal, as displacement of the target.
+    """Bake the detail's height along the source's normals as displacement of the target.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def bake_detail_values(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake values at the detail's vertices: colours, ambient occlusion.
+    """Bake values at the detail's vertices, such as colours or ambient occlusion.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def bake_detail_texture(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the detail's own texture, of a scan for example; the filter "nearest" takes single texels of labels.
+    """Bake the detail's own texture, as of a scan; the filter "nearest" is for labels.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def bake_detail_texture(
     Raises
     ------
     ParameterError
-        If there is not one row of texture coordinates a triangle, or as `bake_texture`.
+        If the number of rows of texture coordinates is not that of triangles, or as `bake_texture`.
     """
     options = options or BakeOptions()
     if uv_triangles.shape != detail.surface.triangles.shape:
@@ -317,27 +317,27 @@ def bake_detail_texture(
         on_detail = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
         return scale * look_up(laid, on_detail, nearest=nearest)
 
-    # Side of a typical texel on the surface, from the areas of triangles there and in the texture.
+    # Side of a typical texel on the surface: square root of the median ratio of triangle areas.
     corners = laid.corner_texels().reshape(-1, 2)
     in_texels = triangle_areas(corners, np.arange(len(corners)).reshape(-1, 3))
     texel = float(np.sqrt(np.median(detail.surface.areas / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
     canvas = make_canvas(transfer, size, options)
-    once = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
-    counts = once if nearest else _plan_lengths(transfer, texel, canvas)
+    single_samples = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
+    counts = single_samples if nearest else _plan_lengths(transfer, texel, canvas)
     return run_bake(transfer, canvas, counts, shade, laid.channels, kept, options)
 
 
 def _length_encoder(
     transfer: Transfer, detail: Detail, scale: float, kept: np.dtype[Any]
 ) -> tuple[float, Callable[[FloatArray], FloatArray]]:
-    """The value of a length of 0, and how lengths at unit area of the source are stored."""
+    """Value of length 0, and the encoder of lengths at unit area of the source."""
     middle = 0.5 if kept.kind == "u" else 0.0
     factor = scale_ratio(transfer) / (detail.surface.scale * scale)
     return middle, lambda lengths: np.asarray((factor * lengths + middle) * unit(kept))
 
 
 def _normal_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) -> NormalHits:
-    """Points of the detail on the normals of samples' source points."""
+    """Hits of the normals at samples' source points on the detail."""
     source = transfer.point_map.source
     corners = source.triangles[samples.triangle]
     points = np.einsum("sc,scd->sd", samples.barycentric, source.positions[corners])
@@ -346,7 +346,7 @@ def _normal_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) -> N
 
 
 def _weighted_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) -> tuple[NormalHits, FloatArray]:
-    """Points of the detail on samples' normals, and the (s,) weight of the detail there."""
+    """Hits of samples' normals on the detail, and the (s,) weights of the detail."""
     hits = _normal_hits(transfer, detail, samples)
     if detail.follow is None:
         return hits, hits.near.astype(np.float64)
@@ -355,20 +355,20 @@ def _weighted_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) ->
 
 
 def _plan(transfer: Transfer, detail: Detail, canvas: Canvas) -> NDArray[np.int32]:
-    """(t1, 2) samples in a texel: one for every edge of the detail that it spans."""
+    """(t1, 2) samples in a texel: one for every detail edge that it spans."""
     surface = detail.surface
     # A typical edge of the detail, in the source's file units: triangles of area a have edges of about sqrt(2 a).
     return _plan_lengths(transfer, float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale, canvas)
 
 
 def _plan_lengths(transfer: Transfer, length: float, canvas: Canvas) -> NDArray[np.int32]:
-    """(t1, 2) samples in a texel: one for every such length, in the source's file units, that it spans."""
+    """(t1, 2) samples in a texel: one for every ``length``, in the source's file units, that it spans."""
     source = transfer.source
     corners = source.positions[source.triangles]
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    side = np.linalg.norm(one, axis=1)
-    along = np.einsum("td,td->t", one, two) / np.maximum(side, 1e-300)
-    up = np.sqrt(np.maximum(np.einsum("td,td->t", two, two) - along**2, 0.0))
+    first_edge, second_edge = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    side = np.linalg.norm(first_edge, axis=1)
+    along = np.einsum("td,td->t", first_edge, second_edge) / np.maximum(side, 1e-300)
+    up = np.sqrt(np.maximum(np.einsum("td,td->t", second_edge, second_edge) - along**2, 0.0))
     flat = np.zeros((len(corners), 3, 2))
     flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1] = side, along, up
     return plan_samples(transfer.mapped, canvas.corners, flat / max(length, 1e-300))

@@ -1,7 +1,7 @@
 """Scalar displacement maps: heights along the normal, scaled with the surfaces.
 
-A displacement image says height = (value - midlevel) * scale, in the length unit of its model; integer images hold
-values from 0 to 1. A bump of the source keeps its shape on the target if its height grows like lengths do.
+A displacement image defines height = (value - midlevel) * scale, in the length unit of its model; integer images hold
+values from 0 to 1. A bump of the source keeps its shape on the target if its height is scaled like lengths.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, each_tile, lay_texture
 
-# Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
+# Largest difference between the channels of a grey image saved in colour, as a share of the range: rounding.
 _GREY = 1e-3
-# Share of the target's area at which local stretch is cut off at either end: folds stretch without limit.
+# Shares of the target's area whose largest and smallest local stretch is clipped: folds stretch without limit.
 _OUTLIERS = 0.005
 # Rows of an image whose channels are compared at a time.
 _ROWS = 256
@@ -38,7 +38,7 @@ class Displacement:
     ----------
     pixels : (h, w, 1) array
     midlevel, scale : float
-        Values of integer pixels count from 0 to 1.
+        Integer pixels stand for values from 0 to 1.
     """
 
     pixels: Pixels
@@ -58,23 +58,23 @@ def bake_displacement(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake the source's displacement into the target's layout, with heights scaled by the ratio of the surfaces.
+    """Bake the source's displacement into the target's layout, scaled by the ratio of the surfaces.
 
     Heights are multiplied by sqrt(area of target / area of source). Float images get new values and keep the scale;
-    integer images keep their values, and all their levels, and get a new scale.
+    integer images keep their values and get a new scale.
 
     Parameters
     ----------
     transfer : Transfer
     texture : (h, w, c) array, or such arrays by UDIM number
-        Grey; in several equal channels at most, and alpha, which is ignored.
+        Grey, also as equal colour channels; alpha is ignored.
     size : int or (height, width)
     midlevel : float, optional
         Value that means no displacement; by default 0.5 for integers and 0 for floats.
     scale : float
         Source height between the values 0 and 1, in the source's length unit.
     local_stretch : bool
-        Multiply heights by the map's own local stretch, instead of one ratio everywhere.
+        Multiply heights by the map's local stretch instead of one ratio.
     dtype : optional
         Number type of the result; by default the texture's.
     options : BakeOptions, optional
@@ -82,7 +82,7 @@ def bake_displacement(
     Raises
     ------
     ParameterError
-        If the image is not grey (vector displacement is another thing), or as `bake_texture`.
+        If the image is not grey (see `bake_vector_displacement`), or as `bake_texture`.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, grey), *transfer.source.layout(), wrap=options.wrap)
@@ -115,18 +115,21 @@ def bake_displacement(
 
 
 def scale_ratio(transfer: Transfer) -> float:
-    """sqrt(area of target / area of source): what lengths of the source become on the target."""
+    """sqrt(area of target / area of source): factor from lengths of the source to lengths of the target."""
     areas = [triangle_areas(s.positions, s.triangles).sum() for s in (transfer.target, transfer.source)]
     return float(np.sqrt(areas[0] / areas[1]))
 
 
 def vertex_stretch(transfer: Transfer) -> FloatArray:
-    """(n1,) local length on the target per length on the source: square root of the areas' ratio around each vertex."""
+    """(n1,) local length on the target per length on the source, from triangle areas around each vertex."""
     target = transfer.target
-    own = triangle_areas(target.positions, target.triangles)
-    image = triangle_areas(transfer.mapped.mapped, target.triangles)
+    target_areas = triangle_areas(target.positions, target.triangles)
+    image_areas = triangle_areas(transfer.mapped.mapped, target.triangles)
     corners = target.triangles.ravel()
-    around = [np.bincount(corners, np.repeat(area, 3), minlength=len(target.positions)) for area in (own, image)]
+    around = [
+        np.bincount(corners, np.repeat(area, 3), minlength=len(target.positions))
+        for area in (target_areas, image_areas)
+    ]
     stretch = np.sqrt(around[0] / np.maximum(around[1], np.finfo(float).tiny))
     order = np.argsort(stretch)
     share = np.cumsum(around[0][order]) / around[0].sum()
@@ -135,16 +138,16 @@ def vertex_stretch(transfer: Transfer) -> FloatArray:
 
 
 def grey(pixels: Pixels) -> Pixels:
-    """One channel of a grey image; colour channels must agree, alpha (a second or fourth channel) is ignored."""
+    """One channel of a grey image; colour channels must be equal, alpha (channel 2 or 4) is ignored."""
     pixels = array_of(pixels)
     if pixels.ndim < 3 or pixels.shape[2] < 3:
         return pixels if pixels.ndim < 3 else pixels[:, :, :1]
-    one, spread, largest = unit(pixels.dtype), 0.0, 0.0
+    full, spread, largest = unit(pixels.dtype), 0.0, 0.0
     for rows in row_slices(len(pixels), _ROWS):
         colors = pixels[rows, :, :3].astype(np.float64)
-        spread = max(spread, float(np.nanmax(np.ptp(colors, axis=2), initial=0.0)) / one)
-        largest = max(largest, float(np.nanmax(np.abs(colors), initial=0.0)) / one)
-    if spread > max(_GREY * largest, 2 / one if pixels.dtype.kind == "u" else 0.0):
+        spread = max(spread, float(np.nanmax(np.ptp(colors, axis=2), initial=0.0)) / full)
+        largest = max(largest, float(np.nanmax(np.abs(colors), initial=0.0)) / full)
+    if spread > max(_GREY * largest, 2 / full if pixels.dtype.kind == "u" else 0.0):
         raise ParameterError(
             f"displacement: expected a grey image (heights along the normal), got channels that differ by up to "
             f"{spread:.3g}; vector displacement and normal maps cannot be baked as heights"

@@ -1,13 +1,13 @@
 """Make bilinear lookups of an image exact at the corners of a layout.
 
-A renderer reads at a vertex the mean of four texels. At creases and seams this mean is wrong, and differs on both sides
-of a seam. The least change x of the texels that makes every lookup exact solves ``min |x|`` with ``B A x = B (wanted -
-A image)``, A the lookups' weights and B the weight of an error at each corner:
+At a vertex a renderer reads the mean of four texels. At creases and seams this mean is wrong, and the two sides of a
+seam differ. The least change x of the texels that makes every lookup exact solves ``min |x|`` with
+``B A x = B (wanted - A image)``. A are the lookups' weights and B the weights of errors at each corner:
 
     x = A^T B^T y,   (B A A^T B^T + trace) y = B (wanted - A image).
 
 Corners that share their texels cannot all be exact, but displaced points may slide along the surface. B then weights
-the distance from its tangent planes, which are updated for a few rounds.
+the distance from the surface's tangent planes, updated in a few rounds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from cagemap.transfer.texture import OVERHANG, tile_cells
 # Weight of the change of texels against the error of lookups.
 _TRACE = 1e-3
 _ACCURACY, _STEPS = 1e-4, 200
-# Rounds of closest points and texels; weight of errors along the surface against those across it.
+# Rounds of closest points and texels; weight of errors along the surface against errors across it.
 _ROUNDS, _TANGENTIAL_WEIGHT = 3, 0.1
 
 
@@ -56,11 +56,11 @@ LookupTargets = tuple[FloatArray, FloatArray]
 def make_lookups_exact(
     image: NDArray[np.float32], places: FloatArray, targets: Callable[[FloatArray], LookupTargets]
 ) -> None:
-    """Change an image of floats, in place and as little as possible, so that its lookups are exact.
+    """Change a float image in place, as little as possible, to make its lookups exact.
 
     ``image``: (h, w, c).
     ``places``: (k, 2), texel coordinates.
-    ``targets``: from the current lookups (k, c) to their targets; called once a round.
+    ``targets``: function from the current lookups (k, c) to their targets; called once a round.
     """
     if not len(places):
         return
@@ -89,8 +89,8 @@ def make_lookups_exact(
 
         errors = weighted(wanted - read).ravel()
         operator = linalg.LinearOperator((size, size), matvec=system, dtype=np.float64)
-        found, _ = linalg.cg(operator, errors, rtol=_ACCURACY, maxiter=_STEPS)
-        values += lookups.T @ transposed(found.reshape(-1, channels))
+        solution, _ = linalg.cg(operator, errors, rtol=_ACCURACY, maxiter=_STEPS)
+        values += lookups.T @ transposed(solution.reshape(-1, channels))
     texels[used] = values
 
 
@@ -110,8 +110,8 @@ class SurfaceTargets:
         """Targets for the current lookups (k, 3)."""
         sound = np.abs(np.linalg.det(self.coordinates)) > 1e-9
         back = np.linalg.inv(np.where(sound[:, None, None], self.coordinates, np.eye(3)))
-        now = self.points + np.einsum("kab,kb->ka", back, read)
-        feet, _ = nearest_facing(self.surface, now, self.normals, MAX_DETAIL_DISTANCE)
+        displaced = self.points + np.einsum("kab,kb->ka", back, read)
+        feet, _ = nearest_facing(self.surface, displaced, self.normals, MAX_DETAIL_DISTANCE)
         offsets = np.where(self.slides[:, None], feet.positions - self.points, self.offsets)
         across = feet.normals[:, :, None] * feet.normals[:, None, :]
         weights = np.where(
@@ -122,7 +122,7 @@ class SurfaceTargets:
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
-    """Corners of the target's layout in a tile as samples: their UVs and their images on the source.
+    """Corners of the target's layout in a tile: their UVs and, as samples, their source points.
 
     Returns ``uvs`` (k, 2), in the tile's unit square; ``triangle`` (k,), a target triangle that has the corner;
     ``inside`` (k, 3), barycentric coordinates there.
@@ -130,15 +130,15 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamp
     target = transfer.target
     uvs, uv_triangles = target.layout()
     origin = np.array(udim_origin(tile))
-    own = np.arange(len(uv_triangles))
+    in_tile = np.arange(len(uv_triangles))
     if tile:
-        own = np.flatnonzero((tile_cells(target.corner_uvs()) == origin).all(axis=1))
+        in_tile = np.flatnonzero((tile_cells(target.corner_uvs()) == origin).all(axis=1))
     if target.holes is not None:
-        own = own[~target.holes[own]]
-    corner, first = np.unique(uv_triangles[own], return_index=True)
-    there = (np.abs(uvs[corner] - origin - 0.5) <= 0.5 + OVERHANG).all(axis=1)  # what else lies outside the image
-    corner, first = corner[there], first[there]
-    triangle, inside = own[first // 3], np.eye(3)[first % 3]
+        in_tile = in_tile[~target.holes[in_tile]]
+    corner, first = np.unique(uv_triangles[in_tile], return_index=True)
+    in_image = (np.abs(uvs[corner] - origin - 0.5) <= 0.5 + OVERHANG).all(axis=1)  # others lie outside the image
+    corner, first = corner[in_image], first[in_image]
+    triangle, inside = in_tile[first // 3], np.eye(3)[first % 3]
     vertex = target.triangles[triangle, first % 3]
     count, points = len(corner), transfer.point_map
     samples = TexelSamples(

@@ -1,9 +1,9 @@
-"""From texels to points of the source surface: each sample follows T12 and walks to the closest source triangle.
+"""Locate texels on the source: each sample follows T12 and walks to the closest source triangle.
 
-The three corners of a target triangle are mapped to source points. A sample inside the triangle is their combination in
-space; a walk over adjacent source triangles, from the image of the nearest corner, finds the closest one. Every sample
-ends in *one* source triangle and interpolates its texture coordinates, so no seam of the source is crossed. Where one
-source triangle holds all three corners the walk begins there: from another one it may stop at a sharp fold.
+The three corners of a target triangle are mapped to source points. A sample's image is their barycentric combination in
+space. A walk over adjacent source triangles, from the image of the nearest corner, finds the closest triangle. Every
+sample interpolates the texture coordinates of *one* source triangle, so no seam of the source is crossed. If one source
+triangle holds all three corners, the walk begins in it: from another one it may stop at a sharp fold.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from cagemap.transfer.texels import EDGE_TOLERANCE
 from cagemap.transfer.textured_surface import TexturedSurface
 
 _INSIDE = -1e-9
-# Steps of a walk. Corners of one target triangle land a few source triangles apart; a map that tears is cut off here.
+# Most steps of a walk. Images of one triangle's corners are a few source triangles apart, unless the map tears.
 _LONGEST_WALK = 512
-# How far, in units of its own barycentric coordinates, a triangle is extended outside (gutter, slivers).
+# Largest extrapolation of a triangle, in its barycentric coordinates (gutter, slivers).
 _EXTENSION = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class MappedSurface:
-    """The target's triangles, the images of their corners under T12, and the source as triangles to walk over."""
+    """Target triangles, images of their corners under T12, and the source's triangles with their adjacency."""
 
     target_triangles: IndexArray  # (t1, 3)
     start_triangles: IndexArray  # (n1,) source triangle of every target vertex
-    whole: IndexArray  # (t1,) source triangle that holds all corners of a target triangle, -1 where none does
+    whole: IndexArray  # (t1,) source triangle that holds all corners of a target triangle, -1: none
     mapped: FloatArray  # (n1, 3) source point of every target vertex, in space
     # (t2, 3, 3) first corner, and the gradients of the barycentric coordinates of corners 1 and 2, of every source
     # triangle
@@ -57,13 +57,14 @@ def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: Poi
 def whole_triangles(
     target_triangles: IndexArray, source_triangles: IndexArray, triangle: IndexArray, barycentric: FloatArray
 ) -> IndexArray:
-    """(t1,) source triangle that contains the images of all corners of a target triangle, borders included; -1: none.
+    """(t1,) source triangle with the images of all corners of a target triangle; -1: none.
 
-    Exactly three vertices of the source have weights in these images, and they form a triangle.
+    Exactly three vertices of the source have weights in these images, and they form a triangle. Its
+    border is included.
 
     ``target_triangles``: (t1, 3).
     ``source_triangles``: (t2, 3).
-    ``triangle``, ``barycentric``: (n1,) and (n1, 3), where target vertices lie on the source.
+    ``triangle``, ``barycentric``: (n1,) and (n1, 3), images of the target's vertices on the source.
     """
     corners = source_triangles[triangle]
     heaviest = np.take_along_axis(corners, barycentric.argmax(axis=1)[:, None], axis=1)
@@ -77,18 +78,18 @@ def whole_triangles(
     keys = sorted_corners[:, 0] * count + sorted_corners[:, 1]
     order = np.argsort(keys, kind="stable")
     first = np.searchsorted(keys[order], low * count + middle)
-    found = np.full(len(target_triangles), -1, dtype=np.int64)
+    result = np.full(len(target_triangles), -1, dtype=np.int64)
     for side in (0, 1):  # the triangles on both sides of an edge
-        other = order[np.minimum(first + side, len(order) - 1)]
-        same = (sorted_corners[other] == np.column_stack([low, middle, high])).all(axis=1)
-        found[held[same]] = other[same]
-    return found
+        candidates = order[np.minimum(first + side, len(order) - 1)]
+        matches = (sorted_corners[candidates] == np.column_stack([low, middle, high])).all(axis=1)
+        result[held[matches]] = candidates[matches]
+    return result
 
 
 def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(t, 3, 3) first corner a, and gradients g1, g2 of the barycentric coordinates: b_i(p) = g_i . (p - a).
 
-    A triangle that is degenerate to rounding is a segment: only the coordinate along its longer edge varies.
+    A degenerate triangle is treated as a segment: only the coordinate along its longer edge varies.
     """
     a = positions[triangles[:, 0]]
     u, v = positions[triangles[:, 1]] - a, positions[triangles[:, 2]] - a
@@ -104,7 +105,7 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class TexelSamples:
-    """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``."""
+    """Source points of texels' samples; texel i has the samples ``first[i]:first[i + 1]``."""
 
     target_triangle: NDArray[np.int32]  # (k,) target triangle of every texel
     cells: IndexArray  # (k,) the texels, as ``(row - top) * width + column``
@@ -115,12 +116,12 @@ class TexelSamples:
     barycentric: FloatArray  # (s, 3) not negative, rows sum to 1
 
     def part(self, texels: IndexArray) -> TexelSamples:
-        """Those of some texels, given by their place among these."""
+        """Samples of some texels, given by their index."""
         counts = np.diff(self.first)[texels]
         first = np.concatenate([[0], np.cumsum(counts)])
-        own = np.repeat(self.first[texels] - first[:-1], counts) + np.arange(first[-1])
+        sample_rows = np.repeat(self.first[texels] - first[:-1], counts) + np.arange(first[-1])
         chosen = replace(self, target_triangle=self.target_triangle[texels], cells=self.cells[texels], first=first)
-        return replace(chosen, triangle=self.triangle[own], barycentric=self.barycentric[own])
+        return replace(chosen, triangle=self.triangle[sample_rows], barycentric=self.barycentric[sample_rows])
 
     def single(self) -> TexelSamples:
         """Every sample as a texel of its own."""
@@ -129,7 +130,7 @@ class TexelSamples:
         return replace(self, target_triangle=triangles, cells=cells, first=np.arange(count + 1))
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """(k, c) mean over every texel's samples of their (s, c) values."""
+        """(k, c) mean of the (s, c) sample values over every texel."""
         return np.add.reduceat(values, self.first[:-1], axis=0) / np.diff(self.first)[:, None]
 
 
@@ -177,32 +178,32 @@ def locate_samples(
 def locate_centers(surface: MappedSurface) -> IndexArray:
     """(t1,) source triangle at the image of every target triangle's centre."""
     centers = triangle_centres(surface.mapped, surface.target_triangles)
-    found = np.empty(len(centers), dtype=np.int64)
+    triangle = np.empty(len(centers), dtype=np.int64)
     starts = np.where(surface.whole >= 0, surface.whole, surface.start_triangles[surface.target_triangles[:, 0]])
-    _walk_all(surface.frames, surface.neighbors, starts, centers, found, np.empty((0, 2)))
-    return found
+    _walk_all(surface.frames, surface.neighbors, starts, centers, triangle, np.empty((0, 2)))
+    return triangle
 
 
 def walk_from(
     frames: FloatArray, neighbors: NDArray[np.int32], starts: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Walk from triangles to points close to the surface, across the edges that ``neighbors`` opens.
+    """Walk from triangles to points close to the surface, across edges that have neighbours.
 
     ``frames``, ``neighbors``: as in `MappedSurface`.
     ``starts``: (k,), triangle where each walk begins.
-    ``points``: (k, 3). Returns ``triangle`` (k,); ``barycentric`` (k, 3), not negative, rows sum to 1; the border of
-        the last triangle where the way ends before the point.
+    ``points``: (k, 3). Returns ``triangle`` (k,); ``barycentric`` (k, 3), not negative, rows sum to 1. A walk that ends
+        before its point gives a point on the last triangle's border.
     """
-    found, inside = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
-    _walk_all(frames, neighbors, np.ascontiguousarray(starts), np.ascontiguousarray(points), found, inside)
+    triangle, inside = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
+    _walk_all(frames, neighbors, np.ascontiguousarray(starts), np.ascontiguousarray(points), triangle, inside)
     barycentric = np.column_stack([1.0 - inside.sum(axis=1), inside])
-    # A corner stays one, whatever the rounding.
+    # Corners stay corners in spite of rounding.
     barycentric[np.abs(barycentric) < -_INSIDE] = 0.0
-    return found, barycentric / barycentric.sum(axis=1, keepdims=True)
+    return triangle, barycentric / barycentric.sum(axis=1, keepdims=True)
 
 
 def target_barycentric(layout_corners: FloatArray, samples: TexelSamples) -> FloatArray:
-    """(k, 3) barycentric coordinates of the texels' centres in their target triangles; outside ones are clamped."""
+    """(k, 3) barycentric coordinates of texel centres in their target triangles, clamped to them."""
     rows, columns = np.divmod(samples.cells, samples.width)
     a, b, c = (layout_corners[samples.target_triangle, corner] for corner in range(3))
     p = np.column_stack([columns + 0.5, rows + samples.top + 0.5]) - a
@@ -218,9 +219,9 @@ def target_barycentric(layout_corners: FloatArray, samples: TexelSamples) -> Flo
 def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
     """Triangle, and barycentric coordinates of its corners 1 and 2, of a point close to (x, y, z).
 
-    Crosses the edge that the point lies furthest beyond, until the point projects inside. Above a ridge or a peak it
-    projects inside nowhere: then the walk comes back to where it was, and the border of the last triangle is the
-    answer. A walk that is too long ends where it is.
+    Crosses the edge with the most negative coordinate until the point projects inside a triangle. Above a ridge or a
+    peak it projects inside none: the walk stops when it comes back to a triangle, or after `_LONGEST_WALK` steps, and
+    returns the last triangle's border.
     """
     t, previous, before = start, np.int64(-1), np.int64(-1)
     b0, b1, b2 = 0.0, 0.0, 0.0
@@ -248,7 +249,7 @@ def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _walk_all(frames, neighbors, starts, points, found, inside):  # type: ignore[no-untyped-def]
-    """Walk for every one of some points; barycentric coordinates of corners 1 and 2 where ``inside`` has rows."""
+    """Walk to every point; ``inside``, unless empty, gets barycentric coordinates of corners 1 and 2."""
     for i in range(len(points)):
         t, b1, b2 = _walk(frames, neighbors, starts[i], points[i, 0], points[i, 1], points[i, 2])
         found[i] = t
@@ -274,10 +275,10 @@ def _locate(  # type: ignore[no-untyped-def]
     found,
     barycentric,
 ):
-    """Walk for every sample; see :func:`locate_samples`.
+    """Walk to every sample; see :func:`locate_samples`.
 
-    A walk begins in the triangle that holds all corners; else where the last sample ended while a row stays in one
-    target triangle, and at the nearest corner where it enters.
+    A walk begins in the source triangle that holds all corners. Without one, it begins at the last sample's end within
+    a row of one target triangle, and at the nearest corner's image otherwise.
     """
     found_t = np.int64(-1)
     for texel in range(len(cells)):
@@ -299,7 +300,7 @@ def _locate(  # type: ignore[no-untyped-def]
             b2 = (x1 * y - x * y1) * scale
             b0 = 1.0 - b1 - b2
             lowest = min(b0, b1, b2)
-            inside = lowest >= -EDGE_TOLERANCE  # what rounding alone puts outside stays on this side of a seam
+            inside = lowest >= -EDGE_TOLERANCE  # points outside by rounding stay on this side of a seam
             if lowest < -_EXTENSION or (inside and lowest < 0.0):
                 c0, c1, c2 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0)
                 total = c0 + c1 + c2

@@ -1,4 +1,4 @@
-"""Mip level and number of samples for every target triangle, so that a texture neither aliases nor blurs."""
+"""Mip levels and numbers of samples with which a texture neither aliases nor blurs."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from cagemap.transfer.texels import Layout, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
-# No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
+# Most samples of a texel along each axis; texels that need more read a coarser mip level.
 MAX_SAMPLES_PER_AXIS = 16
-# Up to this span, in texels of the source, one sample is enough: an unscaled texture stays unblurred.
+# Largest span, in texels of the source, for which one sample is enough: unscaled textures are not blurred.
 UNSCALED = 1.25
 # A span of 2^l texels, less this share of an octave, reads level l.
 _SLACK = 0.1
@@ -31,11 +31,11 @@ _BAND_TEXELS = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Lookups:
-    """Mip levels and samples of target triangles."""
+    """Mip levels and numbers of samples for target triangles."""
 
     mips: MipMaps
     counts: NDArray[np.int32]  # (t1, 2) samples along x and y in a raster cell
-    # (t1,) whether a texel spans at most one of the source, so that its centre alone is sampled
+    # (t1,) whether a texel spans at most one texel of the source: its centre alone is sampled
     crisp: NDArray[np.bool_]
 
 
@@ -49,33 +49,33 @@ def plan_lookups(
     exact: bool = False,
     kind: Filter = "smooth",
 ) -> Lookups:
-    """Plan how a raster of the target's layout reads a texture.
+    """Choose mip levels and samples with which a raster of the target's layout reads a texture.
 
     ``layout``: the target's, in raster cells.
     ``supersample``: raster cells along a texel's side.
     ``exact``: see `MipMaps.build`.
-    ``kind``: "smooth", "linear" or "nearest", interpolation where the texture is not minified; nearest is used
-        everywhere.
+    ``kind``: "smooth", "linear" or "nearest": interpolation of a texture that is not minified; "nearest" also when it
+        is.
     """
     centers = locate_centers(mapped)
     if kind == "nearest":
         ones = np.ones((len(centers), 2), dtype=np.int32)
         return Lookups(MipMaps({0: laid}, np.zeros(len(centers), dtype=np.int64), {}, True), ones, ones[:, 0] > 0)
     spans = texel_spans(mapped, layout.corners, laid.corner_texels(), centers)
-    near = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
+    covering = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
     levels = np.zeros(len(spans), dtype=np.int64)
-    levels[near] = mip_levels(spans[near])
-    met = np.concatenate([centers[near], mapped.start_triangles[mapped.target_triangles[near]].ravel()])
-    tiles = np.unique(laid.triangle_tiles[met]).tolist() if kind == "smooth" or levels.any() else []
+    levels[covering] = mip_levels(spans[covering])
+    reached = np.concatenate([centers[covering], mapped.start_triangles[mapped.target_triangles[covering]].ravel()])
+    tiles = np.unique(laid.triangle_tiles[reached]).tolist() if kind == "smooth" or levels.any() else []
     crisp = np.asarray((spans * supersample <= UNSCALED).all(axis=1))
     mips = MipMaps.build(laid, levels, source_coverage(source, laid, tiles), exact=exact, smooth=kind == "smooth")
     return Lookups(mips, samples_for(spans / 2.0 ** levels[:, None]), crisp)
 
 
 def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
-    """(t1,) how often to halve a texture for triangles of spans (t1, 2) in its texels.
+    """(t1,) mip level for triangles of spans (t1, 2) in texels of the texture.
 
-    The shorter span decides, so that nothing blurs along it; several samples cover the longer one, up to a limit.
+    The shorter span decides, so that nothing blurs along it; several samples cover the longer span, up to a limit.
     """
     shorter = np.floor(np.log2(np.maximum(spans.min(axis=1), 1.0)) + _SLACK)
     longer = np.ceil(np.log2(np.maximum(spans.max(axis=1), 1.0) / MAX_SAMPLES_PER_AXIS) - _SLACK)
@@ -83,19 +83,19 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
 
 
 def source_coverage(surface: TexturedSurface, laid: Texture, tiles: list[int]) -> dict[int, NDArray[np.bool_]]:
-    """(h, w) which texels of some tiles of a texture the surface's layout, and a border of one texel, covers."""
+    """(h, w) by tile: texels covered by the surface's layout and a border of one texel."""
     neighbors = triangle_neighbors(surface.layout()[1]) if tiles else np.zeros((0, 3), dtype=np.int32)
-    found = {}
+    coverage = {}
     for tile in tiles:
         height, width = laid.tiles[tile].shape[:2]
-        own = laid.triangle_tiles == tile
+        in_tile = laid.triangle_tiles == tile
         corners = surface.corner_uvs() - udim_origin(tile)
-        if tile == 0:  # a plain image repeats: each triangle where it lies in it
+        if tile == 0:  # a plain image repeats: move every triangle into the unit square
             corners = corners - tile_cells(corners)[:, None]
-        corners[~own] = 0.0
+        corners[~in_tile] = 0.0
         rows = max(1, _BAND_TEXELS // width)
-        found[tile] = _covered(lay_out(corners, neighbors, height, width, band_rows=rows))
-    return found
+        coverage[tile] = _covered(lay_out(corners, neighbors, height, width, band_rows=rows))
+    return coverage
 
 
 def _covered(layout: Layout) -> NDArray[np.bool_]:
@@ -110,9 +110,9 @@ def _covered(layout: Layout) -> NDArray[np.bool_]:
 
 
 def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
-    """(t1, 2) samples along x and y that a texel of each target triangle needs, so that the source does not alias.
+    """(t1, 2) samples along x and y in a texel of each target triangle, against aliasing.
 
-    One for each texel of the source that it spans, see `texel_spans`.
+    One sample for each texel of the source that it spans, see `texel_spans`.
     """
     return samples_for(texel_spans(surface, layout_corners, source_texels, locate_centers(surface)))
 
@@ -125,7 +125,7 @@ def samples_for(spans: FloatArray) -> NDArray[np.int32]:
 def texel_spans(
     surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray, source: IndexArray
 ) -> FloatArray:
-    """(t1, 2) texels of the source that a texel of each target triangle spans along x and along y.
+    """(t1, 2) texels of the source spanned by a texel of each target triangle, along x and y.
 
     With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
     of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
@@ -135,7 +135,7 @@ def texel_spans(
     ``source_texels``: (t2, 3, 2), texel coordinates of the source triangles' corners in the source texture.
     ``source``: (t1,), source triangle at the image of every target triangle's centre.
     """
-    found = np.empty((len(source), 2))
+    spans = np.empty((len(source), 2))
 
     def plan(part: slice) -> None:
         mapped = surface.mapped[surface.target_triangles[part]]
@@ -149,7 +149,7 @@ def texel_spans(
         scale = 1.0 / np.where(area == 0, np.inf, area)
         along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
         along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
-        found[part] = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
+        spans[part] = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
 
     in_threads(plan, row_slices(len(source), _PLANNED_AT_ONCE))
-    return found
+    return spans

@@ -1,4 +1,4 @@
-"""Masks in transfer: masks from images, the weight of every texel, and blending over a base image."""
+"""Masks in bakes: masks from images, weights of texels, and blending over a base image."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _ROWS = 256
 def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArray:
     """(n,) mask of a level's vertices from an image painted over its UVs.
 
-    The image's first channel, or the mean of its colours, times its alpha; where a seam gives a vertex several values,
-    their mean.
+    The image's first channel, or the mean of its colours, times its alpha. Vertices on seams get the mean of their
+    values.
 
     Parameters
     ----------
@@ -35,20 +35,20 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
     Raises
     ------
     ParameterError
-        If the level has no texture coordinates, or the image has none of its tiles.
+        If the level has no texture coordinates, or the image lacks one of its tiles.
     """
     surface = TexturedSurface.from_level(level)
     laid = lay_texture(image, *surface.layout())
     count = len(surface.triangles)
     corners = np.tile(np.eye(3), (count, 1))
     triangle = np.repeat(np.arange(count), 3)
-    each = TexelSamples(triangle.astype(np.int32), triangle, 1, 0, np.arange(3 * count + 1), triangle, corners)
-    values = look_up(laid, each) / unit(laid.dtype)
+    samples = TexelSamples(triangle.astype(np.int32), triangle, 1, 0, np.arange(3 * count + 1), triangle, corners)
+    values = look_up(laid, samples) / unit(laid.dtype)
     colors = values.shape[1] - (1 if values.shape[1] in (2, 4) else 0)
     grey = values[:, :colors].mean(axis=1) * (values[:, -1] if colors < values.shape[1] else 1.0)
     sums = np.bincount(surface.triangles.ravel(), grey, minlength=level.n_vertices)
-    times = np.bincount(surface.triangles.ravel(), minlength=level.n_vertices)
-    return np.clip(np.divide(sums, times, out=np.zeros(level.n_vertices), where=times > 0), 0.0, 1.0)
+    counts = np.bincount(surface.triangles.ravel(), minlength=level.n_vertices)
+    return np.clip(np.divide(sums, counts, out=np.zeros(level.n_vertices), where=counts > 0), 0.0, 1.0)
 
 
 @kinds_checked
@@ -60,7 +60,7 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
     transfer : Transfer
     size : int or (height, width)
     options : BakeOptions, optional
-        Those of the bake that it is for.
+        Options of the bake that the mask is for.
 
     Returns
     -------
@@ -69,21 +69,21 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
     options = options or BakeOptions()
     canvas = make_canvas(transfer, size, options)
     target, source = transfer.target, transfer.source
-    mine = transfer.masks.of_target(len(target.positions))
-    theirs = transfer.masks.of_source(len(source.positions))
+    target_mask = transfer.masks.of_target(len(target.positions))
+    source_mask = transfer.masks.of_source(len(source.positions))
 
     def shade(samples: TexelSamples) -> FloatArray:
         inside = target_barycentric(canvas.corners, samples)
-        own = np.einsum("kc,kc->k", inside, mine[target.triangles[samples.target_triangle]])
-        there = np.einsum("sc,sc->s", samples.barycentric, theirs[source.triangles[samples.triangle]])
-        return own[:, None] * samples.mean(there[:, None])
+        target_weight = np.einsum("kc,kc->k", inside, target_mask[target.triangles[samples.target_triangle]])
+        source_weight = np.einsum("sc,sc->s", samples.barycentric, source_mask[source.triangles[samples.triangle]])
+        return target_weight[:, None] * samples.mean(source_weight[:, None])
 
-    once = np.ones((len(target.triangles), 2), dtype=np.int32)
-    return run_bake(transfer, canvas, once, shade, 1, np.float32, options)
+    single_samples = np.ones((len(target.triangles), 2), dtype=np.int32)
+    return run_bake(transfer, canvas, single_samples, shade, 1, np.float32, options)
 
 
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
-    """Blend a baked image over a base: ``base + weight (baked - base)``; exactly the base where the weight is 0.
+    """Blend a baked image over a base: ``base + weight (baked - base)``; weight 0 is exactly the base.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     Raises
     ------
     ParameterError
-        If the images have other sizes, channels or number types.
+        If sizes, channels or number types differ.
     """
     baked, base, weight = array_of(baked), array_of(base), array_of(weight)
     if baked.shape != base.shape or baked.dtype != base.dtype:
@@ -111,7 +111,7 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
 
 
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
-    """A baked image with the weight as alpha, multiplied into the alpha that it has.
+    """A baked image with the weight as alpha; an existing alpha is multiplied by it.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
             f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {np.shape(baked)} and "
             f"{np.shape(weight)}"
         )
-    one = unit(baked.dtype)
+    full = unit(baked.dtype)
     has_alpha = baked.shape[2] in (2, 4)
-    alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else one)
+    alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else full)
     colors = baked[..., :-1] if has_alpha else baked
     return np.concatenate([colors, to_dtype(alpha, baked.dtype)], axis=2)

@@ -14,7 +14,7 @@ from cagemap.transfer.texture import Pixels
 
 @kinds_checked
 def transfer_of(result: MatchResult) -> Transfer:
-    """Put a match into the form that bakes need; keep it for several images."""
+    """Prepare a match for bakes; one `Transfer` serves several images."""
     target = result.target.refinement
     holes = target.holes(target.n_levels)
     return prepare_transfer(target.finest, result.source.refinement.finest, result.point_map, result.masks, holes)
@@ -29,7 +29,7 @@ def bake(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the source's texture into the target's layout; `bake_texture` of `transfer_of` a match.
+    """Bake the source's texture into the target's layout: `bake_texture` after `transfer_of`.
 
     Parameters
     ----------

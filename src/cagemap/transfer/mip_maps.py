@@ -1,7 +1,7 @@
-"""Mip maps: halved, low-passed images of a texture, for texels that span several texels of the source.
+"""Mip maps: low-passed, halved images of a texture, for texels that span several texels of the source.
 
-The cubic of Mitchell and Netravali (1988) lets 1 % of frequencies above the limit through as moire (a box: 10 %), with
-little ringing. Images below the first level are halved by a Lanczos kernel, which keeps frequencies below the limit.
+The cubic of Mitchell and Netravali (1988) passes 1 % of the frequencies above the limit as moire (a box: 10 %), with
+little ringing. Images for further levels are halved by a Lanczos kernel, which keeps frequencies below the limit.
 Both use covered texels only (normalised convolution, Knutsson and Westin 1993), so that no colours bleed into islands.
 """
 
@@ -21,11 +21,11 @@ from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.texture import Pixels, SmoothTile, Texture, channel_range, look_up
 
 _LOBES = 3
-# Where covered texels have less than this share of the kernel, means replace it: negative lobes would amplify.
+# Least share of the kernel on covered texels; below it means replace it: negative lobes would amplify.
 _MIN_KERNEL_SHARE = 0.75
 # Rows of a halved image per block: about 100 bytes for each texel of the source.
 _ROWS = 128
-# Weight of uncovered texels: they count only where there are no others.
+# Weight of uncovered texels: so small that they matter only without covered ones.
 _UNCOVERED_WEIGHT = 1e-5
 
 Coverage = NDArray[np.float32] | NDArray[np.bool_]
@@ -33,12 +33,12 @@ Coverage = NDArray[np.float32] | NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class MipMaps:
-    """A texture and the halvings of it that some target triangles read."""
+    """A texture and its mip levels that target triangles read."""
 
-    levels: dict[int, Texture]  # by how often it was halved; only those that are read, and the texture itself
+    levels: dict[int, Texture]  # by level; only levels that are read, and 0, the texture itself
     of_triangle: NDArray[np.int64]  # (t1,) level for every target triangle
-    smooth: dict[int, SmoothTile]  # where the texture itself is looked up smoothly, by tile
-    nearest: bool = False  # whether its texels are labels, which have nothing between them
+    smooth: dict[int, SmoothTile]  # smooth lookup of level 0, by tile
+    nearest: bool = False  # whether texels are labels, which are not interpolated
 
     @classmethod
     def build(
@@ -50,14 +50,15 @@ class MipMaps:
         exact: bool = False,
         smooth: bool = True,
     ) -> MipMaps:
-        """Halve a texture as often as its triangles ask for.
+        """Mip levels of a texture that target triangles read.
 
-        Level l has half the frequencies of level l - 1 at that one's size, where bilinear lookups see them well.
+        Level l is the image halved l - 1 times and then low-passed to half its frequencies, so that bilinear lookups
+        are accurate.
 
         ``of_triangle``: (t1,), see `cagemap.transfer.lookups.mip_levels`.
-        ``coverage``: which texels lie in the source's layout, by tile; only these tiles are halved.
-        ``exact``: halve to floats, and not to the texture's own numbers: means of directions are short.
-        ``smooth``: whether the texture itself is looked up smoothly, and not bilinearly.
+        ``coverage``: texels in the source's layout, by tile; only these tiles are halved.
+        ``exact``: keep floats instead of the texture's number type: means of directions are short.
+        ``smooth``: whether level 0 is looked up smoothly instead of bilinearly.
         """
         fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in coverage.items()} if smooth else {}
         levels, tiles = {0: texture}, {tile: texture.tiles[tile] for tile in coverage}
@@ -76,19 +77,19 @@ class MipMaps:
         return cls(levels, of_triangle, fine)
 
     def look_up(self, samples: TexelSamples) -> FloatArray:
-        """(k, c) as `cagemap.transfer.texture.look_up`, every texel in the image of its triangle's level."""
+        """(k, c) values of texels by `cagemap.transfer.texture.look_up`, each in its triangle's mip level."""
         if len(self.levels) == 1:
             return look_up(self.levels[0], samples, self.smooth, nearest=self.nearest)
-        own = self.of_triangle[samples.target_triangle]
-        values = np.empty((len(own), self.levels[0].channels))
-        for level in np.unique(own).tolist():
-            texels = np.flatnonzero(own == level)
+        texel_levels = self.of_triangle[samples.target_triangle]
+        values = np.empty((len(texel_levels), self.levels[0].channels))
+        for level in np.unique(texel_levels).tolist():
+            texels = np.flatnonzero(texel_levels == level)
             values[texels] = look_up(self.levels[level], samples.part(texels), self.smooth if level == 0 else None)
         return values
 
 
 def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
-    """An image (ceil(h / 2), ceil(w / 2), c) float32 of the covered texels of a (h, w, c) one, and its own coverage."""
+    """An image (h, w, c) and its coverage at half the size: (ceil(h / 2), ceil(w / 2), c) float32."""
     sides = [_kernels(count, count / ((count + 1) // 2), (count + 1) // 2, _lanczos) for count in pixels.shape[:2]]
     return _filtered(pixels, coverage, sides[0], sides[1])
 
@@ -96,7 +97,7 @@ def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
 def low_passed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -> Pixels:
     """(h, w, c) covered texels of an image, low-passed for texels of twice the size.
 
-    As float32, or in the number type and the range of the image ``like``: kernels overshoot at edges.
+    As float32, or in the number type and clipped to the range of ``like``: kernels overshoot at edges.
     """
     sides = [_kernels(count, 2.0, count, _mitchell) for count in pixels.shape[:2]]
     return _filtered(pixels, coverage, sides[0], sides[1], like)[0]
@@ -108,7 +109,7 @@ _Matrices = tuple[sparse.csr_array, sparse.csr_array]
 def _filtered(
     pixels: Pixels, coverage: Coverage, down: _Matrices, across: _Matrices, like: Pixels | None = None
 ) -> tuple[Pixels, Coverage]:
-    """Normalised convolution by a kernel along both sides; plain means where too little of the kernel is covered.
+    """Normalised convolution by a kernel along both sides; means where too little of the kernel is covered.
 
     NaN and infinite texels have no weight.
     """
@@ -117,25 +118,25 @@ def _filtered(
     covered = np.zeros(shape, dtype=np.float32)
 
     def fill(rows: slice) -> None:
-        own = [matrix[rows] for matrix in down]
-        first, last = int(own[0].indices.min()), int(own[0].indices.max()) + 1
+        row_matrices = [matrix[rows] for matrix in down]
+        first, last = int(row_matrices[0].indices.min()), int(row_matrices[0].indices.max()) + 1
         weight = np.maximum(coverage[first:last].astype(np.float32), np.float32(_UNCOVERED_WEIGHT))
-        given = pixels[first:last].astype(np.float32)
-        numbers = np.isfinite(given)
+        values_in = pixels[first:last].astype(np.float32)
+        numbers = np.isfinite(values_in)
         if not numbers.all():
             known = np.asarray(numbers.all(axis=2))
-            given, weight = np.where(known[..., None], given, 0), np.where(known, weight, 0)
-        table = np.dstack([given * weight[..., None], weight])
+            values_in, weight = np.where(known[..., None], values_in, 0), np.where(known, weight, 0)
+        table = np.dstack([values_in * weight[..., None], weight])
         sharp, mean = (
             _separable(table, vertical[:, first:last], horizontal)
-            for vertical, horizontal in zip(own, across, strict=True)
+            for vertical, horizontal in zip(row_matrices, across, strict=True)
         )
         values = np.where((sharp[..., -1] >= _MIN_KERNEL_SHARE)[..., None], sharp, mean)
         with np.errstate(invalid="ignore"):
-            found = values[..., :-1] / values[..., -1:]
+            filtered = values[..., :-1] / values[..., -1:]
         if ends is not None:
-            found = np.clip(found, *ends)
-        result[rows] = np.rint(found) if result.dtype.kind == "u" else found
+            filtered = np.clip(filtered, *ends)
+        result[rows] = np.rint(filtered) if result.dtype.kind == "u" else filtered
         covered[rows] = mean[..., -1]
 
     in_threads(fill, row_slices(len(result), _ROWS))
@@ -143,7 +144,7 @@ def _filtered(
 
 
 def _separable(table: NDArray[Any], down: sparse.csr_array, across: sparse.csr_array) -> NDArray[Any]:
-    """(h', w', c) a table (h, w, c) through one matrix for its rows and one for its columns."""
+    """(h', w', c) product of a table (h, w, c) with a matrix for its rows and one for its columns."""
     height, width, channels = table.shape
     rows = (down @ table.reshape(height, -1)).reshape(-1, width, channels).transpose(1, 0, 2)
     both = (across @ np.ascontiguousarray(rows).reshape(width, -1)).reshape(across.shape[0], -1, channels)
@@ -151,7 +152,7 @@ def _separable(table: NDArray[Any], down: sparse.csr_array, across: sparse.csr_a
 
 
 def _kernels(count: int, step: float, fewer: int, kernel: Callable[[FloatArray], FloatArray]) -> _Matrices:
-    """(m, n) matrices along a side of n texels, for m evenly spaced centres: a kernel ``step`` wide, and means."""
+    """(m, n) matrices from n texels to m evenly spaced centres: a kernel ``step`` wide, and means."""
     centres = ((np.arange(fewer) + 0.5) * (count / fewer))[:, None]
     reach = int(np.ceil(_LOBES * step)) + 1
     cells = np.floor(centres).astype(np.int64) + np.arange(-reach, reach + 1)
@@ -161,19 +162,19 @@ def _kernels(count: int, step: float, fewer: int, kernel: Callable[[FloatArray],
 
 
 def _lanczos(at: FloatArray) -> FloatArray:
-    """Sinc windowed by a wider one, for distances in units of the texels to make."""
+    """Sinc windowed by a wider one, for distances in units of the resulting texels."""
     return np.asarray(np.where(at < _LOBES, np.sinc(at) * np.sinc(at / _LOBES), 0.0))
 
 
 def _mitchell(at: FloatArray) -> FloatArray:
-    """Piecewise cubic with B = C = 1/3, for distances in units of the texels to make."""
+    """Piecewise cubic with B = C = 1/3, for distances in units of the resulting texels."""
     near = (7.0 * at**3 - 12.0 * at**2 + 16.0 / 3.0) / 6.0
     far = (-7.0 / 3.0 * at**3 + 12.0 * at**2 - 20.0 * at + 32.0 / 3.0) / 6.0
     return np.asarray(np.where(at < 1.0, near, np.where(at < 2.0, far, 0.0)))
 
 
 def _matrix(cells: NDArray[np.int64], weights: FloatArray, count: int) -> sparse.csr_array:
-    """Rows of weights for cells, summing to 1 before those beyond the ends are left out."""
+    """Sparse rows of weights, scaled to sum 1 before cells beyond the ends are left out."""
     scaled = weights / weights.sum(axis=1, keepdims=True)
     kept = (cells >= 0) & (cells < count) & (np.abs(scaled) > 1e-9)
     rows = np.broadcast_to(np.arange(len(cells))[:, None], cells.shape)[kept]

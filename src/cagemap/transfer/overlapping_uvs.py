@@ -1,4 +1,4 @@
-"""Overlapping UV layouts: mirrored halves, or materials with an image each."""
+"""Measure overlaps of UV layouts: mirrored halves, or materials with separate images."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cagemap.surface.triangles import fan_triangles
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
-# Texels a side of the raster. Tiles are rotated, by an angle at which no edges of a layout run along rows of texels:
-# counts of texels along such edges would be biased.
+# Texels per side of the raster. Tiles are rotated so that no edge of a layout runs along rows of texels: counts of
+# texels along such edges would be biased.
 _RASTER = 704
 _DIRECTION = np.array([1.0, (np.sqrt(5.0) - 1.0) / 2.0])
 _ROTATION = np.array([_DIRECTION, _DIRECTION[::-1] * [-1.0, 1.0]]) / _DIRECTION.sum()
-_TEXELS = _RASTER**2 * np.linalg.det(_ROTATION)  # in the area of a tile
-# Layouts with more tiles than this are those of repeated textures.
+_TEXELS = _RASTER**2 * np.linalg.det(_ROTATION)  # texels in the area of a tile
+# Layouts with more tiles are taken for repeated textures.
 _MAX_TILES = 64
 
 
@@ -30,23 +30,23 @@ def overlapping_share(control: ControlMesh) -> float:
     masks = _covered(corners)
     inside = np.concatenate([chosen for chosen, _ in masks]) if masks else np.zeros(0, dtype=np.int64)
     a, b = corners[inside, 1] - corners[inside, 0], corners[inside, 2] - corners[inside, 0]
-    # Of a polygon that is not convex the triangles of a fan have different signs.
+    # The fan of a polygon that is not convex has triangles of both signs.
     areas = np.abs(np.bincount(faces[inside], 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])))
     covered = sum(np.count_nonzero(mask) for _, mask in masks) / _TEXELS
     return max(0.0, 1.0 - covered / areas.sum()) if areas.sum() > 0 else 0.0
 
 
 def overlapping_materials(control: ControlMesh, min_share: float) -> tuple[str, ...]:
-    """Names of materials of whose layout more than a share overlaps that of other materials."""
+    """Names of materials whose layout overlaps that of other materials by more than ``min_share``."""
     if control.face_materials is None or len(control.material_names) < 2:
         return ()
     corners, faces = _uv_triangles(control)
     materials = control.face_materials[faces]
     owners: dict[tuple[float, float], list[tuple[int, NDArray[np.bool_]]]] = {}
     for material in np.unique(materials).tolist():
-        own = corners[materials == material]
-        for chosen, mask in _covered(own):
-            u, v = tile_cells(own[chosen[:1]])[0].tolist()
+        material_corners = corners[materials == material]
+        for chosen, mask in _covered(material_corners):
+            u, v = tile_cells(material_corners[chosen[:1]])[0].tolist()
             owners.setdefault((u, v), []).append((material, mask))
     overlapping = np.zeros(len(control.material_names))
     covered = np.zeros(len(control.material_names))
@@ -71,18 +71,18 @@ def _uv_triangles(control: ControlMesh) -> tuple[FloatArray, IndexArray]:
 
 
 def _covered(corners: FloatArray) -> list[tuple[IndexArray, NDArray[np.bool_]]]:
-    """For every tile its triangles, and which texels of the rotated tile they cover."""
+    """For every tile: its triangles, and the mask of texels of the rotated tile that they cover."""
     cells = tile_cells(corners) if len(corners) else np.zeros((0, 2))
     places = corners - cells[:, None]
     within = np.flatnonzero(((places > -OVERHANG) & (places < 1.0 + OVERHANG)).all(axis=(1, 2)))
     tiles, owner = np.unique(cells[within], axis=0, return_inverse=True)
     if len(tiles) > _MAX_TILES:
         return []
-    found = []
+    masks = []
     for tile in range(len(tiles)):
         chosen = within[owner.ravel() == tile]
         no_borders = np.zeros((len(chosen), 3), dtype=np.int32)
         rotated = (places[chosen] - 0.5) @ _ROTATION.T + 0.5
         layout = lay_out(rotated, no_borders, _RASTER, _RASTER, band_rows=_RASTER, gutter=0.0)
-        found.append((chosen, rasterize_band(layout, 0) >= 0))
-    return found
+        masks.append((chosen, rasterize_band(layout, 0) >= 0))
+    return masks

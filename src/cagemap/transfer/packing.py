@@ -1,8 +1,8 @@
 """Pack UV islands into the unit square by a skyline heuristic.
 
-The horizon is the height reached so far in every column of the square; an island goes where its lower outline leaves
-the least room beneath (Levy, Petitjean, Ray, Maillot, *Least squares conformal maps for automatic texture atlas
-generation*, 2002, section 4).
+The horizon is the height reached so far in every column of the square. An island is placed where its lower outline
+wastes the least area above the horizon (Levy, Petitjean, Ray, Maillot, *Least squares conformal maps for automatic
+texture atlas generation*, 2002, section 4).
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 _COLUMNS = 512
 _ANGLES = np.deg2rad(np.arange(0.0, 90.0, 2.0))
 _QUARTER_TURNS = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]], dtype=float)
-# Packings that are tried, each with the side that the last one suggests.
+# Packings that are tried; each takes its side from the previous one.
 _ROUNDS = 4
-# How much taller than wide a packing may be; its padding is enough for that.
+# Largest ratio of a packing's height to its width; the padding allows for it.
 _SLACK = 1.1
-# What a place costs for growing the packing taller, as a share of a whole row of the square.
+# Cost of growing the packing taller, as a share of a whole row of the square.
 _HEIGHT_SHARE = 0.25
 
 
-# Points (q, 2) of an island, and its edges as pairs of them.
+# Points (q, 2) of an island, and its edges as pairs of points.
 _Island = tuple[FloatArray, IndexArray]
 
 
 def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, padding: float) -> FloatArray:
-    """Turn, move and scale islands, all by one factor, into the unit square.
+    """Rotate, move and scale islands, all by one factor, into the unit square.
 
     ``uvs``: (p, 2).
     ``edges``: (e, 2), edges of the islands' polygons, as pairs of UVs.
@@ -40,8 +40,8 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     for rows in members:
         local[rows] = np.arange(len(rows))
     shapes = [
-        (_upright(uvs[rows]), local[edges[own]])
-        for rows, own in zip(members, _split(islands[edges[:, 0]]), strict=True)
+        (_upright(uvs[rows]), local[edges[edge_rows]])
+        for rows, edge_rows in zip(members, _split(islands[edges[:, 0]]), strict=True)
     ]
     boxes = np.array([np.ptp(points, axis=0) for points, _ in shapes])
     side = max(1.2 * float(np.sqrt(boxes.prod(axis=1).sum())), float(boxes.max()))
@@ -66,7 +66,7 @@ def _split(labels: IndexArray) -> list[IndexArray]:
 
 
 def _upright(points: FloatArray) -> FloatArray:
-    """Points of an island turned so that their upright box is smallest."""
+    """Points of an island rotated so that their bounding box is smallest."""
     c, s = np.cos(_ANGLES), np.sin(_ANGLES)
     x, y = points.T
     turned = np.stack([np.outer(c, x) - np.outer(s, y), np.outer(s, x) + np.outer(c, y)], axis=2)
@@ -75,7 +75,7 @@ def _upright(points: FloatArray) -> FloatArray:
 
 
 def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) -> tuple[list[FloatArray], float]:
-    """Place all islands, the longest first, in a strip as wide as ``side``; their points, and the height reached."""
+    """Points of all islands placed in a strip of width ``side``, the longest first, and its height."""
     column = side / _COLUMNS
     horizon = np.zeros(_COLUMNS)
     placed = [points for points, _ in shapes]
@@ -89,7 +89,7 @@ def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) 
                 continue
             windows = sliding_window_view(horizon, len(lower))
             floors = (windows - lower).max(axis=1)
-            # Room lost beneath, plus a share of what growing taller would cost.
+            # Area wasted beneath, plus a share of the cost of growing taller.
             beneath = (len(lower) * floors + lower.sum() - windows.sum(axis=1)) * column
             cost = beneath + (floors + upper.max()) * side * _HEIGHT_SHARE
             at = int(cost.argmin())
@@ -103,16 +103,16 @@ def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) 
 
 
 def _profile(points: FloatArray, edges: IndexArray, column: float, margin: float) -> tuple[FloatArray, ...]:
-    """Lower and upper outline of an island with a margin, column by column above its low corner; and that corner."""
+    """Lower and upper outline of an island with a margin, per column above its lowest corner; and the corner."""
     low = points.min(axis=0)
-    reach = 0.5 * margin  # half from either of two neighbours
+    reach = 0.5 * margin  # each of two neighbours adds half
     a, b = points[edges[:, 0]] - low, points[edges[:, 1]] - low
     steps = np.maximum(np.ceil(2 * np.abs(b - a)[:, 0] / column).astype(np.int64), 1) + 1
     edge = np.repeat(np.arange(len(edges)), steps)
     first = np.cumsum(steps) - steps
     t = (np.arange(len(edge)) - first[edge]) / (steps[edge] - 1)
     along = a[edge] + t[:, None] * (b - a)[edge]
-    # Columns that the margin reaches over, and one for what lies between two samples.
+    # Columns within the margin, and one for points between two samples.
     cover = int(np.ceil(reach / column)) + 1
     cells = (along[:, 0] / column).astype(np.int64) + cover
     width = int(cells.max()) + cover + 1

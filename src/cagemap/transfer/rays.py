@@ -1,4 +1,4 @@
-"""Rays from surfaces: intersections of the source's normals with a detailed mesh, and ambient occlusion."""
+"""Intersect the source's normals with a detailed mesh; compute ambient occlusion."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.textured_surface import plane_basis
 
-# Detail further from the source than this, in units of sqrt(area), is ignored.
+# Largest distance of detail from the source, in units of sqrt(area); farther detail is ignored.
 MAX_DETAIL_DISTANCE = 0.1
 _NEWTON_STEPS = 5
-# Distance, in units of sqrt(area), below which a point of the normal lies on the detail.
+# Distance, in units of sqrt(area), below which a point of the normal is on the detail.
 _HIT_TOLERANCE = 1e-6
 # Least cosine between the normals of source and detail for which Newton's method is tried.
 _MIN_COSINE = 0.2
@@ -25,23 +25,23 @@ _MIN_COSINE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class NormalHits:
-    """Points of the detail on the normals of source points; lengths at unit area of the source."""
+    """Intersections of source normals with the detail; lengths at unit area of the source."""
 
     # `points`, `normals`: (s, 3) of the source
     points: FloatArray
     normals: FloatArray
-    # intersection of the normal with the detail; the nearest point with an agreeing normal where there is none
+    # intersection of the normal with the detail, or without one the nearest point with an agreeing normal
     foot: SurfacePoints
     heights: FloatArray  # (s,) signed distance of ``foot`` along the normal
     near: NDArray[np.bool_]  # (s,) whether the detail is closer than `MAX_DETAIL_DISTANCE`
 
 
 def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> NormalHits:
-    """Intersect normals with the detail by Newton's method, from the nearest points with agreeing normals.
+    """Intersect normals with the detail by Newton's method, starting at nearest points with agreeing normals.
 
     Each step intersects the normal with the plane of the triangle that is nearest to the last point.
 
-    ``surface``: the detailed mesh, in the source's place and unit.
+    ``surface``: the detailed mesh, in the source's position and unit.
     ``points``, ``normals``: (s, 3), of the source at unit area; unit length.
     """
     first, distance = nearest_facing(surface, points, normals, MAX_DETAIL_DISTANCE)
@@ -55,11 +55,15 @@ def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: Flo
         height = np.clip(height, -MAX_DETAIL_DISTANCE, MAX_DETAIL_DISTANCE)
         place = origin + height[:, None] * along
         foot, gap = nearest_facing(surface, place, along, MAX_DETAIL_DISTANCE, foot.triangle)
-        here = (gap < _HIT_TOLERANCE) & (slope > _MIN_COSINE)
-        done = open_[here]
-        heights[done], triangle[done], barycentric[done] = height[here], foot.triangle[here], foot.barycentric[here]
+        reached = (gap < _HIT_TOLERANCE) & (slope > _MIN_COSINE)
+        done = open_[reached]
+        heights[done], triangle[done], barycentric[done] = (
+            height[reached],
+            foot.triangle[reached],
+            foot.barycentric[reached],
+        )
         hit[done] = True
-        open_, foot = open_[~here], foot.at(~here)
+        open_, foot = open_[~reached], foot.at(~reached)
         if not len(open_):
             break
     nearest_height = np.einsum("sd,sd->s", first.positions - points, normals)
@@ -67,7 +71,7 @@ def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: Flo
     return NormalHits(points, normals, feet, np.where(hit, heights, nearest_height), distance <= MAX_DETAIL_DISTANCE)
 
 
-# Rays start so far above the surface, in units of sqrt(area): Embree computes in single precision.
+# Height above the surface at which rays start, in units of sqrt(area): Embree computes in single precision.
 _LIFT = 1e-4
 # Rays at a time: 40 bytes each.
 _RAYS_AT_ONCE = 1 << 20
@@ -78,7 +82,7 @@ _GOLDEN = 0.618033988749895
 def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
     """(n,) visible share of the cosine-weighted hemisphere over every vertex, from 0 to 1.
 
-    ``rays``: over each vertex; the same places of the sky in every run.
+    ``rays``: number per vertex; directions are the same in every run.
     """
     if rays < 1:
         raise ParameterError(f"occlusion: expected 1 ray or more, got {rays}")
@@ -107,7 +111,7 @@ def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
 
 
 def _sky(rays: int) -> FloatArray:
-    """(rays, 3) directions about the axis z, as dense as their cosine: a sunflower on the disk, lifted up."""
+    """(rays, 3) cosine-weighted directions about the axis z: a golden-angle spiral on the disk, projected up."""
     index = np.arange(rays) + 0.5
     squared_radius = index / rays
     angle = 2 * np.pi * _GOLDEN * index

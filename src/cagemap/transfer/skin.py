@@ -1,4 +1,7 @@
-"""Skinning weights and joints carried to another cage; weights are convex, few, harmonic where the map is doubtful."""
+"""Carry skinning weights and joints to another cage.
+
+Weights stay convex, are limited in number per vertex, and are harmonic where the map is not trusted.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import factor
 
-# Sums of weights within this distance of 1 are rounding: such rows do not change.
+# Sums of weights within this distance of 1 are rounding: their rows do not change.
 _ROUNDING = 1e-5
-# Sums within this distance of 1 are normalised (MakeHuman's are 0.954 to 1.063). Others are no weights, or lack joints.
+# Sums within this distance of 1 are normalised (MakeHuman: 0.954 to 1.063). Others are no weights, or lack joints.
 _MAX_DEVIATION = 0.1
 
 
@@ -26,14 +29,14 @@ def carry_skin(
     *,
     influences: int | None = 4,
 ) -> FloatArray:
-    """Skinning weights of the target's control vertices from those of the source's.
+    """Skinning weights of the target's control vertices from the source's weights.
 
     ``weights``: (n1, n2), convex, see `control_weights`.
     ``skin``: (n2, j), weight of each joint at the source's control vertices; rows as `normalised_skin` takes them.
-    ``net``: of the target's control mesh.
+    ``net``: graph of the target's control mesh.
     ``trusted``: (n1,), where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex.
-    ``influences``: how many joints may move a vertex; the smallest weights are left out. None for all. Returns (n1, j),
-        rows sum to 1, unless the source's rows around have none.
+    ``influences``: most joints per vertex; the smallest weights are left out. None for all. Returns (n1, j); rows
+        sum to 1, unless the source rows that they come from are 0.
     """
     skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
@@ -47,8 +50,8 @@ def carry_skin(
 def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
     """Skinning weights with rows that sum to 1, and a note if rows were scaled.
 
-    ``skin``: (n, j), not negative; a row sums to 0 (no joint) or to 1, give or take a tenth. Returns (n, j), rows that
-    sum to 1 or 0 already are as they were; a note, empty where nothing was scaled.
+    ``skin``: (n, j), not negative; a row sums to 0 (no joint) or to 1 within 0.1. Returns (n, j), in which rows
+    that sum to 1 or 0 are unchanged; a note, empty if no row was scaled.
     """
     skin = np.asarray(skin, dtype=np.float64)
     sums = skin.sum(axis=1)
@@ -80,7 +83,7 @@ def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -
     laplacian = net.laplacian
     unknown = np.flatnonzero(~known)
     inner = laplacian[unknown][:, unknown]
-    # A trace of the identity for parts of the net that touch nothing known; they then get no weight at all.
+    # A small multiple of the identity, for parts of the net without a known vertex; their weights become 0.
     inner = inner + 1e-12 * float(inner.diagonal().mean()) * sparse.eye_array(len(unknown))
     result = values.copy()
     right = -(laplacian[unknown][:, np.flatnonzero(known)] @ values[known])
@@ -89,7 +92,7 @@ def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -
 
 
 def pruned(skin: FloatArray, influences: int | None) -> FloatArray:
-    """The largest weights of every row (n, j); of equal ones the first joints'."""
+    """The largest ``influences`` weights of every row (n, j); among equal weights, the first joints."""
     if influences is None or influences >= skin.shape[1]:
         return skin
     order = np.argsort(-skin, axis=1, kind="stable")[:, :influences]
@@ -99,17 +102,17 @@ def pruned(skin: FloatArray, influences: int | None) -> FloatArray:
 
 
 def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
-    """Rows scaled to sums (n,); rounding apart, rows that have them already stay."""
+    """Rows scaled to sums (n,); rows that already have them, up to rounding, are unchanged."""
     present = skin.sum(axis=1)
     factors = np.divide(sums, present, out=np.ones_like(present), where=present > 0)
     return skin * np.where(np.abs(factors - 1) > 1e-12, factors, 1.0)[:, None]
 
 
 def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
-    """Weights (n, j): carried ones of chosen joints; the mesh's own of the others, scaled to a sum of 1.
+    """Weights (n, j): carried ones of chosen joints, the mesh's own of other joints, scaled to sum 1.
 
-    ``carried``, ``own``: (n, j), rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet.
-    ``chosen``: (q,), columns. Rows whose own weights are all of chosen joints take all carried ones.
+    ``carried``, ``own``: (n, j), rows sum to 1, or to 0 in ``own`` for vertices without weights.
+    ``chosen``: (q,), columns. Rows whose own weights all belong to chosen joints take all carried weights.
     """
     if carried.shape != own.shape:
         raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
@@ -136,27 +139,27 @@ def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) ->
     return 0.5 * (skin + skin[vertices][:, joints])
 
 
-# Weights fall with the fourth power of the distance: a joint in a limb follows the ring of surface around it.
+# Power of the squared distance by which weights fall: a joint in a limb follows the ring of surface around it.
 _POWER = 2
 # Least distance in the weights, in units of sqrt(area).
 _MIN_DISTANCE = 1e-3
-# Vertices at a time: their weights stay in the processor's cache.
+# Vertices per block: their weights stay in the processor's cache.
 _BLOCK = 1024
 
 
 def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Carry joints, or other points inside or near the source, to the target.
 
-    Every joint is moved by the affine map that fits the surface around it best (moving least squares, Schaefer et al.
-    2006), from images on the source to vertices of the target. Affine deformations are reproduced exactly.
+    Every joint is moved by the affine map from images on the source to vertices of the target that fits best around it
+    (moving least squares, Schaefer et al. 2006). Affine deformations are reproduced exactly.
 
     ``joints``: (j, 3), in the source's file units. Returns ``places`` (j, 3), in the target's file units; ``rotations``
-    (j, 3, 3), rotation of each map: a direction of the source as a row vector, times it, is that of the target.
+    (j, 3, 3), rotation of each map: a source direction as a row vector times it is the target's direction.
     """
     source = point_map.images.positions
     target = point_map.target.positions
     count = len(source)
-    # Moments about a common place: one product gives those of many joints.
+    # Moments about a common centre: one matrix product gives the moments of many joints.
     center = source.mean(axis=0), target.mean(axis=0)
     source, target = source - center[0], target - center[1]
     products = [np.einsum("na,nb->nab", source, side).reshape(count, 9) for side in (source, target)]
@@ -176,7 +179,7 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, F
     before, after = sums[:, 1:4], sums[:, 4:7]
     moments = sums[:, 7:16].reshape(-1, 3, 3) - before[:, :, None] * before[:, None]
     mixed = sums[:, 16:].reshape(-1, 3, 3) - before[:, :, None] * after[:, None]
-    # A flat neighbourhood leaves its normal direction open: the trace makes the map a scaled rotation there.
+    # A flat neighbourhood does not determine the map along its normal: the trace makes the map a scaled rotation.
     moments += 1e-9 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     linear = np.linalg.solve(moments, mixed)
     carried = center[1] + after + np.einsum("ja,jab->jb", places - before, linear)

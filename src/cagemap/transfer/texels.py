@@ -1,11 +1,11 @@
-"""Which target triangle a texel belongs to: UV layouts rasterised, a gutter around their islands, the rest filled.
+"""Rasterise UV layouts to the triangle of every texel, with a gutter around islands; fill the background.
 
 Texel coordinates: x to the right and y down, in texels, so that texel (row r, column c) has its centre at
 (c + 0.5, r + 0.5) and v = 1 is y = 0.
 
-A renderer filters across island borders, at coarser mip levels over many texels; with the nearest texel's colour there,
-borders do not show. Distances are exact and Euclidean, in time linear in the number of texels: Meijster, Roerdink,
-Hesselink, *A general algorithm for computing distance transforms in linear time* (2000).
+Renderers filter across island borders, at coarser mip levels over many texels. Borders do not show if the background
+has the nearest texel's colour. Distances are exact and Euclidean, in time linear in the number of texels: Meijster,
+Roerdink, Hesselink, *A general algorithm for computing distance transforms in linear time* (2000).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cagemap.numerics.threads import ThreadPool
 
 TriangleImage = NDArray[np.int32]
 
-# A texel centre on the edge between two triangles must not be missed by both because of rounding.
+# Tolerance of barycentric coordinates: a texel centre on an edge must not be missed by both triangles.
 EDGE_TOLERANCE = 1e-7
 # Bilinear lookups inside an island touch texels whose centre is up to a texel away along both axes.
 GUTTER_RADIUS = float(np.sqrt(2.0))
@@ -33,16 +33,16 @@ GUTTER_RADIUS = float(np.sqrt(2.0))
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows."""
+    """A UV layout in texel coordinates, its triangles and island borders sorted into bands of rows."""
 
     corners: FloatArray  # (t, 3, 2) texel coordinates of the triangles' corners
     # `height`, `width`: size of the raster
     height: int
     width: int
     band_rows: int  # rows in a band; the last may have fewer
-    gutter: float  # how far islands are extended beyond their border, in texels
-    # `band_triangles`, `border_triangles`, `border_corners`: Triangles that touch the band, and the border edges that
-    # come near it: an edge is a triangle and the corner it starts from. Ascending.
+    gutter: float  # width of the extension of islands beyond their border, in texels
+    # `band_triangles`, `border_triangles`, `border_corners`: triangles that touch the band, and border edges within
+    # the gutter of it: an edge is a triangle and its first corner. Ascending.
     band_triangles: tuple[IndexArray, ...]
     border_triangles: tuple[IndexArray, ...]
     border_corners: tuple[IndexArray, ...]
@@ -62,12 +62,12 @@ def lay_out(
     band_rows: int,
     gutter: float = GUTTER_RADIUS,
 ) -> Layout:
-    """Bring a layout to texel coordinates and sort it into bands.
+    """Convert a layout to texel coordinates and sort its triangles and borders into bands.
 
     ``corner_uvs``: (t, 3, 2).
     ``neighbors``: (t, 3), triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's
         border.
-    ``gutter``: how far to extend islands beyond their border, in texels.
+    ``gutter``: width of the extension of islands beyond their border, in texels.
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
     triangle, opposite = np.nonzero(neighbors < 0)
@@ -88,7 +88,7 @@ def lay_out(
 
 
 def _sort_into_bands(points: FloatArray, height: int, width: int, band_rows: int, margin: float) -> list[IndexArray]:
-    """For every band the elements, given by their (e, p, 2) points, whose bounding box grown by a margin touches it."""
+    """For every band, the elements (e, p, 2 points) whose bounding box with a margin touches it."""
     places = points.transpose(1, 0, 2)  # NumPy reduces over a short axis slowly, over pairs of arrays fast
     low, high = reduce(np.minimum, places) - margin, reduce(np.maximum, places) + margin
     inside = np.flatnonzero((high[:, 0] > 0) & (high[:, 1] > 0) & (low[:, 0] < width) & (low[:, 1] < height))
@@ -106,9 +106,9 @@ def _sort_into_bands(points: FloatArray, height: int, width: int, band_rows: int
 def rasterize_band(layout: Layout, band: int) -> TriangleImage:
     """(rows, width) triangle of every texel of a band, -1 outside the islands and their gutter.
 
-    A texel whose centre lies in several triangles (a layout that overlaps itself) takes the first. Texels outside, up
-    to ``layout.gutter`` texels from an island's border, take the triangle at the nearest border: its linear extension
-    is what a bilinear lookup at the border should see beyond it.
+    A texel whose centre is in several triangles (an overlapping layout) takes the first. Outside texels up to
+    ``layout.gutter`` texels from an island's border take the triangle at the nearest border. Its linear extension is
+    the right value for bilinear lookups at the border.
     """
     top = band * layout.band_rows
     rows = min(layout.band_rows, layout.height - top)
@@ -117,15 +117,15 @@ def rasterize_band(layout: Layout, band: int) -> TriangleImage:
     if layout.gutter > 0:
         borders = layout.border_triangles[band], layout.border_corners[band]
         nearest = np.full(image.shape, layout.gutter**2 + 1e-9)
-        found = np.full(image.shape, -1, dtype=np.int32)
-        _grow_gutter(image, top, layout.corners, *borders, layout.gutter, nearest, found)
-        image = np.where(found >= 0, found, image)
+        border_triangle = np.full(image.shape, -1, dtype=np.int32)
+        _grow_gutter(image, top, layout.corners, *borders, layout.gutter, nearest, border_triangle)
+        image = np.where(border_triangle >= 0, border_triangle, image)
     return image
 
 
 @numba.njit(cache=True, nogil=True)
 def _rasterize(image, top, corners, triangles):  # type: ignore[no-untyped-def]
-    """Set every texel of ``image`` (whose first row is ``top``) that is still -1 to the triangle over its centre."""
+    """Set texels of ``image`` that are -1 to the triangle at their centre; the first row is ``top``."""
     rows, width = image.shape
     for t in triangles:
         x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
@@ -152,7 +152,7 @@ def _rasterize(image, top, corners, triangles):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _grow_gutter(image, top, corners, triangles, starts, radius, nearest, found):  # type: ignore[no-untyped-def]
-    """Find, for texels of ``image`` that are -1, the triangle of a border edge less than sqrt(``nearest``) away."""
+    """For texels that are -1, find the triangle of a border edge closer than sqrt(``nearest``)."""
     rows, width = image.shape
     for e in range(len(triangles)):
         t, k = triangles[e], starts[e]
@@ -186,11 +186,11 @@ LARGEST_SIDE = int(np.iinfo(np.int16).max)
 
 
 def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None, threads: int = 1) -> None:
-    """Give texels that are not covered, in place, the value of the nearest covered one.
+    """Copy the nearest covered texel, in place, to texels that are not covered.
 
     ``image``: (h, w, c), any number type; contiguous; sides up to 32767.
     ``covered``: (h, w).
-    ``distance``: how far to fill, in texels; the whole background by default.
+    ``distance``: largest distance to fill, in texels; default: the whole background.
     """
     height, width = covered.shape
     if not covered.any():
@@ -215,7 +215,7 @@ def _each(pool: ThreadPool, work: Callable[[int, int], None], size: int) -> None
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_rows(covered, nearest_row, begin, end):  # type: ignore[no-untyped-def]
-    """For the columns ``begin`` to ``end``: row of the nearest covered texel of the same column, or _NOWHERE."""
+    """Row of the nearest covered texel in the same column, or _NOWHERE; for columns ``begin`` to ``end``."""
     height = len(covered)
     for r in range(height):
         for c in range(begin, end):
@@ -235,11 +235,11 @@ def _nearest_rows(covered, nearest_row, begin, end):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def _fill_rows(texels, nearest_row, reach, begin, end, site, since):  # type: ignore[no-untyped-def]
-    """For the rows ``begin`` to ``end``: lower envelope of the columns' parabolas, then copy from the nearest texel.
+    """Fill rows ``begin`` to ``end`` from the nearest texel, by the lower envelope of the columns' parabolas.
 
-    Column i holds the parabola (c - i)^2 + h_i^2, h_i being the distance along the column. Only texels that are not
-    covered are written, and only covered ones are read, so rows may be done in any order. ``site`` has room for the
-    columns whose parabolas make the envelope, ``since`` for the first texel where each of them is the lowest.
+    Column i has the parabola (c - i)^2 + h_i^2, h_i being the distance along the column. Only texels that are not
+    covered are written, and only covered ones are read, so rows may be filled in any order. Work arrays: ``site`` for
+    the columns of the envelope, ``since`` for the first texel at which each is the lowest.
     """
     width = texels.shape[1]
     for r in range(begin, end):
@@ -256,7 +256,7 @@ def _fill_rows(texels, nearest_row, reach, begin, end, site, since):  # type: ig
             while top >= 0:
                 other = site[top]
                 other_height = np.int64(nearest_row[r, other] - r)
-                # Where this parabola falls below the other one.
+                # First texel at which this parabola is below the other one.
                 numerator = c * c - other * other + height2 - other_height * other_height
                 first = numerator // (2 * (c - other)) + 1
                 if first > since[top]:

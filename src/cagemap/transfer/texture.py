@@ -1,10 +1,10 @@
-"""Source textures: one image or the tiles of a UDIM set, and their lookup at surface points.
+"""Source textures (an image or UDIM tiles) and their lookup at surface points.
 
 Textures that are not minified are interpolated by the six-point cubic of Keys, *Cubic convolution interpolation for
-digital image processing* (1981, eq. 24). It interpolates the texels and reproduces cubics; of detail three texels wide
-it loses a twelfth of what a bilinear lookup loses. Values are limited to the range of the two texels around a point,
-but for local peaks, and to the range of the image: hard edges do not ring. At borders of islands, where the six texels
-are not all covered, and for alpha, the lookup is bilinear.
+digital image processing* (1981, eq. 24). It interpolates the texels and reproduces cubics. Its loss of detail three
+texels wide is a twelfth of a bilinear lookup's. Values are limited to the range of the two texels around a point,
+except at local peaks, and to the range of the image: hard edges do not ring. The lookup is bilinear for alpha, and at
+borders of islands, where some of the six texels are not covered.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _REACH = 3
 
 
 def smooth_cells(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(h, w) where the 6 x 6 texels around a point between a texel and its right lower neighbours are all covered."""
+    """(h, w) whether the 6 x 6 texels around points between a texel and its lower right one are covered."""
     height, width = covered.shape
     inside = np.zeros((height, width), dtype=np.bool_)
     rows, columns = height - 2 * _REACH + 1, width - 2 * _REACH + 1
@@ -43,25 +43,25 @@ def smooth_cells(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
-    """(c,) the least and the largest number of every channel."""
+    """(c,) smallest and largest value of every channel."""
     # NumPy reduces over whole rows fast, over rows and columns at once a hundred times slower.
     return np.fmin.reduce(np.fmin.reduce(pixels)), np.fmax.reduce(np.fmax.reduce(pixels))
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothTile:
-    """Where a tile is looked up smoothly, and the range of its channels."""
+    """Cells of a tile that are looked up smoothly, and the range of its channels."""
 
-    cells: NDArray[np.bool_]  # (h, w) where all six by six texels are covered, see `smooth_cells`, and not all equal
+    cells: NDArray[np.bool_]  # (h, w) whether all 6 x 6 texels are covered, see `smooth_cells`, and not all equal
     # `lowest`, `highest`: (c,) range of every channel, to which values are limited
     lowest: FloatArray
     highest: FloatArray
 
     @classmethod
     def of(cls, pixels: Pixels, covered: NDArray[np.bool_]) -> SmoothTile:
-        """Prepare a tile (h, w, c) whose layout covers some texels (h, w).
+        """Smooth lookup of a tile (h, w, c) of which ``covered`` (h, w) texels are in the layout.
 
-        NaN and infinite texels count as uncovered. Where all texels are equal, the bilinear lookup gives the same.
+        NaN and infinite texels count as uncovered. If all 6 x 6 texels are equal, the bilinear lookup gives the same.
         """
         if pixels.dtype.kind == "f" and not (numbers := np.isfinite(pixels)).all():
             covered = covered & numbers.all(axis=2)
@@ -72,9 +72,10 @@ class SmoothTile:
 
 @numba.njit(cache=True, nogil=True)
 def _leave_even(pixels, cells):  # type: ignore[no-untyped-def]
-    """Take out of ``cells`` those around which all texels are the same, by the largest even square at each texel.
+    """Remove from ``cells`` those whose 6 x 6 texels are equal, by the largest uniform square at each texel.
 
-    That at (r, c) is one larger than the smallest of those to the right, below and across, if their texels are equal.
+    The square at (r, c) is one larger than the smallest of its right, lower and diagonal neighbours' squares, if these
+    four texels are equal.
     """
     height, width, channels = pixels.shape
     below = np.zeros(width + 1, dtype=np.uint8)
@@ -104,7 +105,7 @@ FILTERS = get_args(Filter)
 OVERHANG = 1.0 / 8192.0
 # Up to this many samples a texel spans less than two texels of the texture and is interpolated smoothly.
 _MAX_SMOOTH_SAMPLES = 4
-# Height of a peak between two texels above them, as a share of their drop to the outer neighbours: 1/8 for a parabola.
+# Largest overshoot of a peak between two texels, as a share of their drop to the outer neighbours (parabola: 1/8).
 _PEAK = 0.25
 # Value of every half float by its bits: Numba has no half floats, and a converted copy of a large texture takes
 # gigabytes.
@@ -113,14 +114,14 @@ _HALVES = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float64
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The source's texture, laid on its triangles."""
+    """The source's texture with the texture coordinates of its triangles."""
 
     # (h, w, c) pixels by UDIM number, row 0 at the top; a plain image has the single key 0. Sizes
     # may differ, channels and number type not.
     tiles: dict[int, Pixels]
     uvs: FloatArray  # (p, 2)
     uv_triangles: IndexArray  # (t2, 3)
-    triangle_tiles: IndexArray  # (t2,) tile that each triangle lies in, by its centre; all 0 for a plain image
+    triangle_tiles: IndexArray  # (t2,) tile of each triangle's centre; all 0 for a plain image
     repeat: bool  # whether points outside a plain image wrap around (else they are clamped to its edge)
 
     @property
@@ -144,9 +145,9 @@ class Texture:
 def lay_texture(
     texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_triangles: IndexArray, *, wrap: Wrap = "repeat"
 ) -> Texture:
-    """Check a texture and lay it on the triangles of the source.
+    """Check a texture and combine it with the source's texture coordinates.
 
-    ``texture``: (h, w) or (h, w, c), or such by UDIM number.
+    ``texture``: (h, w) or (h, w, c), or such arrays by UDIM number.
     ``uvs``: (p, 2).
     ``uv_triangles``: (t2, 3).
     ``wrap``: "repeat" or "clamp", how a plain image continues outside the unit square. Renderers and material libraries
@@ -173,9 +174,9 @@ def lay_texture(
 
 
 def tile_cells(corners: FloatArray) -> FloatArray:
-    """(t, 2) lower left corner of the unit square that each UV triangle lies in.
+    """(t, 2) lower left corner of the unit square of each UV triangle.
 
-    A triangle that crosses a border by rounding only belongs to the tile of its other corners.
+    A triangle that crosses a border only by rounding belongs to the tile of its other corners.
 
     ``corners``: (t, 3, 2).
     """
@@ -185,7 +186,7 @@ def tile_cells(corners: FloatArray) -> FloatArray:
 
 
 def each_tile(texture: Pixels | Mapping[int, Pixels], change: Callable[[Pixels], Pixels]) -> Pixels | dict[int, Pixels]:
-    """A texture whose image, or each of whose tiles, is changed."""
+    """A texture with ``change`` applied to its image or to each tile."""
     if isinstance(texture, Mapping):
         return {tile: change(pixels) for tile, pixels in texture.items()}
     return change(texture)
@@ -201,7 +202,7 @@ def as_pixels(image: Pixels) -> Pixels:
     if pixels.dtype.kind not in "uf":
         raise ParameterError(f"expected pixels of unsigned integers or floats, got {pixels.dtype}")
     kind = pixels.dtype.newbyteorder("=") if pixels.dtype.itemsize <= 8 else np.dtype(np.float64)
-    return np.ascontiguousarray(pixels, dtype=kind)  # kernels know no other order of bytes, nor longer floats
+    return np.ascontiguousarray(pixels, dtype=kind)  # kernels need native byte order and at most 64 bits
 
 
 _ROUGH = SmoothTile(np.zeros((0, 0), dtype=np.bool_), np.zeros(0), np.zeros(0))
@@ -212,8 +213,8 @@ def look_up(
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 
-    ``smooth``: where to look up smoothly, by tile; bilinear elsewhere.
-    ``nearest``: take the texel that contains the point: for labels.
+    ``smooth``: cells to look up smoothly, by tile; bilinear elsewhere.
+    ``nearest``: take the texel that contains the point, for labels.
     """
     result = np.zeros((len(samples.first) - 1, texture.channels))
     # A band of texels uses few tiles of a large set: the others are skipped.
@@ -270,11 +271,11 @@ def _accumulate(  # type: ignore[no-untyped-def]
     barycentric,
     result,
 ):
-    """Add to every texel its samples' lookups in one tile.
+    """Add the lookups of samples in one tile to their texels.
 
     Bilinear interpolation is written a + f (b - a), which leaves a constant texture constant to the last bit. A point
-    outside wraps around if ``repeat``, but the texels around a point never do: an island that touches the image's edge
-    must not mix with what lies at the opposite edge.
+    outside wraps around if ``repeat``, but the texels around a point do not: an island at the image's edge must not mix
+    with the opposite edge.
     """
     height, width, channels = pixels.shape
     across, down = np.empty(6), np.empty(6)
@@ -317,7 +318,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _value(pixels, halves, row, column, channel):  # type: ignore[no-untyped-def]
-    """A texel's value; ``halves`` has those of half floats, which come as their bits, and is None for others."""
+    """A texel's value; ``halves`` is the table of half floats by their bits, or None for other types."""
     if halves is None:
         return np.float64(pixels[row, column, channel])
     return halves[pixels[row, column, channel]]
@@ -338,7 +339,7 @@ def _six_points(f, weights):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _between(a, b, c, d, e, f, weights):  # type: ignore[no-untyped-def]
-    """Weighted sum of six values, limited to the range of the middle two and the peak that their slopes allow."""
+    """Weighted sum of six values, limited to the range of the middle two plus the peak of their slopes."""
     total = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d + weights[4] * e + weights[5] * f
     rise, fall = max(min(c - b, d - e), 0.0), max(min(b - c, e - d), 0.0)
     return min(max(total, min(c, d) - fall * _PEAK), max(c, d) + rise * _PEAK)

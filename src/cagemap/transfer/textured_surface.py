@@ -1,10 +1,10 @@
 """A refined surface as triangles with UVs, and its tangent frames as MikkTSpace defines them.
 
 Most programs read and write normal maps in such frames. Every triangle corner has a normal, a tangent along u and a
-sign. Corners of one vertex whose triangles hang together in the layout, with one handedness, share their tangent: the
-mean over their triangles of the direction of u, laid into the plane of the normal and weighted by the angle there
-(Mikkelsen 2008). Inside a triangle, normal and tangent are interpolated linearly and not normalised; the bitangent is
-``sign (n x t)``.
+sign. Corners of one vertex whose triangles are connected in the layout, with one handedness, share their tangent: the
+mean over their triangles of the direction of u, projected into the plane of the normal and weighted by the corner's
+angle (Mikkelsen 2008). Inside a triangle, normal and tangent are interpolated linearly and not normalised; the
+bitangent is ``sign (n x t)``.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ class TexturedSurface:
     uv_triangles: IndexArray | None  # (t, 3) UV of every triangle corner
     triangle_faces: IndexArray  # (t,) refined face that each triangle is a part of
     face_parents: IndexArray  # (m,) control face that each refined face came from
-    # (t,) triangles that shape the surface but are no part of it: nothing is baked there
+    # (t,) whether a triangle shapes the surface but belongs to a hole: it is not baked
     holes: NDArray[np.bool_] | None = None
 
     @classmethod
     def from_level(cls, level: Level, holes: NDArray[np.bool_] | None = None) -> TexturedSurface:
-        """Split the faces of a refined level into triangles; ``holes`` (m,) are faces that are no part of it."""
+        """Triangles of a refined level; ``holes`` (m,) marks faces that are holes."""
         if level.faces is None:
             raise ParameterError("expected quads or triangles, got a control mesh of mixed polygons: refine it once")
         split = triangles(level.faces)
@@ -46,7 +46,7 @@ class TexturedSurface:
         return cls(level.positions, split, level.uvs, uv_split, faces, level.face_parents, hollow)
 
     def layout(self) -> tuple[FloatArray, IndexArray]:
-        """Texture coordinates (p, 2), and those of every triangle corner (t, 3)."""
+        """Texture coordinates (p, 2), and their index (t, 3) for every triangle corner."""
         if self.uvs is None or self.uv_triangles is None:
             raise ParameterError(
                 "expected a surface with texture coordinates, got none: unwrap its control mesh first (`unwrap`)"
@@ -61,7 +61,7 @@ class TexturedSurface:
 
 @dataclass(frozen=True, eq=False)
 class TangentFrames:
-    """Frames at triangle corners."""
+    """Tangent frames at triangle corners."""
 
     vertex_normals: FloatArray  # (n, 3) unit length
     triangles: IndexArray  # (t, 3)
@@ -93,11 +93,11 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
     along = normalize_rows(signs[:, None] * (v2[:, None] * (b - a) - v1[:, None] * (c - a)))
     groups = _groups(triangles, uvs, uv_triangles, area < 0)
     sums = np.zeros((int(groups.max()) + 1, 3))
-    own = np.zeros((len(sums), 3))
+    group_normals = np.zeros((len(sums), 3))
     corners = (a, b, c)
     for k in range(3):
         normal = normals[triangles[:, k]]
-        own[groups[:, k]] = normal
+        group_normals[groups[:, k]] = normal
         in_plane = _projected(along, normal)
         first = _projected(corners[(k + 1) % 3] - corners[k], normal)
         second = _projected(corners[(k + 2) % 3] - corners[k], normal)
@@ -105,18 +105,18 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
         weighted = np.where(area != 0, angle, 0.0)[:, None] * in_plane
         sums += grouped_sums(groups[:, k], weighted, len(sums))
     tangents = normalize_rows(sums)
-    lost = np.linalg.norm(tangents, axis=1) < 0.5
-    tangents[lost] = _any_tangent(own[lost])
+    undefined = np.linalg.norm(tangents, axis=1) < 0.5
+    tangents[undefined] = _any_tangent(group_normals[undefined])
     return TangentFrames(normals, triangles, tangents, groups, signs)
 
 
 def _groups(
     triangles: IndexArray, uvs: FloatArray, uv_triangles: IndexArray, mirrored: NDArray[np.bool_]
 ) -> IndexArray:
-    """(t, 3) group of every corner: corners of one vertex, joined across edges that the layout does not cut or mirror.
+    """(t, 3) group of every corner: corners of one vertex, joined across edges that are not seams.
 
-    Texture coordinates are told apart by their values, since a layout may number one place twice; and two fans around a
-    vertex that share its place, but no edge, keep their own tangents.
+    Edges across which the layout is mirrored are seams too. Texture coordinates are compared by value, since a layout
+    may have one place twice. Two fans around a vertex without a common edge keep their own tangents.
     """
     _, places = np.unique(uvs @ np.array([1.0, 1.0j]), return_inverse=True)
     places = places.ravel().astype(np.int64)
@@ -127,28 +127,31 @@ def _groups(
     edges = low * (int(corner.max()) + 1) + high
     order = np.argsort(edges, kind="stable")
     joined = np.flatnonzero(edges[order[1:]] == edges[order[:-1]])
-    one, two = order[joined], order[joined + 1]  # half edges: 3 * triangle + first corner
-    ends = [(3 * (half // 3) + (half % 3 + 1) % 3) for half in (one, two)]
-    # Neighbours run along their edge in opposite directions; where they do not, they turn it the same way.
-    opposite = corner.ravel()[one] != corner.ravel()[two]
-    pairs = [(one, np.where(opposite, ends[1], two)), (ends[0], np.where(opposite, two, ends[1]))]
+    first_half, second_half = order[joined], order[joined + 1]  # half edges: 3 * triangle + first corner
+    ends = [(3 * (half // 3) + (half % 3 + 1) % 3) for half in (first_half, second_half)]
+    # Neighbours run along their edge in opposite directions, unless one of them is flipped.
+    opposite = corner.ravel()[first_half] != corner.ravel()[second_half]
+    pairs = [
+        (first_half, np.where(opposite, ends[1], second_half)),
+        (ends[0], np.where(opposite, second_half, ends[1])),
+    ]
     heads, tails = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     return label_components(heads, tails, corner.size).reshape(-1, 3)
 
 
 def _projected(vectors: FloatArray, normals: FloatArray) -> FloatArray:
-    """Vectors (k, 3) laid into the planes of unit normals, at unit length."""
+    """Vectors (k, 3) projected into the planes of unit normals, at unit length."""
     return normalize_rows(vectors - np.einsum("kd,kd->k", vectors, normals)[:, None] * normals)
 
 
 def _any_tangent(normals: FloatArray) -> FloatArray:
-    """(k, 3) some unit vectors perpendicular to unit normals."""
+    """(k, 3) arbitrary unit vectors perpendicular to unit normals."""
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)] if len(normals) else np.zeros((0, 3))
     return normalize_rows(np.cross(normals, axis))
 
 
 def plane_basis(normals: FloatArray, along: FloatArray) -> FloatArray:
-    """(k, 3, 2) orthonormal bases of the planes across normals, the first vector towards ``along``."""
+    """(k, 3, 2) orthonormal bases of the planes perpendicular to normals; the first vector is towards ``along``."""
     unit = normalize_rows(normals)
     first = _projected(along, unit)
     flat = np.linalg.norm(first, axis=1) < 0.5

@@ -1,9 +1,9 @@
-"""Unwrap a control mesh: UV islands that keep every polygon whole, so that refined UVs stay inside them.
+"""Unwrap a control mesh into UV islands of whole polygons, so that refined UVs stay inside.
 
-xatlas cuts the triangulated mesh into charts and flattens them. Refinement, though, works on polygons: a polygon whose
-triangles lie in different charts, or whose flat outline is not convex, would fold when its UVs are refined. Such a
-*loose* polygon is laid against a chart that holds a part of it, where there is room, and else becomes an island of its
-own. Islands are then packed anew. All of this sees control meshes only, and loops over loose polygons only.
+xatlas cuts the triangulated mesh into charts and flattens them. Refinement works on polygons: a polygon whose triangles
+lie in different charts, or whose flat outline is not convex, would fold when its UVs are refined. Such a *loose*
+polygon is attached to a chart that holds a part of it, if it does not overlap the chart. Otherwise it becomes an
+island. Islands are then packed again.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from cagemap.transfer.packing import pack_islands
 
 # Rounding of the cross product at straight corners, relative to the product of the edges.
 _STRAIGHT = -1e-9
-# Levels of refinement that bring control vertices near the surface.
+# Levels of refinement after which control vertices are near the surface.
 _SMOOTHING = 2
-# Polygons with less area than this, relative to their squared length, count as folded.
+# Least area of a polygon, relative to its squared perimeter; below it counts as folded.
 _FLAT = 1e-6
 # Pairs of polygons compared per block.
 _PAIRS = 2**18
@@ -60,7 +60,7 @@ def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
         raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
     positions = _smooth_positions(control.with_positions((control.positions - low) / size))
     flat, corner_uvs = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
-    # Islands are what polygons join.
+    # Islands are connected components of polygons.
     islands = label_components(corner_uvs, corner_uvs[control.next_corners], len(flat))
     uvs = _equalize(control, positions, flat, corner_uvs, islands)
     edges = np.column_stack([corner_uvs, corner_uvs[control.next_corners]])
@@ -69,7 +69,7 @@ def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
 
 @dataclass(frozen=True, eq=False)
 class _Charts:
-    """xatlas's answer: UVs and their vertices, UV triangles, and the chart of every triangle (-1: left out)."""
+    """Charts of xatlas: UVs and their vertices, UV triangles, and the chart of every triangle (-1: none)."""
 
     uvs: FloatArray
     vertices: IndexArray
@@ -78,7 +78,7 @@ class _Charts:
 
 
 def _smooth_positions(control: ControlMesh) -> FloatArray:
-    """(n, 3) where control vertices come to lie: the surface is less bent than its cage, and needs fewer cuts."""
+    """(n, 3) control vertices on the surface, which is less bent than its cage and needs fewer cuts."""
     if isinstance(control.scheme, Plain):
         return control.positions
     return refine(control.with_uvs(None, None), _SMOOTHING).finest.positions[: control.n_vertices]
@@ -99,15 +99,15 @@ def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     for number in range(atlas.get_mesh_chart_count(0)):
         chart[np.asarray(atlas.get_mesh_chart(0, number).faces, dtype=np.int64)] = number
     scaled = uvs.astype(np.float64) * (atlas.width, atlas.height) / max(atlas.texels_per_unit, 1e-30)
-    one, two = scaled[corners[:, 1:]].transpose(1, 0, 2) - scaled[corners[:, 0]]
-    turning = np.bincount(chart + 1, _cross(one, two))[1:]
+    first_edge, second_edge = scaled[corners[:, 1:]].transpose(1, 0, 2) - scaled[corners[:, 0]]
+    turning = np.bincount(chart + 1, _cross(first_edge, second_edge))[1:]
     mirrored = (chart >= 0) & (np.append(turning, 0.0)[chart] < 0)
     scaled[np.unique(corners[mirrored]), 0] *= -1
     return _Charts(scaled, vertices.astype(np.int64), corners, chart)
 
 
 def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) -> tuple[FloatArray, IndexArray]:
-    """UVs (p, 2) and the UV of every corner (c,); polygons that no chart keeps whole are placed one by one."""
+    """UVs (p, 2) and the UV of every corner (c,), with loose polygons attached or placed on their own."""
     corner_uvs, chart = _whole_polygons(control, charts)
     _loosen_overlaps(control, charts.uvs, corner_uvs, chart)
     uvs = [charts.uvs]
@@ -118,10 +118,10 @@ def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) 
         corners = slice(control.face_offsets[face], control.face_offsets[face + 1])
         vertices = control.face_indices[corners]
         outline = _outline(positions[vertices])
-        own = np.arange(first_triangle[face], first_triangle[face] + per_face[face])
+        face_triangles = np.arange(first_triangle[face], first_triangle[face] + per_face[face])
         placed = None
-        for candidate in np.unique(charts.chart[own[charts.chart[own] >= 0]]):
-            known = _known_corners(charts, own[charts.chart[own] == candidate], vertices)
+        for candidate in np.unique(charts.chart[face_triangles[charts.chart[face_triangles] >= 0]]):
+            known = _known_corners(charts, face_triangles[charts.chart[face_triangles] == candidate], vertices)
             neighbors = np.flatnonzero(chart == candidate)
             placed = _lay_against(outline, known, np.concatenate(uvs), control, corner_uvs, neighbors)
             if placed is not None:
@@ -129,17 +129,17 @@ def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) 
                 break
         if placed is None:
             known, placed = np.full(len(vertices), -1), outline
-        fresh = np.flatnonzero(known < 0)
+        new_corners = np.flatnonzero(known < 0)
         corner_uvs[corners] = known
-        corner_uvs[control.face_offsets[face] + fresh] = n_uvs + np.arange(len(fresh))
-        uvs.append(placed[fresh])
-        n_uvs += len(fresh)
+        corner_uvs[control.face_offsets[face] + new_corners] = n_uvs + np.arange(len(new_corners))
+        uvs.append(placed[new_corners])
+        n_uvs += len(new_corners)
     used, renumbered = np.unique(corner_uvs, return_inverse=True)
     return np.concatenate(uvs)[used], renumbered
 
 
 def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, IndexArray]:
-    """UV of every corner (c,), and chart of every face (m,): -1 where the polygon is cut, missing or not convex."""
+    """UV of every corner (c,), and chart of every face (m,); -1 if the polygon is cut, missing or not convex."""
     per_face = control.face_sizes - 2
     face = np.repeat(np.arange(control.n_faces), per_face)
     first_triangle = np.cumsum(per_face) - per_face
@@ -162,7 +162,7 @@ def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, 
 
 
 def _loosen_overlaps(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> None:
-    """Take polygons out of charts, in place, until no two overlap: xatlas lets a chart run over itself now and then."""
+    """Remove polygons from charts, in place, until none overlap: charts of xatlas may overlap themselves."""
     pairs = _overlapping(control, uvs, corner_uvs, chart)
     while len(pairs):
         members, counts = np.unique(pairs, return_counts=True)
@@ -173,10 +173,10 @@ def _loosen_overlaps(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArr
 
 
 def _overlapping(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> IndexArray:
-    """(q, 2) polygons of one chart that have an area in common; they are swept from left to right, chart by chart."""
+    """(q, 2) overlapping pairs of polygons of one chart, found by a sweep from left to right."""
     corners, begin = uvs[corner_uvs], control.face_offsets[:-1]
     low, high = np.minimum.reduceat(corners, begin), np.maximum.reduceat(corners, begin)
-    # Charts side by side, so far apart that none reaches the next one.
+    # Charts are shifted apart, so that none overlaps another one in the sweep.
     shift = 2 * np.ptp(corners[:, 0]) * chart
     faces = np.flatnonzero(chart >= 0)
     faces = faces[np.argsort((low[:, 0] + shift)[faces], kind="stable")]
@@ -184,7 +184,7 @@ def _overlapping(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, 
     counts = np.maximum(np.searchsorted(starts, ends, side="right") - np.arange(len(faces)) - 1, 0)
     before = np.cumsum(counts) - counts
     used = csr_array((np.ones(len(corner_uvs)), np.maximum(corner_uvs, 0), control.face_offsets))
-    found = [np.zeros((0, 2), np.int64)]
+    overlaps = [np.zeros((0, 2), np.int64)]
     for rows in np.split(np.arange(len(faces)), np.searchsorted(before, np.arange(_PAIRS, counts.sum(), _PAIRS))):
         first = np.repeat(rows, counts[rows])
         second = first + 1 + np.arange(len(first)) - np.repeat(before[rows] - before[rows[:1]], counts[rows])
@@ -194,13 +194,13 @@ def _overlapping(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, 
         # Convex polygons on either side of a common edge cannot overlap.
         apart = used[a].multiply(used[b]).sum(axis=1) < 2
         a, b = a[apart], b[apart]
-        over = _overlap(*(_polygons(control, uvs, corner_uvs, side) for side in (a, b)))
-        found.append(np.column_stack([a, b])[over])
-    return np.concatenate(found)
+        overlapping = _overlap(*(_polygons(control, uvs, corner_uvs, side) for side in (a, b)))
+        overlaps.append(np.column_stack([a, b])[overlapping])
+    return np.concatenate(overlaps)
 
 
 def _polygons(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, faces: IndexArray) -> FloatArray:
-    """(q, k, 2) corners of some polygons; the last one of smaller ones is there several times."""
+    """(q, k, 2) corners of some polygons; smaller polygons repeat their last corner."""
     size = control.face_sizes[faces]
     step = np.minimum(np.arange(size.max(initial=1)), size[:, None] - 1)
     return np.asarray(uvs[corner_uvs[control.face_offsets[faces][:, None] + step]])
@@ -221,7 +221,7 @@ def _convex_faces(control: ControlMesh, points: FloatArray) -> np.ndarray:
 
 
 def _outline(points: FloatArray) -> FloatArray:
-    """(k, 2) convex outline for a polygon in space: its fan unfolded, or else a regular polygon of its area."""
+    """(k, 2) convex outline of a polygon in space: its unfolded fan, or else a regular polygon of its area."""
     sides = points - points[0]
     lengths = np.linalg.norm(sides, axis=1)
     cosines = np.einsum("ij,ij->i", sides[1:-1], sides[2:]) / np.maximum(lengths[1:-1] * lengths[2:], 1e-300)
@@ -243,7 +243,7 @@ def _is_convex(outline: FloatArray) -> bool:
 
 
 def _known_corners(charts: _Charts, triangles: IndexArray, vertices: IndexArray) -> IndexArray:
-    """(k,) UV that a chart has for the corners of a polygon, by some of the polygon's triangles; -1 for the others."""
+    """(k,) UVs of a polygon's corners in a chart, from some of its triangles; -1 for other corners."""
     uv = np.unique(charts.triangles[triangles])
     matches = charts.vertices[uv][None, :] == vertices[:, None]
     return np.where(matches.sum(axis=1) == 1, uv[matches.argmax(axis=1)], -1)
@@ -257,7 +257,7 @@ def _lay_against(
     corner_uvs: IndexArray,
     neighbors: IndexArray,
 ) -> FloatArray | None:
-    """(k, 2) corners of a polygon of which a chart has some, or None if it would be folded or overlap the chart."""
+    """(k, 2) corners of a polygon attached to a chart, or None if it would fold or overlap the chart."""
     have = known >= 0
     if have.sum() < 2 or len(neighbors) == 0:
         return None
@@ -281,7 +281,7 @@ def _lay_against(
 
 
 def _overlap(first: FloatArray, second: FloatArray) -> np.ndarray:
-    """(q,) whether convex polygons (q, k, 2) that turn left have an area in common (separating axis theorem)."""
+    """(q,) whether pairs of convex polygons (q, k, 2) overlap (separating axis theorem); they turn left."""
     scale = 0.5 * np.ptp(first, axis=1).max(axis=1)
     apart = np.zeros(len(first), dtype=bool)
     for polygon, other in ((first, second), (second, first)):
@@ -296,7 +296,7 @@ def _overlap(first: FloatArray, second: FloatArray) -> np.ndarray:
 def _equalize(
     control: ControlMesh, positions: FloatArray, uvs: FloatArray, corner_uvs: IndexArray, islands: IndexArray
 ) -> FloatArray:
-    """UVs scaled island by island, so that each has the area of its polygons in space."""
+    """UVs with each island scaled to the area of its polygons in space."""
     triangles = cage_triangles(control)[0]
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     solid = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -305,7 +305,7 @@ def _equalize(
     flat_of_face = np.add.reduceat(_cross(corners, corners[control.next_corners]), control.face_offsets[:-1])
     island_of_face = islands[corner_uvs[control.face_offsets[:-1]]]
     ratio = np.bincount(island_of_face, solid_of_face) / np.bincount(island_of_face, flat_of_face)
-    # A degenerate polygon keeps a spot of its own, however small.
+    # The bound keeps islands of degenerate polygons from shrinking to a point.
     return uvs * np.sqrt(np.maximum(ratio, 1e-6))[islands][:, None]
 
 

@@ -1,7 +1,7 @@
-"""Normal maps and vector displacement: vectors of the source rotated by the map's differential.
+"""Bake normal maps and vector displacement: vectors of the source rotated by the map's differential.
 
-The differential of the map at a point of the target takes the tangent plane there, with normal n1, to that of its
-image, with normal n2. Q is the rotation nearest to the differential that takes n1 to n2. A vector v of the source
+At a point of the target, the differential of the map takes the tangent plane with normal n1 to the tangent plane of
+the image with normal n2. Q is the rotation nearest to the differential that takes n1 to n2. A vector v of the source
 becomes ``Q^T v`` on the target: flat normal maps stay flat, and the identity map changes nothing.
 """
 
@@ -46,12 +46,12 @@ def bake_normal_map(
     ----------
     transfer : Transfer
     texture : (h, w, 3) array, or such arrays by UDIM number
-        Directions, stored as half of them plus a half; floats with negative values as they are. Alpha is left out.
+        Directions n, stored as (n + 1) / 2; floats with negative values hold n itself. Alpha is left out.
     size : int or (height, width)
     space : "tangent" or "object"
         Tangent space is MikkTSpace's, of both refined surfaces.
     green : "up" or "down"
-        Whether green grows with v (OpenGL, Blender) or against it (DirectX); in and out.
+        Whether green grows with v (OpenGL, Blender) or against it (DirectX), in both images.
     dtype, options
         As in `bake_texture`.
 
@@ -79,7 +79,7 @@ def bake_normal_map(
 def normal_encoder(
     green: Green, space: Space, dtype: np.dtype[Any], *, signed: bool = False
 ) -> Callable[[FloatArray], FloatArray]:
-    """How directions (k, 3) are stored as colours: half of them plus a half, or as they are in signed floats."""
+    """Encoder of directions n (k, 3) as colours: (n + 1) / 2, or n itself in signed floats."""
     flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
 
     def encode(vectors: FloatArray) -> FloatArray:
@@ -102,11 +102,11 @@ def bake_vector_displacement(
 ) -> Displacement:
     """Bake the source's vector displacement into the target's layout; lengths grow with the surfaces.
 
-    ``texture``: (h, w, 3), or such by UDIM number, vector = (value - midlevel) * scale, in the source's units; in
-        tangent space the channels are tangent, normal, bitangent.
+    ``texture``: (h, w, 3), or such arrays by UDIM number; vector = (value - midlevel) * scale, in the source's units;
+        in tangent space the channels are tangent, normal, bitangent.
     ``midlevel``: by default 0.5 for integers and 0 for floats.
-    ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As with heights, floats get new values
-        and integers a new scale.
+    ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As in `bake_displacement`, floats get
+        new values and integers a new scale.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -129,7 +129,7 @@ def bake_vector_displacement(
 
 
 def displacement_order(space: Space) -> list[int]:
-    """Channels that hold tangent, bitangent and normal of a vector displacement, or x, y and z."""
+    """Channels of tangent, bitangent and normal in a vector displacement, or of x, y and z."""
     return _DISPLACEMENT_ORDER if space == "tangent" else [0, 1, 2]
 
 
@@ -144,12 +144,11 @@ def _bake_texture_vectors(
     kept: np.dtype[Any],
     options: BakeOptions,
 ) -> Pixels:
-    """Bake vectors that are stored in a texture of the source."""
+    """Bake vectors stored in a texture of the source."""
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     frames = None if space == "object" else tangent_frames(transfer.source)
-    # Mean directions are shorter than 1 where the surface is rough: they are normalised once, at the end, and not
-    # rounded.
+    # Mean directions are shorter than 1 on rough surfaces: they are not rounded, and normalised once, at the end.
     lookups = plan_lookups(
         transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, exact=True, kind=options.filter
     )
@@ -183,13 +182,13 @@ def bake_vectors(
     options: BakeOptions,
     crisp: NDArray[np.bool_] | None = None,
 ) -> Pixels:
-    """Bake vectors of the source: rotated to the target sample by sample, and averaged in its frame.
+    """Bake vectors of the source, rotated to the target per sample and averaged in the target's frame.
 
     ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them.
     ``vectors_at``: samples, each a texel of its own -> (s, 3) vectors of the source in object space.
     ``encode``: vectors (k, 3) in the channels' order -> their values.
     ``space``: "tangent" or "object", of the target, for the result.
-    ``order``: which channels hold tangent, bitangent and normal.
+    ``order``: channels of tangent, bitangent and normal.
     ``crisp``: (t1,), as `run_bake` takes it.
     """
     pull_back = VectorPullback.of(transfer, space)
@@ -216,7 +215,7 @@ class VectorPullback:
 
     @classmethod
     def of(cls, transfer: Transfer, space: Space) -> VectorPullback:
-        """Into tangent or object space of the target."""
+        """Rotation into tangent or object space of the target."""
         frames = None if space == "object" else tangent_frames(transfer.target)
         normals = (vertex_normals(side.positions, side.triangles) for side in (transfer.target, transfer.source))
         return cls(transfer, frames, *normals)
@@ -224,7 +223,7 @@ class VectorPullback:
     def __call__(
         self, vectors: FloatArray, samples: TexelSamples, triangle: IndexArray, inside: FloatArray
     ) -> FloatArray:
-        """(s, 3) vectors of the source at samples, in target triangles (s,) at barycentric coordinates (s, 3)."""
+        """(s, 3) source vectors rotated to target triangles (s,) at barycentric coordinates (s, 3)."""
         target, source, mapped = self.transfer.target, self.transfer.source, self.transfer.mapped.mapped
         corners = target.triangles[triangle]
         edges = target.positions[corners[:, 1:]] - target.positions[corners[:, :1]]
@@ -239,27 +238,27 @@ def _rotated_to_target(
     vectors: FloatArray, n1: FloatArray, n2: FloatArray, edges: FloatArray, images: FloatArray
 ) -> FloatArray:
     """(s, 3) ``Q^T v``; the map takes edges (s, 2, 3) of target triangles to their images."""
-    one, two = plane_basis(n1, edges[:, 0]), plane_basis(n2, images[:, 0])
-    flat, image = edges @ one, images @ two  # (s, edge, coordinate)
+    target_basis, source_basis = plane_basis(n1, edges[:, 0]), plane_basis(n2, images[:, 0])
+    flat, image = edges @ target_basis, images @ source_basis  # (s, edge, coordinate)
     determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0]
     adjugate = np.stack(
         [np.stack([flat[:, 1, 1], -flat[:, 0, 1]], axis=1), np.stack([-flat[:, 1, 0], flat[:, 0, 0]], axis=1)], axis=1
     )
-    # Coordinates go by the matrix M^T = flat^-1 image; its nearest rotation needs no scale but the determinant's sign.
+    # Row coordinates transform by M^T = flat^-1 image; for its nearest rotation only the determinant's sign matters.
     transposed = np.where(determinant < 0, -1.0, 1.0)[:, None, None] * (adjugate @ image)
     sine, cosine = transposed[:, 0, 1] - transposed[:, 1, 0], transposed[:, 0, 0] + transposed[:, 1, 1]
     length = np.hypot(sine, cosine)
     sine, cosine = np.where(length > 0, sine, 0.0), np.where(length > 0, cosine, 1.0)
     length = np.where(length > 0, length, 1.0)
     sine, cosine = sine / length, cosine / length
-    x, y = np.einsum("sab,sa->sb", two, vectors).T
+    x, y = np.einsum("sab,sa->sb", source_basis, vectors).T
     height = np.einsum("sd,sd->s", normalize_rows(n2), vectors)
     rotated = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
-    return np.asarray(np.einsum("sab,sb->sa", one, rotated) + height[:, None] * normalize_rows(n1))
+    return np.asarray(np.einsum("sab,sb->sa", target_basis, rotated) + height[:, None] * normalize_rows(n1))
 
 
 def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:
-    """(s, 3) coordinates of vectors in frames whose columns need not be perpendicular; zero where a frame is flat."""
+    """(s, 3) coordinates of vectors in frames that need not be orthogonal; zero if a frame is flat."""
     a, b, c = (frames[:, :, k] for k in range(3))
     volume = np.einsum("sd,sd->s", a, np.cross(b, c))
     safe = np.where(np.abs(volume) > 1e-12, volume, np.inf)
@@ -274,7 +273,7 @@ def _three(pixels: Pixels) -> Pixels:
     return np.ascontiguousarray(pixels[:, :, :3])
 
 
-# What of the painted texels decode to unit vectors that point outwards, and how nearly.
+# Least share of painted texels that decode to outward unit vectors; tolerance of their length; texels that are tested.
 _SHARE = 0.9
 _LENGTH = 0.08
 _TEXELS = 100_000
@@ -283,7 +282,7 @@ _TEXELS = 100_000
 def looks_like_normal_map(pixels: Pixels) -> bool:
     """Whether nearly all texels are unit vectors (r, g, b) = (n + 1) / 2 that point out of the surface.
 
-    Every colour counts once: a large even background does not decide. Black and transparent texels do not count.
+    Every colour counts once: a large uniform background does not decide. Black and transparent texels are ignored.
 
     ``pixels``: (h, w, c), integers stand for 0 to 1.
     """
@@ -295,7 +294,7 @@ def looks_like_normal_map(pixels: Pixels) -> bool:
 
 
 def share_of_normals(pixels: Pixels) -> float:
-    """Share of the colours that are unit vectors of any direction; 1 where nothing is painted.
+    """Share of the colours that are unit vectors of any direction; 1 for an unpainted image.
 
     ``pixels``: (h, w, c), integers stand for 0 to 1.
     """
@@ -308,7 +307,7 @@ def _unit(normals: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 
 def _normals(pixels: Pixels) -> FloatArray:
-    """The different colours of painted texels as vectors 2 c - 1; none of images with fewer than three channels."""
+    """Distinct colours c of painted texels as vectors 2 c - 1; none for fewer than three channels."""
     if pixels.ndim != 3 or pixels.shape[2] < 3:
         return np.zeros((0, 3))
     step = max(1, int(np.sqrt(pixels.shape[0] * pixels.shape[1] / _TEXELS)))

@@ -1,4 +1,4 @@
-"""Requests of match, transfer, wrap and report, and their options as values for the studio's page."""
+"""Requests of match, transfer, wrap and report, and descriptions of their options for the studio."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COMMANDS: dict[str, type] = {
     "wrap": WrapRequest,
     "report": ReportRequest,
 }
-# Options that name files to write beside the output.
+# Options that name further output files.
 WRITTEN = {
     "transfer": ("usd",),
     "wrap": ("displacement", "vector_displacement", "normal_map", "occlusion", "colors", "baked", "mhclo"),
@@ -38,7 +38,7 @@ NamedFiles = tuple[tuple[str, Path], ...]
 Value = bool | str | int | float | Path | tuple[str, ...] | tuple[Path, ...] | NamedFiles | None
 # Command and field of its request.
 Key = tuple[str, str]
-# Before the name or file of a mask: everything but that.
+# Prefix of a mask's name or file that inverts it.
 _NOT = "not:"
 
 
@@ -49,10 +49,10 @@ class CommandOption:
     # `command`, `name`: name of the request's field
     command: str
     name: str
-    flag: str  # how it is typed; of a switch that is on by default, what turns it off
-    help: str  # as the command line explains it
-    # "several" are some of ``choices``; "name or file" is a file where it ends in one of ``suffixes``; "output" names a
-    # file to write, and is asked for with True
+    flag: str  # as typed; for a switch that is on by default, the flag that turns it off
+    help: str  # help text of the command line
+    # "several": some of ``choices``; "name or file": a file if it ends in one of ``suffixes``; "output": a file to
+    # write, requested with True
     kind: Kind
     default: Value = None
     choices: tuple[str, ...] = ()
@@ -62,7 +62,7 @@ class CommandOption:
 
     @property
     def key(self) -> Key:
-        """What it is found by."""
+        """Command and field name."""
         return self.command, self.name
 
     def require(self, value: Value) -> None:
@@ -74,7 +74,7 @@ class CommandOption:
             raise ParameterError(f"{self.flag}: expected {self.least} {most}, got {value}. Correct it.")
 
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
-        """A value with its paths as ``require`` gives them; files in a folder as well."""
+        """The value with paths passed through ``require``, which also checks links in folders."""
         if isinstance(value, Path):
             return _placed(value, require)
         if self.kind == "name or file" and isinstance(value, str):
@@ -83,7 +83,7 @@ class CommandOption:
                 return value
             return value[: len(value) - len(name)] + str(_placed(Path(name), require))
         if isinstance(value, tuple):
-            return tuple(_placed_one(one, require) for one in value)  # type: ignore[return-value]
+            return tuple(_placed_one(item, require) for item in value)  # type: ignore[return-value]
         return value
 
 
@@ -110,7 +110,7 @@ def request_of(options: Options, command: str, values: Mapping[str, Value]) -> R
 
 
 def run_request(request: Request, stages: Stages) -> Outcome:
-    """Do a request of `COMMANDS`; returns a summary and warnings."""
+    """Run a request of `COMMANDS`; returns a summary and warnings."""
     command = next(name for name, kind in COMMANDS.items() if isinstance(request, kind))
     run: Callable[[Request, Stages], Outcome] = getattr(import_module(f"cagemap.tasks.{command}"), f"run_{command}")
     return run(request, stages)
@@ -118,47 +118,47 @@ def run_request(request: Request, stages: Stages) -> Outcome:
 
 @cache
 def _validator(request: type) -> TypeAdapter[Any]:
-    return TypeAdapter(request)  # building one takes longer than everything else about a request
+    return TypeAdapter(request)  # cached: building it takes longer than the rest of a request
 
 
 @cache
 def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
-    """Options of one command; what is no option of the command line is left out."""
+    """Options of one command; fields that are no options are left out."""
     return tuple(
-        _option(command, field.name, kind, info, said, None if field.default is MISSING else field.default)
-        for field, kind, said, info in options_in(request)
+        _option(command, field.name, kind, info, annotations, None if field.default is MISSING else field.default)
+        for field, kind, annotations, info in options_in(request)
     )
 
 
 def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], default: Any) -> CommandOption:
     plain = _without_none(kind)
-    one_of = next((one for one in said if isinstance(one, OneOf)), None)
-    some_of = next((one for one in said if isinstance(one, SomeOf)), None)
-    file_too = next((one for one in said if isinstance(one, NameOrFile)), None)
+    one_of = next((note for note in said if isinstance(note, OneOf)), None)
+    some_of = next((note for note in said if isinstance(note, SomeOf)), None)
+    file_too = next((note for note in said if isinstance(note, NameOrFile)), None)
     choices: tuple[object, ...] = ()
     if one_of is not None:
         choices = one_of.choices
     elif isinstance(plain, type) and issubclass(plain, StrEnum):
         choices = tuple(plain)
-    own: Kind
+    option_kind: Kind
     if name in WRITTEN.get(command, ()):
-        own = "output"
+        option_kind = "output"
     elif some_of is not None:
-        own, choices = "several", some_of.parts
+        option_kind, choices = "several", some_of.parts
     elif choices:
-        own = "choice"
+        option_kind = "choice"
     else:
-        own = "name or file" if file_too is not None else _KINDS[plain]
+        option_kind = "name or file" if file_too is not None else _KINDS[plain]
     flags = info.names or ("--" + name.replace("_", "-"),)
-    flag = next((one for one in flags if one.startswith("--")), flags[0])
+    flag = next((note for note in flags if note.startswith("--")), flags[0])
     on, _, off = flag.partition("/")
     return CommandOption(
         command,
         name,
         off if off and default else on,
         info.help,
-        own,
-        cast(Value, str(default) if own == "choice" and default is not None else default),
+        option_kind,
+        cast(Value, str(default) if option_kind == "choice" and default is not None else default),
         tuple(map(str, choices)),
         () if file_too is None else file_too.suffixes,
         info.min,
@@ -168,7 +168,7 @@ def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], d
 
 def _without_none(kind: Any) -> Any:
     if get_origin(kind) in (Union, UnionType):
-        kinds = [one for one in get_args(kind) if one is not NoneType]
+        kinds = [member for member in get_args(kind) if member is not NoneType]
         return kinds[0] if len(kinds) == 1 else kind
     return kind
 
@@ -192,8 +192,8 @@ def _placed_one(one: object, require: Callable[[Path], Path]) -> object:
 
 
 def _placed(path: Path, require: Callable[[Path], Path]) -> Path:
-    found = require(path)
-    for file in found.iterdir() if found.is_dir() else ():
+    allowed = require(path)
+    for file in allowed.iterdir() if allowed.is_dir() else ():
         if file.is_symlink():
             require(file)
-    return found
+    return allowed

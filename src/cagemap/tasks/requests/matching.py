@@ -1,4 +1,4 @@
-"""Requests of commands that make a RESULT: match, map, run, studio; annotated with their options."""
+"""Requests of commands that write a RESULT (match, map, run, studio), annotated with their options."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class MatchRequest:
-    """What the user asked for, as said on the command line."""
+    """Request of `cagemap match`."""
 
     target: Annotated[
         Path,
@@ -158,7 +158,7 @@ class MatchRequest:
 
 @dataclass(frozen=True)
 class MapRequest:
-    """What the user asked for, as said on the command line."""
+    """Request of `cagemap map`."""
 
     map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
     target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]
@@ -176,7 +176,7 @@ class MapRequest:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What the user asked for, as said on the command line."""
+    """Request of `cagemap run`."""
 
     job: Annotated[Path, Argument(help="Job file, .toml.")]
     scheduler: Annotated[
@@ -202,7 +202,7 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class StudioRequest:
-    """What the user asked for, as said on the command line."""
+    """Request of `cagemap studio`."""
 
     target: Annotated[Path | None, Option(("--target", "-t"), help="Control mesh that receives.")] = None
     source: Annotated[Path | None, Option(("--source", "-s"), help="Control mesh that gives.")] = None

@@ -1,4 +1,4 @@
-"""Requests of commands about meshes and characters: functions, rig, face; annotated with their options."""
+"""Requests of commands on meshes and characters (functions, rig, face), annotated with their options."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class FunctionsRequest:
-    """What the user asked for, as said on the command line."""
+    """Request of `cagemap functions`."""
 
     mesh: MeshFile
     output: Annotated[
@@ -67,7 +67,7 @@ class FunctionsRequest:
 
 @dataclass(frozen=True)
 class RigRequest:
-    """What the user asked for."""
+    """Request of `cagemap rig`."""
 
     body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
     like: Annotated[
@@ -107,7 +107,7 @@ class RigRequest:
 
 @dataclass(frozen=True)
 class FaceRequest:
-    """What the user asked for."""
+    """Request of `cagemap face`."""
 
     head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
     output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]

@@ -1,4 +1,4 @@
-"""Annotations that make fields of requests options, and options that several requests share."""
+"""Annotations that turn fields of requests into options, and options shared by several requests."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
 
 @dataclass(frozen=True)
 class Option:
-    """How a field of a request is said."""
+    """Option of the command line for a field of a request."""
 
-    names: tuple[str, ...] = ()  # as typed; a switch may have ``--on/--off``. None: ``--`` and the field's name
+    names: tuple[str, ...] = ()  # as typed; a switch may have ``--on/--off``. Default: ``--`` and the field's name
     help: str = ""
     min: float | None = None  # least and largest value
     max: float | None = None
-    metavar: str | None = None  # what help calls the value
-    group: str | None = None  # heading of `--help` that it stands under
-    # Said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before.
+    metavar: str | None = None  # name of the value in help
+    group: str | None = None  # heading in `--help`
+    # Typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are its former flags.
     setting: bool = False
 
 
@@ -35,50 +35,52 @@ def said(request: Any, *names: str) -> dict[str, Any]:
 
 
 def comma_words(text: str) -> list[str]:
-    """Words of an option with commas between them."""
+    """Words of a comma-separated option."""
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
-    """A research option, said as ``--set NAME=VALUE``."""
+    """A research option, typed as ``--set NAME=VALUE``."""
     return Option(names, help, min=min, metavar=metavar, group=RESEARCH, setting=True)
 
 
 class Argument(Option):
-    """A field of a request that is said without a name."""
+    """Positional argument of the command line."""
 
 
 def options_in(request: type) -> Iterator[tuple[Field[Any], Any, list[Any], Option]]:
-    """Fields of a request that are options: the field, its type, all annotations, and the option among them."""
+    """Option fields of a request: field, type, all annotations, and the option among them."""
     hints = get_type_hints(request, include_extras=True)
     for field in fields(request):
         if get_origin(hints[field.name]) is Annotated:
-            kind, *said = get_args(hints[field.name])
-            yield from ((field, kind, said, one) for one in said if type(one) is Option)
+            kind, *annotations = get_args(hints[field.name])
+            yield from (
+                (field, kind, annotations, annotation) for annotation in annotations if type(annotation) is Option
+            )
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """What an option may be, for job files, which are checked before anything starts."""
+    """Allowed values of an option, for the check of job files."""
 
     choices: tuple[object, ...]
 
 
 @dataclass(frozen=True)
 class SomeOf:
-    """Words that an option may list, with commas between them."""
+    """Words that a comma-separated option may list."""
 
     parts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class NameOrFile:
-    """An option is a file where it ends in one of these, else a name."""
+    """An option that is a file if it ends in one of ``suffixes``, and a name otherwise."""
 
     suffixes: tuple[str, ...]
 
 
-# What a mask's name ends in where it is a file.
+# Suffixes of mask files.
 MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 
 

@@ -1,4 +1,4 @@
-"""Requests of commands that work on a RESULT: transfer, wrap, report; annotated with their options."""
+"""Requests of commands on a RESULT (transfer, wrap, report), annotated with their options."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class TransferRequest:
-    """What the user asked for; several images have names, and a base without one lies under all of them."""
+    """Request of `cagemap transfer`; several images have names, a base without one is for all."""
 
     result: ResultFolder
     output: Annotated[
@@ -43,7 +43,7 @@ class TransferRequest:
         Path | None,
         Option(help="Source image, or glTF or FBX with one; repeat with NAME=IMAGE."),
     ] = None
-    maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
+    maps: tuple[tuple[str, Path], ...] = ()  # images of --texture with names
     usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
     displacement: Annotated[Path | None, Option(help="Source displacement along the normal.")] = None
     normal_map: Annotated[
@@ -143,7 +143,7 @@ class TransferRequest:
 def texture_and_maps(
     given: Sequence[str], option: str = "--texture"
 ) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
-    """Tell a single image from the named maps of a material: ``albedo=skin.png``."""
+    """A single image, or the named maps of a material, from texts such as ``albedo=skin.png``."""
     named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
     if len(given) == 1 and (not named or Path(given[0]).exists()):
         return Path(given[0]), ()
@@ -154,7 +154,7 @@ def texture_and_maps(
 
 
 def require_map_names(maps: Sequence[tuple[str, Path]], option: str = "--texture") -> None:
-    """Refuse several images that their names do not tell apart."""
+    """Refuse several images without distinct names."""
     names = [name for name, _ in maps]
     if not all(names) or len({name.casefold() for name in names}) != len(names):
         given = ", ".join(f"{name}={path}" if name else str(path) for name, path in maps)
@@ -166,14 +166,14 @@ def require_map_names(maps: Sequence[tuple[str, Path]], option: str = "--texture
 
 
 def base_of(request: TransferRequest, name: str = "") -> Path | None:
-    """What lies outside the masks of a map, or of all of them."""
+    """Base image or values of a map outside the masks, or the base of all maps."""
     given = dict(request.bases)
     return given.get(name, given.get(""))
 
 
 @dataclass(frozen=True)
 class WrapRequest:
-    """What the user asked for."""
+    """Request of `cagemap wrap`."""
 
     results: Annotated[tuple[Path, ...], Argument(metavar="[RESULT]...", help="Folder that `cagemap match` wrote.")]
     output: Annotated[
@@ -238,7 +238,7 @@ class UpAxis(StrEnum):
 
 @dataclass(frozen=True)
 class ReportRequest:
-    """What the user asked for; without a texture the last one that was baked is shown, if its files are there."""
+    """Request of `cagemap report`; without a texture it shows the last baked one, if its files exist."""
 
     result: ResultFolder
     output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")

@@ -1,4 +1,4 @@
-"""Research options of a request, said as ``--set NAME=VALUE`` or in a TOML file."""
+"""Research options of a request, given as ``--set NAME=VALUE`` or in a TOML file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.files.text import require_file
 from cagemap.tasks.requests.options import Option, options_in
 
 _SIDES = ("target", "source")
-# The field that holds parameters of the method, and what stands before their names.
+# The field with parameters of the method, and the prefix of their names.
 _PARAMETERS, _METHOD = "parameter", "method"
 
 
@@ -21,10 +21,10 @@ _PARAMETERS, _METHOD = "parameter", "method"
 class Setting:
     """One research option."""
 
-    name: str  # as said after ``--set``, such as "target.schedule"
+    name: str  # as typed after ``--set``, such as "target.schedule"
     field: str  # of the request
-    kind: Any  # without its bounds, which are the option's
-    option: Option  # its words; its names are those that it had as an option of its own
+    kind: Any  # type without the bounds, which the option has
+    option: Option  # its names are its former flags
 
 
 def settings_of(request: type) -> dict[str, Setting]:
@@ -37,20 +37,20 @@ def settings_of(request: type) -> dict[str, Setting]:
 
 
 def bounded(setting: Setting) -> Any:
-    """A setting's type with its bounds, as pydantic knows them."""
+    """A setting's type with its bounds as a pydantic annotation."""
     from pydantic import Field
 
     return setting.kind if setting.option.min is None else Annotated[setting.kind, Field(ge=setting.option.min)]
 
 
 def setting_name(field: str) -> str:
-    """How a field is called after ``--set``: the side, a dot, the rest."""
+    """Name of a field after ``--set``: the side, a dot, the rest."""
     side, _, rest = field.partition("_")
     return f"{side}.{rest}" if side in _SIDES else field
 
 
 def moved_options(request: type) -> dict[str, str]:
-    """Options that became settings, by their old spelling, and what to type now."""
+    """Current spelling of options that became settings, by their former flags."""
     moved: dict[str, str] = {}
     for name, setting in settings_of(request).items():
         new = f"--set {name}={'yes' if setting.kind is bool else 'VALUE'}"
@@ -59,7 +59,7 @@ def moved_options(request: type) -> dict[str, str]:
 
 
 def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
-    """Fields of a request from what was said after ``--set``; of one name the last counts.
+    """Fields of a request from words after ``--set``; the last value of a name is used.
 
     ``words``: ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
     """
@@ -68,7 +68,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     from pydantic import TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
 
     known = settings_of(request)
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     parameters: dict[str, str] = {}
     for name, value in _pairs(words):
         if name.startswith(f"{_METHOD}."):
@@ -82,14 +82,14 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
         setting = known[name]
         several = get_origin(setting.kind) is tuple
         try:
-            made = TypeAdapter(bounded(setting)).validate_python(
+            checked = TypeAdapter(bounded(setting)).validate_python(
                 (value,) if several and isinstance(value, str) else value
             )
         except ValidationError as error:
             raise ParameterError(f"--set {name}: {error.errors()[0]['msg']}, got '{value}'.") from None
-        found[setting.field] = (*found.get(setting.field, ()), *made) if several else made
+        values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())
-    return found | ({_PARAMETERS: stated} if stated else {})
+    return values | ({_PARAMETERS: stated} if stated else {})
 
 
 def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any]]:
