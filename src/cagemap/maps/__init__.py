@@ -1,1 +1,1 @@
-"""Point maps between surfaces: the methods that find them, and what judges them."""
+"""Point maps between surfaces: how they are found and judged."""

@@ -1,8 +1,8 @@
-"""Surfaces that lie on each other: retopology, levels of detail, clothes.
+"""Coincident surfaces: retopology, levels of detail, clothes.
 
-Subdivision shrinks a coarse cage more than a fine one, so that either the refined surfaces lie on each other or the
-control meshes do: the nearer ones decide. Points of control meshes are those of the refined surfaces with the same
-place on their face.
+Subdivision shrinks a coarse cage more than a fine one. So either the refined surfaces coincide or the control meshes
+do, and the pair with the smaller gap is used. A point of a control mesh corresponds to the point of the refined surface
+with the same position on its face.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from cagemap.surface.triangles import row_lengths, triangle_centres
 
 # Points closer than this, of sqrt(source area), are equal: the rounding error of six digits in a file.
 SAME = 1e-5
-# Vertices, and faces, of either surface that are asked where they are.
+# Largest number of vertices, and of faces, of either surface whose distances are measured.
 _MOST_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class Coincidence:
-    """A target that lies on its source, in the places that their files give them."""
+    """A target that coincides with its source in the coordinates of their files."""
 
     target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
-    reach: float  # how far `images` looks, in the same
+    reach: float  # search radius of `images`, in the same unit
 
     @classmethod
     def find(
@@ -47,26 +47,26 @@ class Coincidence:
         masks: Masks = WHOLE,
         config: CoincidenceConfig = CoincidenceConfig(),
     ) -> Coincidence | None:
-        """The shapes of two surfaces that lie on each other, None of others; a mask says what of the target counts."""
-        found = []
+        """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area."""
+        gaps = []
         for asked, shape in ((_cage, _unsmoothed), (_finest, _finest)):
             gap = _gap(asked(target), asked(source), masks.target, config)
             if gap is not None:
-                found.append((gap, shape))
-        if not found:
+                gaps.append((gap, shape))
+        if not gaps:
             return None
-        gap, shape = min(found, key=lambda one: one[0])
+        gap, shape = min(gaps, key=lambda one: one[0])
         return cls(shape(target), shape(source), gap, config.reach)
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
-        """Points of the source closest to the target's vertices, moved by shifts (n1, 3), that face the same way."""
+        """Closest source points that face the same way as the target's vertices, moved by shifts (n1, 3)."""
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
         return SurfacePoints(source, near.triangle, _snapped(near))
 
 
 def _snapped(points: SurfacePoints) -> FloatArray:
-    """(m, 3) barycentric coordinates of points, on vertices and edges that are nearer than `SAME`."""
+    """(m, 3) barycentric coordinates of points, snapped to vertices and edges nearer than `SAME`."""
     corners = points.surface.positions[points.corners]
     longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
     kept = np.where(points.barycentric * longest < SAME, 0.0, points.barycentric)
@@ -78,14 +78,14 @@ def _finest(surface: Surface) -> TriangleSurface:
 
 
 def _cage(surface: Surface) -> TriangleSurface:
-    """The control mesh, polygons in fans; a plain mesh as it is."""
+    """The control mesh with polygons as triangle fans; the finest level of a plain mesh."""
     if surface.refinement.is_plain:
         return _finest(surface)
     return TriangleSurface(surface.scale * surface.control.positions, cage_triangles(surface.control)[0], surface.scale)
 
 
 def _unsmoothed(surface: Surface) -> TriangleSurface:
-    """The finest level on the faces of the control mesh: vertices at the same places of their faces."""
+    """Vertices of the finest level, at their positions on the flat faces of the control mesh."""
     refinement, control = surface.refinement, surface.control
     if refinement.is_plain:
         return _finest(surface)
@@ -95,7 +95,7 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
     return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
 
 
-# Points of a surface in the file's lengths, with normals (k, 3) and the area (k,) that each stands for.
+# Points of a surface in the file's units, with normals (k, 3) and the area (k,) that each stands for.
 _Samples = tuple[FloatArray, FloatArray, FloatArray]
 
 
@@ -113,7 +113,7 @@ def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samp
 
 
 def _distances(samples: _Samples, other: TriangleSurface, unit: float, most: float) -> FloatArray:
-    """(k,) distances to the nearest points of a surface with similar normals, times ``unit``; at most ``most``."""
+    """(k,) distances to a surface's nearest points with similar normals, times ``unit``; at most ``most``."""
     points, normals, _ = samples
     within = most * other.scale / unit
     far = closest_points(other.tree, other.scale * points, normals, minimum_cosine=0.0, within=within)[2]
@@ -121,16 +121,16 @@ def _distances(samples: _Samples, other: TriangleSurface, unit: float, most: flo
 
 
 def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
-    """Share of areas (k,) that is chosen, 0 where nothing counts."""
+    """Share of areas (k,) that is chosen; 0 if all areas are 0."""
     return float(areas @ chosen / max(areas.sum(), 1e-300))
 
 
 def _gap(
     target: TriangleSurface, source: TriangleSurface, mask: FloatArray | None, config: CoincidenceConfig
 ) -> float | None:
-    """Mean distance of a target from a source that it lies on, in units of sqrt(source area); None where it does not.
+    """Mean distance of a target from a coincident source, of sqrt(source area); else None.
 
-    Vertices are asked, and of faces only that they are near: those of a coarse mesh cut through a fine surface.
+    Vertices must coincide; face centres must only be near, since faces of a coarse mesh cut through a fine surface.
     """
     unit, faces = source.scale, _on_faces(target, mask)
     apart = _distances(faces, source, unit, config.near)
@@ -138,9 +138,9 @@ def _gap(
         return None
     gap = float(faces[2] @ apart / faces[2].sum())
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
-        between, areas = _distances(samples, other, unit, config.near), samples[2]
-        close = areas @ between <= config.mean_gap * areas.sum()
-        if close and _share(areas, between < config.max_gap) >= config.share:
+        distances, areas = _distances(samples, other, unit, config.near), samples[2]
+        close = areas @ distances <= config.mean_gap * areas.sum()
+        if close and _share(areas, distances < config.max_gap) >= config.share:
             return gap
     clothed = _on_faces(source)
     covered = _share(clothed[2], _distances(clothed, target, unit, config.near) < config.near)

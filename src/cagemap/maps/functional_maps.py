@@ -1,4 +1,4 @@
-"""Functional maps of point maps, in the bases of other libraries, and of maps in any form that users have."""
+"""Functional maps of point maps and vertex maps, and conversion to the bases of other libraries."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cagemap.spectral.zoomout import (
 
 MapLike = PointMap | ArrayLike
 
-# Samples of the target, and of the source, that ZoomOut searches.
+# Numbers of samples of target and source in ZoomOut.
 TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 
 
@@ -61,11 +61,11 @@ def from_bases(
     ----------
     pair : Pair
     functional_map : (q1, q2) array
-        Takes coefficients of the source's functions to those of the target's.
+        Takes coefficients of the source's functions to coefficients of the target's functions.
     target_functions, source_functions : (n1, q1 or more), (n2, q2 or more) arrays
-        At the vertices of the levels, any scale.
+        Values at the vertices of the levels, at any scale.
     levels : (int, int), optional
-        Of target and source; default: the finest.
+        Levels of target and source; default: the finest.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def from_bases(
     Raises
     ------
     ParameterError
-        If the functions are not those of the levels' vertices, or fewer than the map takes.
+        If functions lack a row for each vertex of their level, or are fewer than the map takes.
     """
     matrix = real_numbers(functional_map, "functional map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
@@ -94,7 +94,7 @@ def to_bases(
     source_functions: FloatArray,
     levels: LevelPair | None = None,
 ) -> FloatArray:
-    """A functional map C12 of a pair on other functions (n1, q1) and (n2, q2): the inverse of `from_bases`; (q1, q2).
+    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`.
 
     Raises
     ------
@@ -102,8 +102,8 @@ def to_bases(
         As `from_bases`.
     """
     matrix = real_numbers(functional_map, "functional map")
-    given = [real_numbers(one, "functions") for one in (target_functions, source_functions)]
-    target, source = _sides(pair, tuple(one.shape[-1] for one in given), (given[0], given[1]), levels)
+    given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
+    target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)
     ours, theirs, areas = target
     to_theirs = _coefficients(theirs, ours[:, : matrix.shape[0]], areas)
     ours, theirs, areas = source
@@ -113,8 +113,8 @@ def to_bases(
 def _sides(
     pair: Pair, shape: tuple[int, ...], functions: tuple[FloatArray, FloatArray], levels: LevelPair | None
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Of both sides our functions, theirs for a map of a shape, and areas, at sampled vertices."""
-    surfaces, found = (pair.target, pair.source), []
+    """Own basis, given functions and areas at sampled vertices, for target and source."""
+    surfaces, sides = (pair.target, pair.source), []
     for i, name in enumerate(("target", "source")):
         surface, level = surfaces[i], surfaces[i].finest if levels is None else levels[i]
         triangles, theirs = surface.triangles(level), real_numbers(functions[i], f"{name} functions")
@@ -126,17 +126,17 @@ def _sides(
             )
         chosen = evenly_spaced_vertices(triangles.n, FIT_SAMPLES)
         rows = surface.basis.rows(surface.finest, surface.hierarchy.on_finest(level)[chosen])
-        found.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
-    return found
+        sides.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
+    return sides
 
 
 def _coefficients(basis: FloatArray, functions: FloatArray, areas: FloatArray) -> FloatArray:
-    """Coefficients of functions (m, q) in a basis (m, k), in the least-squares sense; (k, q)."""
+    """(k, q) least-squares coefficients of functions (m, q) in a basis (m, k)."""
     return fit_functional_map(Samples(basis, areas, np.zeros((len(basis), 0))), functions, basis.shape[1])
 
 
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """A point map of the finest levels, C12 (k1, k2), or source vertices (n,) of a level; refuses all else."""
+    """Check a map: returns a PointMap, C12 (k1, k2), or source vertices (n,) of a level."""
     target, source = pair.target, pair.source
     if isinstance(given, PointMap):
         if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
@@ -165,34 +165,34 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
 
 
 def functional_map_from(pair: Pair, given: MapLike) -> FloatArray:
-    """C12 of a map in any form; of a point or vertex map on all functions of both bases."""
-    found = check_map(pair, given)
-    if isinstance(found, PointMap):
-        return functional_map_of(pair.target, pair.source, found)
-    if found.ndim == 2:
-        return np.asarray(found, dtype=np.float64)
+    """C12 of a map in any form; a point or vertex map uses all basis functions."""
+    checked = check_map(pair, given)
+    if isinstance(checked, PointMap):
+        return functional_map_of(pair.target, pair.source, checked)
+    if checked.ndim == 2:
+        return np.asarray(checked, dtype=np.float64)
     levels = pair.target.hierarchy
-    level = [len(one.positions) for one in levels.levels].index(len(found))
-    chosen = evenly_spaced_vertices(len(found), FIT_SAMPLES)
+    level = [len(mesh.positions) for mesh in levels.levels].index(len(checked))
+    chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
     target = _samples(pair.target, levels.on_finest(level)[chosen])
     return fit_functional_map(
-        target, _samples(pair.source, found[chosen].astype(np.int64)).rows, pair.target.basis.count
+        target, _samples(pair.source, checked[chosen].astype(np.int64)).rows, pair.target.basis.count
     )
 
 
 def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
-    """(q, 3) where a map in any form takes some finest target vertices (q,), at the source's unit area."""
-    found, places = check_map(pair, given), pair.source.finest_triangles.positions
-    if isinstance(found, PointMap):
-        return found.images.at(vertices).positions
-    if found.ndim == 1:
+    """(q, 3) images of finest target vertices (q,) by a map in any form, at unit area."""
+    checked, places = check_map(pair, given), pair.source.finest_triangles.positions
+    if isinstance(checked, PointMap):
+        return checked.images.at(vertices).positions
+    if checked.ndim == 1:
         levels = pair.target.hierarchy
-        rows = levels.on_level([len(one.positions) for one in levels.levels].index(len(found)), vertices)
+        rows = levels.on_level([len(mesh.positions) for mesh in levels.levels].index(len(checked)), vertices)
         if (rows >= 0).all():
-            return np.asarray(places[found[rows].astype(np.int64)])
+            return np.asarray(places[checked[rows].astype(np.int64)])
     candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
     target, source = _samples(pair.target, vertices), _samples(pair.source, candidates)
-    return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, found))]])
+    return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, checked))]])
 
 
 def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> FloatArray:
@@ -208,6 +208,6 @@ def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> Flo
 
 
 def _samples(surface: Surface, vertices: IndexArray) -> Samples:
-    """Basis rows and areas of finest vertices."""
+    """ZoomOut samples: basis rows and areas of finest vertices."""
     rows = surface.basis.rows(surface.finest, vertices)
     return Samples(rows, surface.finest_triangles.vertex_areas[vertices], np.zeros((len(rows), 0)))

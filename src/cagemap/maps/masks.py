@@ -1,4 +1,4 @@
-"""Masks: how much every place of two surfaces counts in a match, and in what is transferred."""
+"""Masks: weight of every vertex of two surfaces in a match and in transfers."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from cagemap.subdivision import Refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# A mask that leaves less of a surface than this leaves nothing to match.
+# Least mean of a mask; below it nothing is left to match.
 LEAST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """How much every vertex of two surfaces counts, from 0 (not at all) to 1.
+    """Weight of every vertex of two surfaces, from 0 (masked) to 1.
 
-    A correspondence counts as the product of both its ends: what is masked on either side neither pulls nor is pulled,
-    it only follows its surroundings, and nothing is transferred there.
+    The weight of a correspondence is the product of the weights at both ends. Area masked on either surface has no data
+    term: it follows its surroundings, and nothing is transferred there.
 
     Attributes
     ----------
     target : (n1,) float64 or None
-        Of the target's finest vertices; a fit has those of its levels. None where all of it counts.
+        Weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
     source : (n2,) float64 or None
     """
 
@@ -55,38 +55,40 @@ class Masks:
         return self.target is not None or self.source is not None
 
     def reversed(self) -> Masks:
-        """The same with the source in the target's place."""
+        """Masks with target and source exchanged."""
         return Masks(self.source, self.target)
 
     def at(self, target: IndexArray, source: IndexArray) -> Masks:
-        """The same of some vertices of target and source, in their order."""
-        mine, theirs = self.target, self.source
-        return Masks(None if mine is None else mine[target], None if theirs is None else theirs[source])
+        """Masks of the given vertices of target and source, in their order."""
+        target_mask, source_mask = self.target, self.source
+        return Masks(
+            None if target_mask is None else target_mask[target], None if source_mask is None else source_mask[source]
+        )
 
     def for_vertices(self, vertices: IndexArray) -> Masks:
-        """The same of some target vertices, in their order."""
+        """Masks of the given target vertices, in their order, with the source's mask unchanged."""
         return self if self.target is None else Masks(self.target[vertices], self.source)
 
     def of_target(self, n: int) -> FloatArray:
-        """(n,) of all target vertices, also where none is masked."""
+        """(n,) weights of all target vertices; 1 without a mask."""
         return np.ones(n) if self.target is None else self.target
 
     def of_source(self, n: int) -> FloatArray:
-        """(n,) of all source vertices, also where none is masked."""
+        """(n,) weights of all source vertices; 1 without a mask."""
         return np.ones(n) if self.source is None else self.source
 
     def at_source(self, points: SurfacePoints) -> FloatArray:
-        """(m,) at points of the source."""
+        """(m,) weights at points of the source."""
         if self.source is None:
             return np.ones(len(points))
         return np.minimum(points.interpolate(self.of_source(points.surface.n)), 1.0)
 
     def joint(self, point_map: PointMap) -> FloatArray:
-        """(n1,) what every target vertex counts with its image: the product of both masks."""
+        """(n1,) target's mask at every vertex times the source's mask at its image."""
         return self.of_target(point_map.target.n) * self.at_source(point_map.images)
 
     def require_fit(self, n_target: int, n_source: int) -> None:
-        """Refuse masks of other surfaces, values outside [0, 1], and masks that leave nothing.
+        """Refuse masks of the wrong length, values outside [0, 1], and masks that leave nothing.
 
         Raises
         ------
@@ -110,7 +112,7 @@ WHOLE = Masks()
 
 @kinds_checked
 def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
-    """(n_f,) mask of the finest vertices from values (n_0,) at control vertices (a vertex group), refined with them.
+    """(n_f,) mask of the finest vertices, refined from values (n_0,) at control vertices (a vertex group).
 
     Raises
     ------
@@ -144,12 +146,12 @@ def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
 
 @kinds_checked
 def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> FloatArray:
-    """(n,) a mask that rises from 0 at its border to its value at a distance inside it; outside it stays 0.
+    """(n,) mask that rises from 0 at its border to its full value at a distance inside.
 
     Parameters
     ----------
     surface : TriangleSurface
-        Of the mask's vertices.
+        Surface with the vertices of the mask.
     mask : (n,) float64
     width : float
         The distance, along edges, in units of sqrt(area); 0 changes nothing.
@@ -167,7 +169,7 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
         return mask
     ends = surface.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     lengths = np.linalg.norm(surface.positions[ends[:, 0]] - surface.positions[ends[:, 1]], axis=1)
-    # A pair that comes twice would be summed: the same edge in both directions is stored once each.
+    # Duplicate entries would be summed: each direction of an edge is stored once.
     first, last = ends.T
     edges = sparse.coo_array((np.maximum(lengths, 1e-12), (first, last)), shape=(surface.n, surface.n)).tocsr()
     edges = edges.maximum(edges.T)

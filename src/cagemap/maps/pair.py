@@ -1,4 +1,4 @@
-"""Two prepared surfaces, and points that are known to correspond on them."""
+"""Two prepared surfaces with corresponding points and curves."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cagemap.spectral.surface import no_progress as no_progress
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Vertices of the level from which on points between vertices are given near ones.
+# Least number of vertices of the level on which points between vertices get a near vertex.
 NEAR_VERTICES = 3000
 
 LevelPair = tuple[int, int]
@@ -28,14 +28,14 @@ SymmetryPair = tuple[IndexArray, IndexArray]
 
 @dataclass(frozen=True, eq=False)
 class PointPairs:
-    """Landmarks as a map sees them: p points of the target and where they belong on the source.
+    """Landmarks on the finest surfaces: p points of the target and their source points.
 
     Attributes
     ----------
     target, source : SurfacePoints
-        Of the finest surfaces, one each for every pair. A control vertex is a point like any other.
+        Points of the finest surfaces, one of each for every pair.
     curves : tuple of CurvePair
-        Lines that correspond as a whole.
+        Curves that correspond as a whole.
 
     Raises
     ------
@@ -69,22 +69,22 @@ class PointPairs:
         return len(self.target)
 
     def reversed(self) -> PointPairs:
-        """The same pairs and curves with the source in the target's place."""
+        """The pairs and curves with target and source exchanged."""
         return PointPairs(self.source, self.target, tuple(curve.reversed() for curve in self.curves))
 
     def only(self, kept: Sequence[int] | IndexArray) -> PointPairs:
-        """The pairs at some places."""
+        """The pairs at the given indices."""
         rows = np.asarray(kept, dtype=np.int64)
         return PointPairs(self.target.at(rows), self.source.at(rows), self.curves)
 
     def without(self, left_out: Collection[int]) -> PointPairs:
-        """The pairs whose places are not among those given."""
+        """The pairs except those at the given indices."""
         return self.only(np.setdiff1d(np.arange(len(self)), list(left_out)))
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The two prepared surfaces and what is known to correspond.
+    """Two prepared surfaces with landmarks, curves and symmetries that correspond.
 
     Attributes
     ----------
@@ -128,15 +128,15 @@ class Pair:
         return near_vertices(self.landmarks.source, self.source)
 
     def without(self, left_out: Collection[int]) -> Pair:
-        """The same surfaces without some of the landmarks."""
+        """The pair without some of its landmarks."""
         return replace(self, landmarks=self.landmarks.without(left_out))
 
 
 def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
-    """(m,) different finest vertices that points lie on or near: for steps that know no other points.
+    """(m,) distinct finest vertices at or near points, for steps that need vertices.
 
-    All are vertices of the level below too, and of the level ``finest``. Points between vertices get a free vertex of a
-    level that basis and search have in common.
+    All are vertices of the level ``finest`` too. Points between vertices get a free vertex of a level that basis and
+    search have in common.
     """
     vertices, levels = vertices_at(points), surface.hierarchy
     if (levels.on_level(0, vertices) >= 0).all():
@@ -161,12 +161,12 @@ def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = 
 
 
 def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexArray:
-    """(m,) different vertices of a level that points of the finest surface lie on or near, see `near_vertices`."""
+    """(m,) distinct vertices of a level at or near points of the finest surface, see `near_vertices`."""
     return surface.hierarchy.on_level(level, near_vertices(points, surface, level))
 
 
 def vertices_at(points: SurfacePoints) -> IndexArray:
-    """(m,) vertices that points lie on, -1 for points between them."""
+    """(m,) vertices at points, -1 for points between vertices."""
     corner = points.barycentric.argmax(axis=1)
     rows = np.arange(len(points))
     return np.where(points.barycentric[rows, corner] == 1.0, points.corners[rows, corner], -1).astype(np.int64)

@@ -21,13 +21,13 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
-# Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
+# Weight of normals, of sqrt(area), when a landmark is placed on the surface: thin parts have two sides.
 LANDMARK_NORMAL_WEIGHT = 0.01
-# Closest points that put a landmark on the surface; each comes nearer to the line by the square of the slope.
+# Closest-point searches per landmark; each reduces the distance from the normal's line by the square of the slope.
 LANDMARK_STEPS = 4
-# Corrections that find a point of the control mesh for one of the surface.
+# Correction steps that find a surface point's counterpart on the control mesh.
 INVERSE_STEPS = 8
-# Curves are those of the first level with so many vertices: finer than the level that is deformed.
+# Curves are sampled on the first level with so many vertices: finer than the deformed level.
 CURVE_VERTICES = 15_000
 # Pieces of a straight line between two points of a curve that no edge joins.
 STRAIGHT_PIECES = 8
@@ -41,28 +41,29 @@ def locate(surface: Surface, points: CagePoints) -> SurfacePoints:
 def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
 
-    A point between vertices lies on the line along the mean normal: the closest point is asked for again from where the
-    last one left that line. From the mean place itself, strips along edges between facets are nearest to nothing.
+    A point between vertices is placed on the line along its mean normal: the closest point is searched again from where
+    the last one projects onto that line. From the mean position itself, strips along edges between facets are nearest
+    to no point.
     """
     vertices = points.vertices
-    found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
+    located = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
     between = np.flatnonzero(vertices < 0)
     if not len(between):
-        return found
+        return located
     some = points.at(between)
     places, normals = some.of(finest.positions), normalize_rows(some.of(finest.vertex_normals))
     aim = places
     for step in range(LANDMARK_STEPS):
-        # The nearer the aim is to its side of a thin part, the less normals have to tell the sides apart.
+        # The nearer the aim is to its side of a thin part, the less weight normals need.
         weight = LANDMARK_NORMAL_WEIGHT / 4.0**step
         near = SurfacePoints.nearest(finest, aim, normals, normal_weight=weight)
         along = np.einsum("qd,qd->q", near.positions - places, normals)
         aim = places + along[:, None] * normals
-    return found.replaced(between, near)
+    return located.replaced(between, near)
 
 
 def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
-    """The inverse of `locate`, corrected step by step; the nearest points of all steps are kept."""
+    """Inverse of `locate` by fixed-point steps; the best point of all steps is kept."""
     finest = surface.finest_triangles
     triangles, _ = cage_triangles(surface.control)
     cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
@@ -81,7 +82,7 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
 
 
 def _better_points(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
-    """Points of one set where it is better, of the other elsewhere."""
+    """Points of one set where it is better, else of the other."""
     return CagePoints(
         np.where(better[:, None], one.corners, other.corners), np.where(better[:, None], one.weights, other.weights)
     )
@@ -91,17 +92,17 @@ def _better_points(better: NDArray[np.bool_], one: CagePoints, other: CagePoints
 class SurfaceCurve:
     """A polyline on a finest surface."""
 
-    points: SurfacePoints  # (m,) along it
+    points: SurfacePoints  # (m,) points along the curve
     closed: bool
 
     @kept
     def line(self) -> Polyline:
-        """Its places in space, at unit area."""
+        """Polyline in space, at unit area."""
         return Polyline(self.points.positions, self.closed)
 
     @property
     def shares(self) -> FloatArray:
-        """(m,) share of its length that every point stands for, sum 1."""
+        """(m,) share of the curve's length that every point stands for, sum 1."""
         return self.line.shares / self.line.length
 
 
@@ -114,13 +115,13 @@ class CurvePair:
     source: SurfaceCurve
 
     def reversed(self) -> CurvePair:
-        """The same with the source in the target's place."""
+        """The pair with target and source exchanged."""
         return CurvePair(self.name, self.source, self.target)
 
 
 @dataclass(frozen=True)
 class CurveMiss:
-    """How far a map leads a curve from the one that it belongs to, both ways, of sqrt(area)."""
+    """Distances between the image of a curve and its counterpart, both ways, of sqrt(area)."""
 
     name: str
     mean: float
@@ -133,11 +134,11 @@ def curve_pairs(target: Surface, source: Surface, curves: Curves) -> tuple[Curve
         surface_curves(surface.refinement, surface.finest_triangles, lines) if len(lines) else ()
         for surface, lines in ((target, curves.target), (source, curves.source))
     ]
-    return tuple(CurvePair(*made) for made in zip(curves.names, *sides, strict=True))
+    return tuple(CurvePair(*parts) for parts in zip(curves.names, *sides, strict=True))
 
 
 def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: CageCurves) -> tuple[SurfaceCurve, ...]:
-    """Curves of a control mesh on the finest surface: along subdivided edges, and straight between other vertices."""
+    """Curves of a control mesh on the finest surface: along subdivided edges, else straight."""
     level = refinement.coarsest_level(CURVE_VERTICES)
     vertices = curves.points.vertices
     segments = curves.segments
@@ -146,22 +147,22 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
     chains = np.full((len(ends), 1), -1) if refinement.is_plain else refined_edges(refinement, ends, level)
     on_edge = chains[:, -1] >= 0
     at_ends = on_surface(finest, curves.points)
-    found = []
+    surface_lines = []
     for i, closed in enumerate(curves.closed.tolist()):
-        own = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)
+        curve_segments = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)
         pieces = [
             SurfacePoints.from_vertices(finest, chains[row, :-1])
             if on_edge[row]
             else _straight(at_ends.at(segments[row, :1]), at_ends.at(segments[row, 1:]))
-            for row in own
+            for row in curve_segments
         ]
         if not closed:
-            pieces.append(at_ends.at(segments[own[-1:], 1]))
+            pieces.append(at_ends.at(segments[curve_segments[-1:], 1]))
         points = SurfacePoints(
             finest, np.concatenate([piece.triangle for piece in pieces]), np.vstack([p.barycentric for p in pieces])
         )
-        found.append(SurfaceCurve(points, closed))
-    return tuple(found)
+        surface_lines.append(SurfaceCurve(points, closed))
+    return tuple(surface_lines)
 
 
 def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
@@ -179,26 +180,26 @@ def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> Index
 
 
 def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> IndexArray:
-    """(e,) vertex of the next level in the middle of edges (e, 2) of a level; -1 where there is no such edge.
+    """(e,) next level's vertex in the middle of a level's edges (e, 2); -1 if no edge.
 
-    Rows of S^l stand in the order vertices, edges, faces: an edge's vertex is the one of the second kind that touches
-    both ends.
+    Rows of S^l are ordered vertices, edges, faces: an edge's vertex is the one of the second kind that is connected
+    with both ends.
     """
-    here, finer = refinement.levels[level], refinement.levels[level + 1]
+    coarse, finer = refinement.levels[level], refinement.levels[level + 1]
     assert finer.faces is not None
     faces_have_vertices = finer.faces.shape[1] == 4
-    past = finer.n_vertices - (here.n_faces if faces_have_vertices else 0)
+    past = finer.n_vertices - (coarse.n_faces if faces_have_vertices else 0)
     wanted = np.zeros(finer.n_vertices, dtype=bool)
     wanted[ends[ends >= 0]] = True
     tails, heads = finer.faces.ravel(), np.roll(finer.faces, -1, axis=1).ravel()
     tails, heads = np.concatenate([tails, heads]), np.concatenate([heads, tails])
-    own = wanted[tails] & (tails < here.n_vertices) & (heads >= here.n_vertices) & (heads < past)
-    touching = np.unique(heads[own] * here.n_vertices + tails[own])
-    middle, end = np.divmod(touching, here.n_vertices)
+    is_edge = wanted[tails] & (tails < coarse.n_vertices) & (heads >= coarse.n_vertices) & (heads < past)
+    touching = np.unique(heads[is_edge] * coarse.n_vertices + tails[is_edge])
+    middle, end = np.divmod(touching, coarse.n_vertices)
     both = np.flatnonzero(middle[1:] == middle[:-1])
-    keys = end[both] * here.n_vertices + end[both + 1]  # ascending within a pair
+    keys = end[both] * coarse.n_vertices + end[both + 1]  # ascending within a pair
     order = np.argsort(keys)
-    asked = pair_keys(ends, here.n_vertices)
+    asked = pair_keys(ends, coarse.n_vertices)
     if not len(keys):
         return np.full(len(ends), -1, dtype=np.int64)
     place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)
@@ -207,16 +208,16 @@ def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> Index
 
 
 def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:
-    """How far a map leads a pair's target curve from its source curve, and leaves that one uncovered."""
+    """Distances from the image of the target curve to the source curve, and back."""
     image = Polyline(pair.target.points.interpolate(point_map.images.positions), pair.target.closed)
-    there = np.linalg.norm(pair.source.line.nearest(image.positions).places - image.positions, axis=1)
-    back = np.linalg.norm(image.nearest(pair.source.line.positions).places - pair.source.line.positions, axis=1)
-    mean = 0.5 * (pair.target.shares @ there + pair.source.shares @ back)
-    return CurveMiss(pair.name, float(mean), float(max(there.max(), back.max())))
+    to_source = np.linalg.norm(pair.source.line.nearest(image.positions).places - image.positions, axis=1)
+    to_target = np.linalg.norm(image.nearest(pair.source.line.positions).places - pair.source.line.positions, axis=1)
+    mean = 0.5 * (pair.target.shares @ to_source + pair.source.shares @ to_target)
+    return CurveMiss(pair.name, float(mean), float(max(to_source.max(), to_target.max())))
 
 
 def _straight(start: SurfacePoints, stop: SurfacePoints) -> SurfacePoints:
-    """Points of the surface nearest to those of the straight line between two of its points, without the second."""
+    """Surface points nearest to the straight line between two of its points, without the second."""
     share = np.arange(STRAIGHT_PIECES)[:, None] / STRAIGHT_PIECES
     places = (1.0 - share) * start.positions + share * stop.positions
     normals = (1.0 - share) * start.normals + share * stop.normals

@@ -16,7 +16,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointMap:
-    """For every target vertex a point of the source.
+    """A point of the source for every target vertex.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class PointMap:
     @classmethod
     @kinds_checked
     def from_matrix(cls, target: TriangleSurface, source: TriangleSurface, matrix: sparse.csr_array) -> PointMap:
-        """A map given as P12 (n1, n2), each row the weights of the corners of one source triangle."""
+        """A map given as P12 (n1, n2), each row the corner weights of one source triangle."""
         return cls(target, SurfacePoints.from_matrix(source, matrix))
 
     @property
@@ -99,7 +99,7 @@ class PointMap:
         return self.images.matrix()
 
     def nearest_vertices(self) -> IndexArray:
-        """(n1,) of the source triangle that holds an image, the corner nearest to it."""
+        """(n1,) nearest corner of the source triangle that contains the image."""
         corners = self.images.corners
         away = np.linalg.norm(self.source.positions[corners] - self.images.positions[:, None], axis=2)
         return np.asarray(corners[np.arange(len(corners)), away.argmin(axis=1)])

@@ -1,7 +1,7 @@
-"""How good a map is, without knowing the true one.
+"""Quality of a map, measured without ground truth.
 
-All lengths are divided by sqrt(area) of the surface they are measured on, so that figures of different models compare;
-all shares are shares of area, whatever the mesh.
+Lengths are divided by sqrt(area) of their surface, and shares are shares of area, so that figures of different models
+and meshes compare.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import CACHED, corner_sums, normalize_rows, row_lengths, triangle_normals
 
-LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): a landmark farther off than this is named
+LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): landmarks with a larger error are named
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
-ON_SURFACE = 1e-6  # of sqrt(area): points so close to a surface lie on it
-# Figures that are one number, and percentiles of those that are a distribution, by target area.
+ON_SURFACE = 1e-6  # of sqrt(area): closer points are on the surface
+# Figures of one number, and percentiles (by target area) of figures with a distribution.
 FIGURES = ("flipped_area", "coverage", "dirichlet", "trusted_area")
 PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50", "95", "99")}
 
 
 @dataclass(frozen=True, eq=False)
 class QualityFigures:
-    """What can be said about a map without knowing the true one.
+    """Quality of a map, measured without ground truth.
 
     Attributes
     ----------
     landmark_errors : (p,) float64
-        Distance between where a landmark maps and where it should, of sqrt(source area).
+        Distance between a landmark's image and its source point, of sqrt(source area).
     flipped_area : float
         Share of the target's area whose image is folded over (its orientation is reversed).
     coverage : float
@@ -58,7 +58,7 @@ class QualityFigures:
     trusted_area : float
         Mean of ``trust`` by area.
     warnings : tuple of str
-        What a user should know before using the map, worst first; empty for a good map.
+        Problems that a user should know, worst first; empty for a good map.
     """
 
     landmark_errors: FloatArray = field(repr=False)
@@ -87,7 +87,7 @@ class QualityFigures:
 
     @classmethod
     def of_summary(cls, summary: Mapping[str, Any], landmark_errors: FloatArray, trust: FloatArray) -> QualityFigures:
-        """Figures from what `summary` said of them; NaN where it did not say."""
+        """Figures from a `summary`; NaN for missing values."""
         figures: dict[str, Any] = {name: _number(summary.get(name)) for name in FIGURES}
         for name, percents in PERCENTILES.items():
             known = summary.get(f"{name}_percentiles") or {}
@@ -99,13 +99,13 @@ class QualityFigures:
 def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
     """(t1,) which target triangles (t1, 3) have an image whose orientation disagrees with the source's.
 
-    A triangle's image compares with the sum of the source's normals at its three corners.
+    The image's normal is compared with the sum of the source's normals at its three corners.
     """
     return inverted_triangles(images.positions, images.normals, triangles)
 
 
 def _source_normals(images: SurfacePoints) -> FloatArray:
-    """(m, 3) normals at images: a vertex', where one lies there, since a triangle at a sharp one may lie across it."""
+    """(m, 3) normals at images; vertex normals at vertices, since triangles at sharp vertices mislead."""
     at_vertex = np.flatnonzero(images.barycentric.max(axis=1) == 1.0)
     if not len(at_vertex):
         return images.normals
@@ -116,7 +116,7 @@ def _source_normals(images: SurfacePoints) -> FloatArray:
 
 
 def inverted_triangles(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
-    """(t,) which triangles (t, 3) between positions (n, 3) face away from the sum of the normals (n, 3) there."""
+    """(t,) which triangles (t, 3) face against the sum of the normals (n, 3) at their corners (n, 3)."""
     flipped = np.empty(len(triangles), dtype=np.bool_)
 
     def fill(part: slice) -> None:
@@ -152,21 +152,21 @@ def covered_share(
     source: TriangleSurface,
     masks: Masks = WHOLE,
 ) -> float:
-    """Share of the source's area, of what masks count of it, that images (n1, 3) of the target's vertices cover.
+    """Share of the source's area, weighted by masks, that the images (n1, 3) of the target cover.
 
-    A point of the source is covered where an image triangle that faces the same way lies less than 60 degrees from its
-    normal, and no farther than half its longest edge, on the target and in the image: flat triangles of a coarse target
-    cover the curved surface under them, and triangles stretched over a gap do not.
+    A point of the source is covered by an image triangle that faces the same way, is less than 60 degrees from the
+    point's normal, and is no farther than half its longest edge, on the target and in the image. So flat triangles of a
+    coarse target cover the curved surface under them, and triangles stretched over a gap do not.
     """
     points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)
     normals = normalize_rows(points.interpolate(source.vertex_normals))
     reach = 0.5 * np.minimum(longest_edges(target, triangles), longest_edges(image, triangles))
-    found, barycentric, distance = closest_points(
+    nearest, barycentric, distance = closest_points(
         build_tree(image, triangles), points.positions, normals, minimum_cosine=0.0, within=reach.max() + ON_SURFACE
     )
-    offsets = points.positions - np.einsum("mk,mkd->md", barycentric, image[triangles[found]])
+    offsets = points.positions - np.einsum("mk,mkd->md", barycentric, image[triangles[nearest]])
     above = np.abs(np.einsum("md,md->m", offsets, normals)) >= 0.5 * distance
-    covered = (found >= 0) & (distance <= reach[found] + ON_SURFACE) & (above | (distance <= ON_SURFACE))
+    covered = (nearest >= 0) & (distance <= reach[nearest] + ON_SURFACE) & (above | (distance <= ON_SURFACE))
     counts = masks.at_source(points)
     return float(counts[covered].sum() / counts.sum())
 
@@ -178,10 +178,10 @@ def longest_edges(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
-    """(p,) distances between where the landmarks map and where they belong, of sqrt(source area).
+    """(p,) distances between landmarks' images and their source points, of sqrt(source area).
 
-    A landmark between vertices maps to the source's point nearest to the mean of its triangle's images, which lies
-    inside the curved surface.
+    A landmark between vertices maps to the source's point nearest to the weighted mean of its triangle's images. The
+    mean itself is inside the curved surface.
     """
     if not len(landmarks):
         return np.zeros(0)
@@ -198,7 +198,7 @@ def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
 def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
-    """(n1,) 1 where the map is unfolded and stretches by at most ``TRUSTED_STRETCH`` either way, falling to 0 at folds.
+    """(n1,) trust: 1 where the map stretches by at most ``TRUSTED_STRETCH`` either way, 0 at folds.
 
     A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with delta its `distortion`, zero where flipped; a
     vertex takes the area-weighted mean of its triangles. ``sigma`` are the `stretches` of unit areas.
@@ -217,10 +217,10 @@ def measure_quality(
     coarse_triangles: IndexArray | None = None,
     masks: Masks = WHOLE,
 ) -> QualityFigures:
-    """Measure a map without ground truth; shares are those of what masks count.
+    """Measure a map without ground truth; shares are weighted by the masks.
 
-    On dense meshes ``coarse_triangles`` (t, 3), those of a coarser level between vertices of the target, are asked for
-    coverage.
+    On dense meshes coverage is measured with ``coarse_triangles`` (t, 3), those of a coarser level between vertices of
+    the target.
     """
     target, images = point_map.target, point_map.images
     image, normals, areas = images.positions, _source_normals(images), target.areas
@@ -230,14 +230,14 @@ def measure_quality(
         areas = areas * counted[target.triangles].mean(axis=1)
 
     def on_triangles(part: slice) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
-        these = target.triangles[part]
-        return inverted_triangles(image, normals, these), *stretches(target.positions, image, these)
+        chosen = target.triangles[part]
+        return inverted_triangles(image, normals, chosen), *stretches(target.positions, image, chosen)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, target.positions, image, asked, point_map.source, masks=masks)
-        found = in_threads(on_triangles, row_slices(len(target.triangles), CACHED))
-        flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
+        parts = in_threads(on_triangles, row_slices(len(target.triangles), CACHED))
+        flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*parts, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
@@ -265,7 +265,7 @@ def measure_quality(
 
 
 def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ...]:
-    """Sentences for a user about area without a counterpart on the other surface, of shares that have one."""
+    """Warnings about area without a counterpart on the other surface, from the shares with one."""
     messages = []
     if target_share < COVERAGE_TOLERANCE:
         messages.append(
@@ -278,7 +278,7 @@ def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ..
 
 
 def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequence[float]) -> FloatArray:
-    """Percentiles of values counted by weight."""
+    """Percentiles of values, weighted."""
     order = np.argsort(values)
     cumulative = np.cumsum(weights[order]) / weights.sum()
     places = np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)
@@ -309,7 +309,7 @@ def _warnings(
     target: TriangleSurface,
     vertex_areas: FloatArray,
 ) -> tuple[str, ...]:
-    """Sentences for a user: what is wrong, how much, where."""
+    """Warnings for a user: what is wrong, how much, where."""
     messages = []
     worst = int(np.argmin(np.where(vertex_areas > 0, trust, np.inf)))
     place = ", ".join(f"{x:.4g}" for x in target.positions[worst] / target.scale)

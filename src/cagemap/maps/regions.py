@@ -1,4 +1,4 @@
-"""How two surfaces differ in size and shape, told for the region around each landmark."""
+"""Differences in size and shape between two surfaces, for the region around each landmark."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 @dataclass(frozen=True)
 class RegionFigures:
-    """Median stretch of a map over the part of the target that is nearest to one landmark.
+    """Median stretch of a map over the region of the target around one landmark.
 
     Attributes
     ----------
     landmark : str
-        Its name.
+        Name of the landmark.
     area : float
         Area of the region divided by the area of the unmasked target.
     size : float
-        How long the target is there for a source of length 1, both surfaces at equal area: square root of the
-        median ratio of areas. 2 where the target's ear is twice as long and twice as wide.
+        Length on the target per length on the source, both surfaces at equal area: square root of the median ratio of
+        areas. 2 if the target's ear is twice as long and twice as wide.
     aspect_ratio : float
-        Median ratio of the singular values of the map's differential: 1 where it keeps shape.
+        Median ratio of the singular values of the map's differential: 1 for a conformal map.
     folded : float
         Share of the region whose image is folded over.
     """
@@ -43,22 +43,22 @@ class RegionFigures:
 
 
 def local_size(result: MatchResult) -> FloatArray:
-    """(n1,) how long the target is at its vertices for a source of length 1, both surfaces at equal area."""
+    """(n1,) length on the target per length on the source at target vertices, both at equal area."""
     target, sigma = result.point_map.target, _stretches(result)
-    # Areas are summed before they are divided: a vertex compares its triangles with their images.
+    # Sum the areas of a vertex's triangles, and of their images, before dividing.
     images = target.areas * sigma[0] * sigma[1]
-    own, image = (
+    target_areas, image_areas = (
         np.bincount(target.triangles.ravel(), np.repeat(areas, 3), target.n) for areas in (target.areas, images)
     )
-    return np.sqrt(np.divide(own, image, out=np.ones(target.n), where=image > 0))
+    return np.sqrt(np.divide(target_areas, image_areas, out=np.ones(target.n), where=image_areas > 0))
 
 
 @kinds_checked
 def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
-    """Figures of the region around every landmark that the map meets, in the order of the landmarks.
+    """Figures of the region around every trusted landmark, in the order of the landmarks.
 
-    A target vertex belongs to the landmark nearest to it along edges. Vertices that no landmark is connected with, and
-    what is masked, are left out.
+    A target vertex belongs to the landmark nearest to it along edges. Masked area, and pieces of the mesh without a
+    landmark, are left out.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     areas = target.areas * result.masks.joint(result.point_map)[target.triangles].mean(axis=1)
     folded = flipped_triangles(result.point_map.images, target.triangles)
     ratio, aspect = 1.0 / np.maximum(largest * smallest, 1e-12), largest / np.maximum(smallest, 1e-9)
-    found = []
+    figures = []
     for name, place in zip(landmarks.names, places, strict=True):
         inside = np.flatnonzero((nearest[target.triangles[:, 0]] == place) & (areas > 0))
         if not len(inside):
             continue
         weight = areas[inside]
-        found.append(
+        figures.append(
             RegionFigures(
                 name,
                 float(weight.sum() / areas.sum()),
@@ -93,7 +93,7 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
                 float(weight[folded[inside]].sum() / weight.sum()),
             )
         )
-    return tuple(found)
+    return tuple(figures)
 
 
 def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:
@@ -102,10 +102,10 @@ def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:
 
 
 def _nearest_along_edges(surface: TriangleSurface, seeds: IndexArray) -> IndexArray:
-    """(n,) the nearest of some vertices along edges, -9999 where none is connected."""
+    """(n,) seed vertex nearest to every vertex along edges, -9999 if none is connected."""
     triangles = surface.triangles
     heads, tails = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
     lengths = np.linalg.norm(surface.positions[heads] - surface.positions[tails], axis=1)
     edges = sparse.csr_array((lengths, (heads, tails)), shape=(surface.n, surface.n))
-    found = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True)
-    return np.asarray(found[2], dtype=np.int64)
+    paths = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True)
+    return np.asarray(paths[2], dtype=np.int64)

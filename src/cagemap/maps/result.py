@@ -1,4 +1,4 @@
-"""What a match gives: one value that is written, read, updated, baked from and reported."""
+"""Result of a match: it is written, read, updated, baked from and reported."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cagemap.subdivision.refinement import truncate_refinement
 
 @dataclass(frozen=True, eq=False)
 class SpectralMap:
-    """A map as the bases see it."""
+    """Functional map between two bases, and their eigenvalues."""
 
     functional_map: FloatArray  # (k1, k2) C12, takes source coefficients to target coefficients
     target_eigenvalues: FloatArray  # (k1,) of the unit-area surface
@@ -45,24 +45,23 @@ class LevelMap:
     levels: LevelPair  # of target and source
     functional_map: FloatArray  # (k1, k2) C12 on the basis functions of these levels
     match: IndexArray  # (n1,) source vertex of every target vertex
-    points: PointMap | None = None  # the same as points of the source; None while the finer levels are not found yet
+    points: PointMap | None = None  # images as points of the source; None until the finer levels are found
 
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
-    """A dense map from target to source, and how it came about.
+    """Dense map from target to source, with its inputs, checks and quality.
 
     Attributes
     ----------
     target, source : Surface
         The surface that receives, and the one that gives.
     landmarks : Landmarks
-        As given.
+        All landmarks that were given, suspects included.
     point_map : PointMap
         T12: finest target vertices -> points of the finest source triangles.
     quality : QualityFigures
-        What can be said about the map without knowing the true one.
-        Its landmark errors are those of the trusted pairs.
+        Quality measured without ground truth; landmark errors are those of the trusted pairs.
     timings : dict of str to float
         Seconds of every stage.
     landmark_check : LandmarkCheck
@@ -71,17 +70,17 @@ class MatchResult:
         Functional map, vertex matches and points of every level, of the methods that go from level to level; see
         `at_level`.
     confidence : Confidence or None
-        How sure the answer is, and the other answers, where fewer than three landmarks had to do.
+        Verdict and other answers; None if the landmarks determine the map.
     prepared : PreparedPair or None
-        What `update_match` and `match_pair` need of the two surfaces, of a match of this process ("elastic" only).
+        Input of `update_match` and `match_pair`, for a match of this process ("elastic" only).
     masks : Masks
-        What of both surfaces was matched, and is transferred.
+        Weights of both surfaces in the match and in transfers.
     shared : SharedArea or None
-        Which area has a counterpart, where one of the surfaces is open.
+        Area that has a counterpart; None if both surfaces are closed.
     known_spectral : SpectralMap or None
-        What `spectral` gives, where it was read or follows from other maps.
+        Value of `spectral`, if it was read or follows from other maps.
     provenance : dict
-        What else the manifest says: parameters, inputs, notes, what was transferred.
+        Further entries of the manifest: parameters, inputs, notes, transfers.
     """
 
     target: Surface
@@ -105,7 +104,7 @@ class MatchResult:
 
     @kept
     def spectral(self) -> SpectralMap:
-        """The functional map and the eigenvalues of both bases: the method's, what was stored, or read off the map."""
+        """Functional map and eigenvalues of both bases: stored, from the method, or computed from the map."""
         if self.known_spectral is not None:
             return self.known_spectral
         with one_blas_thread():
@@ -117,12 +116,12 @@ class MatchResult:
         return SpectralMap(functional_map, *(basis.eigenvalues for basis in bases))
 
     def at_level(self, level: int) -> MatchResult:
-        """The map of one of the target's levels as a result of its own: to write, bake, draw and judge.
+        """Result with the map of one of the target's levels, to write, bake, draw and judge.
 
         Parameters
         ----------
         level : int
-            Of the target; where several maps have it, the last one, of the finest source.
+            Level of the target. Of several maps of this level the last one is used, with the finest source.
 
         Raises
         ------
@@ -133,35 +132,41 @@ class MatchResult:
         if level == finest:
             return self
         plain = self.target.refinement.is_plain or self.source.refinement.is_plain
-        known = {} if plain else {found.levels[0]: found for found in self.level_maps if found.points is not None}
+        known = (
+            {}
+            if plain
+            else {level_map.levels[0]: level_map for level_map in self.level_maps if level_map.points is not None}
+        )
         if level not in known:
             has = ", ".join(map(str, sorted({*known, finest})))
             raise ParameterError(
                 f"level {level}: expected one of the target's levels with a map, {has}. The methods hfm and paper find "
                 "one for each level that they go through, of surfaces that are subdivided"
             )
-        found = known[level]
-        assert found.points is not None
-        sides = zip((self.target, self.source), found.levels, strict=True)
+        level_map = known[level]
+        assert level_map.points is not None
+        sides = zip((self.target, self.source), level_map.levels, strict=True)
         target, source = (Surface(truncate_refinement(side.refinement, on), side.config) for side, on in sides)
         point_map = PointMap.from_arrays(
-            target.finest_triangles, source.finest_triangles, found.points.triangle,
-            found.points.barycentric,
+            target.finest_triangles, source.finest_triangles, level_map.points.triangle,
+            level_map.points.barycentric,
         )  # fmt: skip
         trusted = self.trusted
         quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names)
         spectral = None
         if self.has_spectral:
             values = self.spectral.target_eigenvalues, self.spectral.source_eigenvalues
-            cut = (all_of[:k] for all_of, k in zip(values, found.functional_map.shape, strict=True))
-            spectral = SpectralMap(found.functional_map, *cut)
+            cut = (all_of[:k] for all_of, k in zip(values, level_map.functional_map.shape, strict=True))
+            spectral = SpectralMap(level_map.functional_map, *cut)
         return replace(
             self,
             target=target,
             source=source,
             point_map=point_map,
             quality=quality,
-            level_maps=tuple(one for one in self.level_maps if all(np.less_equal(one.levels, found.levels))),
+            level_maps=tuple(
+                candidate for candidate in self.level_maps if all(np.less_equal(candidate.levels, level_map.levels))
+            ),
             confidence=None,
             prepared=None,
             masks=WHOLE,
@@ -170,12 +175,12 @@ class MatchResult:
 
     @property
     def has_spectral(self) -> bool:
-        """Whether `spectral` costs next to nothing, since nothing must be prepared for it."""
+        """Whether `spectral` is available without preparing a basis."""
         return self.known_spectral is not None or (self.target.is_prepared and self.source.is_prepared)
 
     @property
     def functional_map(self) -> FloatArray:
-        """(k1, k2) C12, takes source coefficients to target coefficients; made when it is first asked for."""
+        """(k1, k2) C12, takes source coefficients to target coefficients; computed on first access."""
         return self.spectral.functional_map
 
     @property
@@ -185,28 +190,28 @@ class MatchResult:
 
     @property
     def trusted(self) -> Landmarks:
-        """The landmarks that the map meets."""
+        """The landmarks without the suspects; the map meets them."""
         return self.landmark_check.trusted(self.landmarks)
 
     @property
     def curves(self) -> Curves:
-        """Lines that correspond."""
+        """Corresponding curves."""
         return self.landmarks.curves
 
     @kept
     def curve_misses(self) -> tuple[CurveMiss, ...]:
-        """How far the map leads each of the curves from the one that it belongs to."""
+        """Distances between the image of every curve and its counterpart."""
         pairs = curve_pairs(self.target, self.source, self.curves)
         return tuple(curve_miss(pair, self.point_map) for pair in pairs)
 
     @property
     def landmark_names(self) -> tuple[str, ...]:
-        """One per pair."""
+        """Names of the landmark pairs."""
         return self.landmarks.names
 
     @property
     def landmark_errors(self) -> FloatArray:
-        """(p,) by how much every landmark is missed, of sqrt(source area); also those that were left out."""
+        """(p,) error of every landmark, of sqrt(source area), suspects included."""
         left_out = [suspect.pair for suspect in self.suspects]
         errors = np.zeros(len(self.landmarks))
         errors[np.setdiff1d(np.arange(len(errors)), left_out)] = self.quality.landmark_errors
@@ -215,7 +220,7 @@ class MatchResult:
 
     @property
     def source_triangles(self) -> IndexArray:
-        """(t2, 3) source vertices of every triangle that `triangle` counts."""
+        """(t2, 3) vertices of the source triangles that `triangle` refers to."""
         return self.point_map.source.triangles
 
     @property
@@ -225,7 +230,7 @@ class MatchResult:
 
     @property
     def barycentric(self) -> FloatArray:
-        """(n1, 3) see `triangle`."""
+        """(n1, 3) barycentric coordinates of every image, see `triangle`."""
         return self.point_map.barycentric
 
     @property
@@ -235,16 +240,18 @@ class MatchResult:
 
     @property
     def runner_up_images(self) -> FloatArray:
-        """(r, n_0, 3) where other answers put the target's control vertices, about, in the source file's lengths."""
+        """(r, n_0, 3) approximate images of the target's control vertices by other answers, in source file units."""
         count = self.target.control.n_vertices
-        others = self.confidence.answers[1:] if self.confidence else ()
-        known = [other.positions[:count] / self.source.scale for other in others if len(other.positions) >= count]
+        other_answers = self.confidence.answers[1:] if self.confidence else ()
+        known = [
+            other.positions[:count] / self.source.scale for other in other_answers if len(other.positions) >= count
+        ]
         return np.array(known).reshape(len(known), count, 3)
 
     def nearest_vertices(self) -> IndexArray:
-        """(n_0,) source control vertices: of the face that holds a target control vertex's image, the nearest.
+        """(n_0,) source control vertex nearest to every target control vertex's image, within its face.
 
-        Both are in the numbers of the control meshes. `PointMap.nearest_vertices` has those of the finest levels.
+        Vertices are numbered as in the control meshes. For finest levels see `PointMap.nearest_vertices`.
         """
         control, count = self.source.control, self.target.control.n_vertices
         triangles_per_face = len(self.source_triangles) // len(self.source.faces)
@@ -258,13 +265,13 @@ class MatchResult:
         return np.asarray(corners[np.lexsort((away, owners))[first]])
 
     def image(self) -> FloatArray:
-        """(n1, 3) where every target vertex maps to, in the source file's lengths."""
+        """(n1, 3) image of every target vertex, in source file units."""
         corners = self.source.vertices[self.source_triangles[self.triangle]]
         return np.einsum("nc,ncd->nd", self.barycentric, corners)
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """What a manifest says of the map, for people and pages."""
+        """Entries of the manifest: quality, checks, timings, provenance."""
         return {
             "quality": self.quality.summary(),
             "landmark_check": self.landmark_check.summary(),

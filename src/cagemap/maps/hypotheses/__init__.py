@@ -1,1 +1,1 @@
-"""A map without landmarks: candidate alignments, the best of them, and how sure it is."""
+"""Maps with few landmarks or none: candidate alignments, the best one, and its confidence."""

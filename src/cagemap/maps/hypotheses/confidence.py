@@ -1,4 +1,4 @@
-"""The verdict on a map with few landmarks or none: whether it is sure, and which other alignments there are."""
+"""Confidence in a map with few landmarks or none: the verdict, and other possible alignments."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from cagemap.deform.problem import PreparedPair
 from cagemap.maps.hypotheses.signs import TIE, describe_signs
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
-# Names of answers that landmarks decide.
+# Names of alternative answers where landmarks are given.
 AS_GIVEN = "as the landmarks are given"
 EXCHANGED = "with left and right of the landmarks exchanged"
 TURNED = "with a limb turned otherwise about its axis"
-# Of a result that was written before signs were.
+# Reason shown for a result file without signs.
 NOT_JUDGED = "it was matched by an older version of cagemap: match again"
 
 
 @dataclass(frozen=True, eq=False)
 class Confidence:
-    """The verdict on a map that landmarks alone do not decide."""
+    """Verdict on a map that its landmarks alone do not determine."""
 
     verdict: str  #: "sure", "look at it" or "two answers"
-    #: The answer, then the different ones, by cost and doubt: of the vertices of the level that is deformed; in a
-    #: result, of all vertices of a plain target
+    #: The answer, then different ones, by cost and doubt: placements of the deformed level's vertices; in a result, of
+    #: all vertices of a plain target
     answers: tuple[Placement, ...]
     signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGNS`
-    deciding: int | None = None  #: control vertex of the target where a landmark decides
-    file_vertex: int | None = None  #: its number in the target's file, where the target is a part of that
-    part: str = ""  #: whose answer this is, where a result has several parts
+    deciding: int | None = None  #: control vertex of the target where a landmark would decide
+    file_vertex: int | None = None  #: number of this vertex in the target's file, if the target is a part of it
+    part: str = ""  #: name of the part, if a result has several
 
     @classmethod
     def of(
         cls, answers: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
     ) -> Confidence:
-        """Judge answers that are all different, best first, by the costs and further signs of the best."""
+        """Judge distinct answers, best first, by the costs and further signs of the best."""
         signs = cost_signs(answers) | dict(signs or {})
         deciding = None
         if len(answers) > 1:
-            best, other = (answer.positions[:control_vertices] for answer in answers[:2])
-            deciding = int(np.argmax(((best - other) ** 2).sum(axis=1)))
+            best, second = (answer.positions[:control_vertices] for answer in answers[:2])
+            deciding = int(np.argmax(((best - second) ** 2).sum(axis=1)))
         verdict = SURE if not describe_signs(signs) else TWO if signs["runner_up"] > TIE else LOOK
         return cls(verdict, answers, signs, deciding)
 
     @property
     def message(self) -> str:
-        """One or two sentences for a user, who counts vertices as the file does."""
+        """One or two sentences for a user, with vertex numbers of the file."""
         return f"{self.part}: {self._sentences}" if self.part else self._sentences
 
     @property
@@ -100,15 +100,15 @@ class Confidence:
 
 
 def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
-    """Signs that the costs of the answers are, the first one's."""
-    best, *others = answers
+    """Signs derived from the costs of answers, best first."""
+    best, *different = answers
     cost = 1e4 * best.cost
-    runner_up = max((best.cost / max(other.cost, 1e-12) for other in others), default=0.0)
+    runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
     return {"cost": cost, "turned": cost if best.doubt > 1.0 else 0.0, "runner_up": runner_up}
 
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
-    """Answers for all vertices of a plain target, from those of a level; the deciding vertex also as in its file."""
+    """Prolong answers to all vertices of a plain target; set the deciding vertex' file number."""
     target, numbers = prepared.target, prepared.target.control.file_vertices
     if numbers is not None and confidence.deciding is not None:
         confidence = replace(confidence, file_vertex=int(numbers[confidence.deciding]))
@@ -117,7 +117,7 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
 
     def prolonged(answer: Placement) -> Placement:
         places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest))
-        places[prepared.vertices] = answer.positions  # prolonged, those that are known would be smoothed
+        places[prepared.vertices] = answer.positions  # prolongation would smooth the known positions
         return replace(answer, positions=places)
 
     return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))

@@ -1,8 +1,8 @@
-"""Limbs: their tips, which ones of two surfaces may correspond, and fits that tips lead.
+"""Limbs: find their tips, assign limbs of two surfaces, and refit with tips held.
 
-Between species the energy leaves an ear or a hoof beside its counterpart, and drags what is around it along; a short
-leg lies within a long one. So tips that lie near each other lead a fit, whose coarse stage has data terms of the source
-too. Limbs assigned to limbs by intrinsic measures are starts that do not depend on the pose.
+Between species a fit can leave an ear or a hoof beside its counterpart, or a short leg inside a long one. So nearby
+tips are held in a refit, whose coarse stage has source-to-target data terms too. Limbs assigned by intrinsic measures
+give starts that do not depend on the pose.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from cagemap.numerics.threads import thread_limit
 
 # Least length of a limb, of sqrt(area).
 LEAST_LENGTH = 0.01
-# Of e limbs beside p landmarks, lengths of sqrt(area): geodesic distances (p + e, p + e) between the places where limbs
-# join, landmarks first, which are limbs too; and girths (e,), area by length.
+# Measures of e limbs and p landmarks, in sqrt(area): geodesic distances (p + e, p + e) between the roots of limbs,
+# landmarks first (they count as limbs); and girths (e,), area divided by length.
 LimbMeasures = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
 class Tips:
-    """Tips of both surfaces."""
+    """Tips of limbs on both surfaces."""
 
-    vertices: IndexArray  # (e,) of the target's level that is deformed
-    source_vertices: IndexArray  # (e2,) of the source's level that is searched
-    places: FloatArray  # (e2, 3) of these
+    vertices: IndexArray  # (e,) of the target's deformed level
+    source_vertices: IndexArray  # (e2,) of the source's searched level
+    places: FloatArray  # (e2, 3) positions of the source vertices
 
     @classmethod
     def of(cls, problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
-        """Tips of a least height in ``units``, neither masked, nor at a landmark, nor at a boundary; highest first."""
+        """Tips of a least height in ``units``, highest first; none masked, at landmarks or at boundaries."""
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
-        prepared, found = problem.prepared, []
+        prepared, tips = problem.prepared, []
         config = prepared.elastic.search
         least = config.tip_height if least is None else least
         searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
@@ -55,26 +55,26 @@ class Tips:
             vertices = tip_vertices(graph, least / unit)
             away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
             kept = (counts[vertices] > 0) & (away > config.tip_taken) & ~mesh.boundary_vertices[vertices]
-            found.append(vertices[kept])
-        return cls(found[0], found[1], source.positions[found[1]])
+            tips.append(vertices[kept])
+        return cls(tips[0], tips[1], source.positions[tips[1]])
 
     def pairs(self, positions: FloatArray, config: SearchConfig) -> IndexArray:
-        """(q, 2) tips of target and source that are each other's nearest where a fit puts the target's vertices."""
+        """(q, 2) tips of target and source that are mutually nearest in a placement (n, 3)."""
         images = positions[self.vertices]
         if not len(images) or not len(self.places):
             return np.zeros((0, 2), dtype=np.int64)
-        distance, there = (np.asarray(found) for found in cKDTree(self.places).query(images))
+        distance, nearest = (np.asarray(column) for column in cKDTree(self.places).query(images))
         back = np.asarray(cKDTree(images).query(self.places)[1])
-        mutual = (distance < config.tips_near) & (back[there] == np.arange(len(images)))
+        mutual = (distance < config.tips_near) & (back[nearest] == np.arange(len(images)))
         if not np.any(distance[mutual] > config.tips_met):
             return np.zeros((0, 2), dtype=np.int64)
-        return np.column_stack([np.flatnonzero(mutual), there[mutual]])
+        return np.column_stack([np.flatnonzero(mutual), nearest[mutual]])
 
 
 def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
-    """Refit from a placement with the tips held in the coarse stage; the placement itself where it is much cheaper.
+    """Refit a placement with tips held in the coarse stage; unchanged if that costs much more.
 
-    The fine stage holds landmarks only: tips that are no counterparts slip away.
+    The fine stage holds landmarks only, so that tips that do not correspond can separate.
     """
     prepared, config = problem.prepared, problem.prepared.elastic.search
     pairs = tips.pairs(placed.positions, config)
@@ -82,17 +82,17 @@ def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
         return placed
     stiff = problem.staged(config.led)
     shape = stiff.holding(tips.vertices[pairs[:, 0]], tips.places[pairs[:, 1]])
-    leading = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
+    samples = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
     with thread_limit(1):
-        led = coarse_fit(stiff, placed.positions[shape.vertices], shape, leading)
-    again = replace(evaluate_placement(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
-    return again if again.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
+        coarse = coarse_fit(stiff, placed.positions[shape.vertices], shape, samples)
+    refitted = replace(evaluate_placement(prepared, fine_fit(problem, coarse)), name=placed.name, doubt=placed.doubt)
+    return refitted if refitted.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
-    """(e,) vertices that are farther from the whole surface than all around them, highest first.
+    """(e,) local maxima of the mean geodesic distance, most prominent first.
 
-    Mean geodesic distance (Hilaga et al. 2001), over the highest pass to a higher one (Edelsbrunner et al. 2002).
+    Mean geodesic distance: Hilaga et al. 2001. Prominence: Edelsbrunner et al. 2002, see `prominences`.
     """
     heights = mean_distances(graph)
     peaks, above = prominences(heights, graph.heads, graph.tails)
@@ -101,7 +101,7 @@ def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) ->
 
 
 def mean_distances(graph: ElasticGraph) -> FloatArray:
-    """(n,) mean distance along the edges to the whole of a vertex' piece; 0 on small pieces."""
+    """(n,) mean geodesic distance of every vertex to its connected piece; 0 on small pieces."""
     distances = graph.station_distances
     reached = np.isfinite(distances)
     large = reached.any(axis=0)
@@ -110,7 +110,7 @@ def mean_distances(graph: ElasticGraph) -> FloatArray:
 
 
 def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Local maxima (q,) of heights (n,), and how far each stands over its highest pass to a higher one."""
+    """Local maxima (q,) of heights (n,), and their heights above the highest pass to a higher one."""
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
@@ -144,9 +144,10 @@ def limb_measures(
     unit: float = 1.0,
     girth_part: float = SearchConfig.girth_part,
 ) -> LimbMeasures:
-    """Measure the limbs that end at tips (e,), beside landmarks (p,), in a unit; three at least, of one piece.
+    """Measure the limbs of tips (e,) and landmarks (p,), in a unit; at least three, connected.
 
-    A limb is as long as its leaf in the tree of all ends, ``min_jk (d_ij + d_ik - d_jk) / 2`` (Gromov product).
+    The length of a limb is that of its leaf in the tree of all ends, the Gromov product
+    ``min_jk (d_ij + d_ik - d_jk) / 2``.
     """
     ends = np.concatenate([landmarks, tips])
     distances = graph.distances(ends)
@@ -154,19 +155,20 @@ def limb_measures(
     products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
     every = np.arange(len(ends))
     products[every, every, :] = products[every, :, every] = products[:, every, every] = np.inf
-    own = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
-    between = apart - own[:, None] - own
+    lengths = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
+    between = apart - lengths[:, None] - lengths
     between[every, every] = 0.0
-    part, limbs = girth_part * own[len(landmarks) :], distances[len(landmarks) :]
+    part, limbs = girth_part * lengths[len(landmarks) :], distances[len(landmarks) :]
     return unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part)
 
 
 def rank_assignments(
     target: LimbMeasures, source: LimbMeasures, config: SearchConfig = SearchConfig()
 ) -> list[tuple[IndexArray, IndexArray]]:
-    """Numbers (k,) of limbs of target and source that may correspond; the likeliest assignments first.
+    """Assignments of limbs, most likely first: their numbers (k,) on target and on source.
 
-    Joints' distances count, and girths. Lengths do not: a hippo has short legs and a cougar a long tail.
+    Ranked by distances between roots of limbs and by girths. Lengths do not count: a hippo has short legs and a cougar
+    a long tail.
     """
     (between, girths), (source_between, source_girths) = target, source
     if len(girths) > len(source_girths):
@@ -183,19 +185,19 @@ def rank_assignments(
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """Limbs of the target on limbs of the source."""
+    """Corresponding limbs of target and source."""
 
-    # (p + k,) Landmarks and tips, of the levels of target and source that are searched
+    # (p + k,) Landmarks and tips, of the searched levels of target and source
     vertices: tuple[IndexArray, IndexArray]
-    places: FloatArray  # (k, 3) of the tips on the source
+    places: FloatArray  # (k, 3) positions of the tips on the source
 
     def shape(self, problem: Problem) -> CoarseShape:
-        """Clusters of a problem's coarse stage that hold the landmarks and the tips."""
+        """Clusters of a problem's coarse stage, with landmarks and tips held."""
         return problem.holding(self.vertices[0][len(self.vertices[0]) - len(self.places) :], self.places)
 
 
 def assigned_limbs(problem: Problem) -> list[Assignment]:
-    """Likely assignments of a pair's limbs, the likeliest first; none where one of the surfaces has too few."""
+    """Assignments of a pair's limbs, most likely first; none if a surface has too few."""
     units, config = units_of_larger(problem.prepared), problem.prepared.elastic.search
     landmarks, tips = problem.landmark_vertices, Tips.of(problem, config.limb_height, units)
     ends = tips.vertices[: config.max_limbs], tips.source_vertices[: config.max_limbs]

@@ -1,7 +1,7 @@
-"""Rigid starts without landmarks: rotations that align boxes and principal axes of both shapes, or as the files stand.
+"""Rigid starts without landmarks: align bounding boxes or principal axes, or keep the files' positions.
 
-A start is a rough position on the source for every vertex of the target's coarse graph. All are orientation-preserving:
-the elastic energy cannot turn a mirrored start over, so that left stays left.
+A start is a rough position on the source for every vertex of the target's coarse graph. All preserve orientation: the
+elastic fit cannot undo a mirrored start.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from cagemap.deform.problem import PreparedPair
 from cagemap.numerics.arrays import FloatArray
 
 AS_FILED = "as the files stand"
-# How many of `rigid_starts`, the first ones, keep the files' axes.
+# The first so many of `rigid_starts` keep the files' axes.
 AS_FILED_STARTS = 2
-# A box that is flat along an axis is not stretched along it.
+# Least extent of a box; a box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
 
 
 def axis_rotations() -> list[FloatArray]:
-    """The 24 rotations that take coordinate axes to coordinate axes; the identity first, then by their angle."""
-    found = []
+    """The 24 rotations of coordinate axes to coordinate axes, sorted by angle; the identity first."""
+    rotations = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
             matrix[np.arange(3), order] = signs
             if np.linalg.det(matrix) > 0:
-                found.append(matrix)
-    return sorted(found, key=lambda matrix: -np.trace(matrix))
+                rotations.append(matrix)
+    return sorted(rotations, key=lambda matrix: -np.trace(matrix))
 
 
 def rotation_name(matrix: FloatArray) -> str:
-    """A rotation in words."""
+    """Description of a rotation (3, 3) for a user."""
     vector = Rotation.from_matrix(matrix).as_rotvec(degrees=True)
     angle = round(float(np.linalg.norm(vector)))
     if angle == 0:
@@ -49,7 +49,7 @@ def rotation_name(matrix: FloatArray) -> str:
 
 
 def nearest_axis_rotation(matrix: FloatArray) -> FloatArray:
-    """That of `axis_rotations` which is nearest to a rotation (3, 3)."""
+    """The one of `axis_rotations` nearest to a rotation (3, 3)."""
     return max(axis_rotations(), key=lambda one: float((one * matrix).sum()))
 
 
@@ -61,9 +61,10 @@ def rotation_doubt(matrix: FloatArray, config: SearchConfig) -> float:
 
 
 def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
-    """Placements of points (k, 3) with bounding boxes and principal frames laid on the source's (m, 3), in all 24 ways.
+    """Placements of points (k, 3) that align bounding boxes or principal frames with the source's (m, 3).
 
-    Boxes agree in their diagonal (one scale) or along every axis (three scales); principal frames keep unit area.
+    Boxes in all 24 axis rotations, with equal diagonals (one scale) or equal extents (three scales). Principal frames
+    in four rotations, not scaled.
     """
     starts = []
     for matrix in axis_rotations():
@@ -96,7 +97,7 @@ def _principal_frame(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def file_ratio(prepared: PreparedPair) -> float:
-    """Factor from the target's unit, sqrt(area), to the source's by lengths in the files; 1 of closed surfaces."""
+    """Factor from the target's unit, sqrt(area), to the source's, in file lengths; 1 for closed surfaces."""
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
     if not (target.is_open or source.is_open):
         return 1.0
@@ -105,12 +106,12 @@ def file_ratio(prepared: PreparedPair) -> float:
 
 
 def units_of_larger(prepared: PreparedPair) -> tuple[float, float]:
-    """Units of target and source, in that of the larger surface."""
+    """Units of target and source, as multiples of the larger surface's unit."""
     ratio = file_ratio(prepared)
     return min(ratio, 1.0), min(1.0 / ratio, 1.0)
 
 
 def in_place(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
-    """Points (k, 3) of an open pair's target where its file puts them among the source's; none if that is unknown."""
+    """Placement of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
     ratio = file_ratio(prepared)
     return [] if ratio == 1.0 else [Placement(np.asarray(ratio * points))]

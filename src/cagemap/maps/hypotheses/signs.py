@@ -1,4 +1,4 @@
-"""Signs of a wrong map, measured without the true one, each with the bound of a map that is 'sure' (`SIGNS`)."""
+"""Signs of a wrong map, measured without ground truth, each with a bound (`SIGNS`)."""
 
 from __future__ import annotations
 
@@ -28,57 +28,56 @@ from cagemap.surface.triangles import vertex_normals
 class Sign:
     """One sign of a wrong map."""
 
-    bound: float  # largest value of a map that is sure
-    finding: str  # what a user reads beyond the bound; ``{value}`` and ``{percent}`` stand for the value
+    bound: float  # largest value for the verdict "sure"
+    finding: str  # message to the user above the bound, with ``{value}`` or ``{percent}``
 
 
-# In the order in which a message names them. Where each bound was chosen and judged: docs/lab/judge.md.
+# In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
 SIGNS: dict[str, Sign] = {
-    # Cost of the target on the source, of its cost on the source's mirror image.
+    # Cost of the target on the source, divided by its cost on the source's mirror image.
     "mirrored": Sign(
         1.2,
         "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
         "and right exchanged. If so, mirror one of the files",
     ),
-    # Share of the target's area.
+    # Share of the target's area at which the map jumps.
     "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
-    # Share of the target's area that another map, which costs hardly more, turns by `TURNED_DEGREES` degrees or more.
+    # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": Sign(0.08, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
-    # Cost x 1e4 of an alignment that turns the files' axes; 0 of others.
+    # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
     "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
     "cost": Sign(7.0, "the shapes differ much"),
-    # Cost, of that of the best different alignment; 0 where there is none.
+    # Cost divided by that of the best different alignment; 0 if there is none.
     "runner_up": Sign(1 / 1.3, "another alignment fits almost as well"),
 }
-# `runner_up` from which on there are two answers.
+# Least `runner_up` for the verdict of two answers.
 TIE = 1 / 1.12
-# Two places of the target are this much farther apart along one of the surfaces, of sqrt(area), than twice along the
-# other, where the map jumps.
+# Least jump, of sqrt(area): a distance along one surface, less twice the distance along the other.
 JUMP = 0.2
-# Images are compared with this many others, within so many mean distances of vertices; normals that are opposite are
-# twice as far apart.
+# Number of images that each image is compared with, and the largest distance in mean vertex spacings; opposite
+# normals count as twice this distance.
 NEIGHBORS, NEAR_SPACINGS = 24, 1.4
-# Length, of sqrt(area), by which opposite normals keep an image from the other side of a thin part.
+# Weight of normals, of sqrt(area): keeps images on their side of a thin part.
 FACING = 0.05
-# Degrees between the normals of two maps.
+# Angle in degrees between the normals of two maps.
 TURNED_DEGREES = 60.0
-# How the warning begins.
+# Beginning of the warning about jumps.
 JUMPING = "the map jumps between parts that only touch"
 
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
 def describe_signs(signs: Mapping[str, float]) -> list[str]:
-    """What a user should know of the signs that are beyond their bounds."""
+    """Messages to the user about the signs above their bounds."""
     beyond = [(sign, signs[name]) for name, sign in SIGNS.items() if signs.get(name, 0.0) > sign.bound]
     return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
 
 
 def median_distortion(found: PointMap, counts: FloatArray | None = None) -> float:
-    """Median `distortion` of a map, weighted by the target's area times ``counts`` (n1,); 1 for an isometry."""
+    """Median `distortion` of a map, weighted by area and ``counts`` (n1,); 1 for an isometry."""
     target = found.target
     sigma = stretches(target.positions, found.images.positions, target.triangles)
     areas = target.areas if counts is None else target.areas * counts[target.triangles].mean(axis=1)
@@ -86,10 +85,10 @@ def median_distortion(found: PointMap, counts: FloatArray | None = None) -> floa
 
 
 def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
-    """(n,) how far a map jumps at the vertices of the level that is deformed, of sqrt(area); 0 where it does not.
+    """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
 
-    It jumps where neighbours on one surface are far from each other along the other: no cost sees that at a contact.
-    Only finest vertices with ``counts`` (n1,) above 0 are compared, by default those that are not masked.
+    A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
+    Only finest vertices with ``counts`` (n1,) above 0 are compared, by default the unmasked ones.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
@@ -110,12 +109,12 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | N
 
 
 def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
-    """Share of the target's area at which a map jumps, of how far (n,)."""
+    """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
     return float(prepared.rest.graph.areas[farthest > 0].sum())
 
 
 def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> tuple[str, ...]:
-    """A warning if the map is discontinuous on more of the area than the bound allows; see `jump_lengths`."""
+    """A warning if the map jumps on more area than the bound allows; see `jump_lengths`."""
     farthest = jump_lengths(prepared, found, counts)
     share = jump_share(prepared, farthest)
     if share <= SIGNS["jumps"].bound:
@@ -140,14 +139,14 @@ def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
     radius = NEAR_SPACINGS / np.sqrt(len(places))
     facing = np.hstack([places, radius * normals])
     count = min(NEIGHBORS, len(places))
-    distance, others = cKDTree(facing).query(facing, k=count, distance_upper_bound=radius)
+    distance, neighbours = cKDTree(facing).query(facing, k=count, distance_upper_bound=radius)
     first = np.repeat(np.arange(len(places)), count)
-    pairs = np.column_stack([first, np.ravel(others)])
+    pairs = np.column_stack([first, np.ravel(neighbours)])
     return pairs[np.isfinite(np.ravel(distance)) & (pairs[:, 0] != pairs[:, 1])]
 
 
 def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
-    """(m,) least distance along the surface that distances (s, n) from some places allow pairs (m, 2); 0 if unknown."""
+    """(m,) lower bounds of geodesic distances of pairs (m, 2), by distances (s, n) from stations; 0 if unknown."""
     apart = np.zeros(len(pairs))
     for row in np.where(np.isfinite(distances), distances, np.nan):
         apart = np.fmax(apart, np.abs(row[pairs[:, 0]] - row[pairs[:, 1]]))
@@ -155,9 +154,10 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
-    """How many times more the target costs on the source than on its mirror image, both on the small graph.
+    """Cost on the source divided by cost on its mirror image, both on the small graph.
 
-    A left shoe on a right one folds no map and costs little more. From one start alone, like bodies seem mirrored.
+    A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
+    bodies seem mirrored.
     """
     rough, source = rough_problem(problem), problem.prepared.source_surface
     graph, constraints = rough.shape.rest.graph, rough.shape.constraints

@@ -1,1 +1,1 @@
-"""Which landmarks contradict the others."""
+"""Check landmarks: find pairs that contradict the others."""

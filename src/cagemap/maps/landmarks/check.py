@@ -1,8 +1,8 @@
 """Reject landmark outliers; report landmarks that merely strain the map.
 
 Distances between landmarks find suspects before the map. A suspect is left out only if a coarse fit without it is much
-cheaper than one with it, and if the map without it leads elsewhere. After the map, strain shows which landmarks pull it
-away from where shape alone would place them: these are kept, since they may be right, and reported.
+cheaper than one with it, and if the map without it puts it elsewhere. After the map, strain is measured: how far each
+landmark would move if released. Strained pairs may be right, so they are kept and reported.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ CONTRADICTION = (
     "the landmark file may belong to other meshes or to the other direction"
 )
 
-# Landmarks of other meshes tear the map: from this folded share of the target's area on, up to where it is inside out.
-# Right ones of 24 pairs of humans and animals fold 0.3 % at most.
+# Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
+# out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
 FOREIGN_FOLDED = 0.05, 0.5
 FOREIGN = "are these landmarks of these meshes? "
 
@@ -53,7 +53,7 @@ MIRRORED_NOTE = (
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
 
-# Lattices of cells that handles of noise are looked for in: a cell's border cuts some.
+# Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
 OFFSETS = (0.0, 0.25, 0.5, 0.75)
 
 # Why accused pairs are kept.
@@ -72,11 +72,11 @@ class LandmarkSuspect:
     """A pair that was left out of a map."""
 
     name: str
-    pair: int  # its place among the landmarks given
-    distance: float  # how far from the given source vertex the map puts the target vertex, of sqrt(area)
-    nearest_vertex: int  # source control vertex nearest to where the map puts the target vertex
+    pair: int  # its index among the landmarks given
+    distance: float  # distance of the map's image from the given source vertex, of sqrt(area)
+    nearest_vertex: int  # source control vertex nearest to the map's image
     source_vertex: int  # source control vertex that was given
-    evidence: str  # "distances": to the other landmarks; "sides": the sense in which these lie around it
+    evidence: str  # "distances": to the other landmarks; "sides": the orientation of the others around it
 
     def __str__(self) -> str:
         """One sentence for a user: what was found and the remedy."""
@@ -91,23 +91,23 @@ class LandmarkSuspect:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkCheck:
-    """What is known about the landmarks of a map."""
+    """Result of the landmark check of a map."""
 
     suspects: tuple[LandmarkSuspect, ...] = ()  # pairs left out
-    notes: tuple[str, ...] = ()  # what else a user should know
-    # (p,) How far every pair would move if it alone were let go, of sqrt(area); 0 for those left out, and those that an
-    # update added or moved. Empty if unknown
+    notes: tuple[str, ...] = ()  # further messages for a user
+    # (p,) Displacement of every pair if it alone were released, of sqrt(area); 0 for pairs that were left out, or
+    # that an update added or moved. Empty if unknown
     strains: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def trusted(self, landmarks: Landmarks) -> Landmarks:
-        """The landmarks checked, without the suspects."""
+        """The landmarks without the suspects."""
         return landmarks.without([suspect.pair for suspect in self.suspects])
 
     def still(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
-        """What is left of the check of some landmarks for others: of pairs that are still there as they were."""
+        """The check for changed landmarks: keeps what is known of unchanged pairs."""
         places = {pair: i for i, pair in enumerate(now.places)}
-        found = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
-        kept = tuple(replace(suspect, pair=place) for suspect, place in found if place is not None)
+        placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
+        kept = tuple(replace(suspect, pair=place) for suspect, place in placed if place is not None)
         if not len(self.strains):
             return LandmarkCheck(kept, self.notes)
         strains = np.zeros(len(now))
@@ -117,12 +117,12 @@ class LandmarkCheck:
         return LandmarkCheck(kept, self.notes, strains)
 
     def with_folds(self, folded: float, count: int) -> LandmarkCheck:
-        """The same with a question where a map of ``count`` landmarks folds so much of the target's area."""
+        """The check with a note if a map of ``count`` landmarks folds much of the target's area."""
         notes = tuple(note for note in self.notes if not note.startswith(FOREIGN))
         if count and FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
             left_out = f" and {len(self.suspects)} of {count} landmarks were left out" if self.suspects else ""
-            said = f"{100 * folded:.0f} % of the target is folded over{left_out}"
-            notes += (f"{FOREIGN}{said}. Look at the landmarks on both meshes, and at which file they belong to",)
+            folds = f"{100 * folded:.0f} % of the target is folded over{left_out}"
+            notes += (f"{FOREIGN}{folds}. Look at the landmarks on both meshes, and at which file they belong to",)
         return replace(self, notes=notes)
 
     def summary(self) -> dict[str, Any]:
@@ -137,12 +137,12 @@ class LandmarkCheck:
 def checked_map(
     problem: Problem, names: Sequence[str], progress: Progress
 ) -> tuple[PointMap, LandmarkCheck, list[Placement]]:
-    """`elastic_map` of the pairs that do not turn out to be wrong, what is known of all, and its placements."""
+    """`elastic_map` without landmark outliers, the check of all landmarks, and the map's placements."""
     pair, count, config = problem.pair, len(names), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
         note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
-        found, ends = elastic_map(problem, progress)
-        return found, LandmarkCheck(notes=(note,)), ends
+        point_map, placements = elastic_map(problem, progress)
+        return point_map, LandmarkCheck(notes=(note,)), placements
     progress("compare landmarks")
     distances = _distances(problem)
     accused, notes = accused_pairs(problem, distances), list[str]()
@@ -158,12 +158,12 @@ def checked_map(
         slip = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
         if costs[0] < max(slip[evidence] for evidence in accused.values()) * costs[1]:
             left_out, trusted, notes = set(), problem, [kept_note(accused, names, NO_BETTER)]
-    current, ends = elastic_map(trusted, progress)
+    current, placements = elastic_map(trusted, progress)
     confirmed = {i for i in left_out if landmark_miss(pair, current, i)[0] < config.confirmed}
     if confirmed:
         left_out -= confirmed
         trusted = problem.without(left_out)
-        current, ends = elastic_map(trusted, progress)
+        current, placements = elastic_map(trusted, progress)
     progress("test landmarks on the map")
     kept = np.setdiff1d(np.arange(count), list(left_out))
     energy, places = strain(trusted, current)
@@ -174,11 +174,11 @@ def checked_map(
         notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
     suspects = tuple(_suspect(pair, current, names, i, accused[i]) for i in sorted(left_out))
     notes += orientation_notes(trusted)
-    return current, LandmarkCheck(suspects, tuple(notes), strains), ends
+    return current, LandmarkCheck(suspects, tuple(notes), strains), placements
 
 
 def accused_pairs(problem: Problem, distances: tuple[LandmarkDistances, LandmarkDistances]) -> dict[int, str] | None:
-    """Places of pairs that distances, else sides, accuse, with the evidence; None where no right ones are known."""
+    """Indices of suspected pairs with the evidence; None if too many pairs contradict each other."""
     every, config = np.arange(len(problem.pair.landmarks)), problem.prepared.elastic.landmarks
     if typical_misfit(*distances, every) > config.unrelated:
         return None
@@ -191,14 +191,14 @@ def accused_pairs(problem: Problem, distances: tuple[LandmarkDistances, Landmark
 
 
 def coarse_map_cost(problem: Problem) -> float:
-    """Cost of the best coarse fit that meets the landmarks: what they ask of the whole shape, without the mesh."""
+    """Cost of the best coarse fit that meets the landmarks."""
     return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
 
 
 def has_merged_parts(pair: Pair, config: LandmarkConfig) -> bool:
-    """Whether one surface has handles that the other lacks, as where a scan joins a hand to the hip that it touches.
+    """Whether large handles differ between the surfaces, as where a scan merges hand and hip.
 
-    Distances along it are too short there. Small handles, of noise, do not count.
+    Geodesic distances are too short there. Small handles (noise) do not count.
     """
     target, source = pair.target.control, pair.source.control
     return handle_count(target) != handle_count(source) and large_handles(target, config) != large_handles(
@@ -207,13 +207,13 @@ def has_merged_parts(pair: Pair, config: LandmarkConfig) -> bool:
 
 
 def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
-    """Handles that no cell holds by itself, in that of some lattices whose cells hold most."""
+    """Number of handles larger than a cell, for the lattice whose cells contain most handles."""
     size = 0.5 * config.min_distance * float(np.sqrt(face_areas(mesh).sum()))
     return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
 
 
 def kept_note(accused: dict[int, str], names: Sequence[str], why: str) -> str:
-    """A sentence about pairs that are accused but not left out, and why."""
+    """Note about suspected pairs that were kept, and why."""
     listed = ", ".join(f"'{names[i]}'" for i in sorted(accused))
     kept = f"{why}, so all were kept"
     if SIDES in accused.values():
@@ -228,7 +228,7 @@ def kept_note(accused: dict[int, str], names: Sequence[str], why: str) -> str:
 
 
 def strain_note(name: str, distance: float) -> str:
-    """A sentence about a pair that strains the map."""
+    """Note about a pair that strains the map."""
     return (
         f"landmark '{name}' strains the map around it, and only there: let go, it would move by about "
         f"{100 * distance:.0f} % of the model's size. It was kept; if it was a slip, correct it"
@@ -242,29 +242,29 @@ def checked_changes(
     check: LandmarkCheck,
     before: PointMap,
 ) -> LandmarkCheck:
-    """A check of the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
+    """Check the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
 
-    Only those are left out that the map from before puts elsewhere too.
+    A pair is left out only if the map from before contradicts it too.
     """
     pair, config = problem.pair, problem.prepared.elastic.landmarks
     if not len(changed) or len(pair.landmarks) < config.fewest_judged:
         return check
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
-    others = problem.without(out)
-    accused = accused_pairs(others, _distances(others))
+    remaining = problem.without(out)
+    accused = accused_pairs(remaining, _distances(remaining))
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
     if wrong and has_merged_parts(pair, config):
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
-    found = [i for i in sorted(wrong) if landmark_miss(pair, before, i)[0] >= config.confirmed]
-    new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in found)
+    contradicted = [i for i in sorted(wrong) if landmark_miss(pair, before, i)[0] >= config.confirmed]
+    new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in contradicted)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
 def _distances(problem: Problem) -> tuple[LandmarkDistances, LandmarkDistances]:
-    """Distances of the landmarks on both surfaces."""
+    """Geodesic distances of the landmarks on both surfaces."""
     prepared = problem.prepared
     sides = list(zip(prepared.graphs, problem.landmark_vertices, strict=True))
     target, source = in_threads(lambda side: LandmarkDistances.measure(*side, prepared.elastic.landmarks), sides)
@@ -272,7 +272,7 @@ def _distances(problem: Problem) -> tuple[LandmarkDistances, LandmarkDistances]:
 
 
 def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
-    """A pair that a map was made without, and where that map puts it."""
+    """Suspect for a pair that was left out of a map."""
     at_vertex, near = vertices_at(pair.landmarks.source), pair.source_landmarks
     given = int(np.where(at_vertex < 0, near, at_vertex)[place])
     return LandmarkSuspect(
@@ -281,7 +281,7 @@ def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evid
 
 
 def landmark_miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
-    """How far from its source place a map puts a landmark, of sqrt(area), and the control vertex nearest to there."""
+    """Error of a landmark in a map, of sqrt(area), and its image's nearest control vertex."""
     only = pair.landmarks.only([landmark])
     place = only.target.interpolate(point_map.images.positions)
     control = pair.source.finest_triangles.positions[: pair.source.control.n_vertices]
@@ -289,16 +289,16 @@ def landmark_miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float
 
 
 def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
-    """Energy of the landmarks' places at a map that holds them, and these places."""
+    """Reduced energy of the landmarks at a map that meets them, and their positions."""
     graph = problem.prepared.rest.graph
-    found = point_map.images.at(problem.prepared.vertices)
+    images = point_map.images.at(problem.prepared.vertices)
     config = problem.prepared.elastic.landmarks
-    energy = reduced_energy(graph, found.positions, found.normals, problem.landmark_vertices[0], config)
+    energy = reduced_energy(graph, images.positions, images.normals, problem.landmark_vertices[0], config)
     return energy, problem.pair.landmarks.source.positions
 
 
 def orientation_notes(problem: Problem) -> tuple[str, ...]:
-    """A note if the landmarks as a whole are mirrored, which neither distances nor strain of single ones tell."""
+    """A note if the landmarks as a whole are mirrored; distances and strain cannot show this."""
     config = problem.prepared.elastic.landmarks
     return () if orientation_agreement(*_marks(problem), config) > config.mirrored else (MIRRORED_NOTE,)
 

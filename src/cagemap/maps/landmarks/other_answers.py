@@ -1,4 +1,4 @@
-"""Other answers that landmarks leave open: a limb turned about its axis, left and right exchanged."""
+"""Other answers that landmarks do not exclude: a limb turned about its axis, left and right exchanged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 
 def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
-    """Two answers with the same landmarks, and the vertex where they differ most; None where only the first is good."""
+    """Two answers that differ in a turned limb, and the vertex of largest difference; else None."""
     best = ends[0]
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
@@ -39,9 +39,10 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
 def mirrored_answers(
     problem: Problem, given: Placement, check: LandmarkCheck, progress: Progress = no_progress
 ) -> tuple[Confidence | None, LandmarkCheck]:
-    """Two answers for landmarks that seem mirrored: as given, and with those exchanged that shapes alone suggest.
+    """Two answers for landmarks that seem mirrored: as given, and exchanged as the shapes suggest.
 
-    None where shapes put too few landmarks near others, or landmarks cost nothing: the check loses its note then.
+    None if the shapes suggest too few exchanges, or if the landmarks cost hardly more than the shapes alone. In the
+    second case the note is removed from the check.
     """
     prepared, pair = problem.prepared, problem.pair
     best = find_answers(problem.without(range(len(pair.landmarks))), progress)[0]
@@ -59,11 +60,11 @@ def mirrored_answers(
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
-    """(q, 2) landmarks i, j such that the image of i's target point is near j's source point, one to one."""
+    """(q, 2) landmarks i, j with the image of i near the source point of j, one-to-one."""
     near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
     images, wanted = images[near], landmarks.source.positions
-    distance, there = cKDTree(wanted).query(images)
+    distance, nearest = cKDTree(wanted).query(images)
     back = np.asarray(cKDTree(images).query(wanted)[1])
-    there = np.asarray(there)
-    rows = np.flatnonzero((distance < within) & (back[there] == np.arange(len(there))))
-    return np.column_stack([rows, there[rows]]).astype(np.int64)
+    nearest = np.asarray(nearest)
+    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(nearest))))
+    return np.column_stack([rows, nearest[rows]]).astype(np.int64)

@@ -1,12 +1,12 @@
-"""Landmark outliers, found before any map exists: by distances to the others, and by the sense in which these lie.
+"""Find landmark outliers before any map exists: by geodesic distances and by orientation.
 
-Bodies change size from limb to limb, but a landmark on the wrong limb is out of proportion to most of the others. On
-both surfaces geodesic distances between landmarks are measured on a coarse graph; every landmark is then placed on the
-source by its distances to the others alone (robust multilateration), and the pair whose given place fits much worse
-than that one is set aside, one after the other.
+Bodies change size from limb to limb, but a landmark on the wrong limb is out of proportion to most of the others.
+Geodesic distances between landmarks are measured on a coarse graph of each surface. Every landmark is then placed on
+the source by its distances to the others alone (robust multilateration). Pairs whose given place fits much worse are
+outliers, found one after the other.
 
-Distances hardly tell the left fore foot from the right one, which is as far from everything in the middle. The sense in
-which landmarks lie around each other does: for all of them, and for two that were exchanged.
+Distances hardly distinguish the left fore foot from the right one. The orientation of landmarks around each other does:
+for all of them, and for two that were exchanged.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import normalize_rows
 
-# Terms of sums over triples of landmarks that are held at a time.
+# Largest number of terms in memory, of sums over triples of landmarks.
 MOST_TERMS = 4_000_000
 
 
@@ -30,14 +30,14 @@ class LandmarkDistances:
     """Geodesic distances from p landmarks on one surface."""
 
     to_nodes: FloatArray  # (p, m) to every vertex of the coarse graph; the landmarks are its first p vertices
-    vertices: IndexArray  # (m,) mesh vertices of those
-    config: LandmarkConfig = LandmarkConfig()  # by which they are judged
+    vertices: IndexArray  # (m,) mesh vertices of the graph's vertices
+    config: LandmarkConfig = LandmarkConfig()  # thresholds of the tests
 
     @classmethod
     def measure(
         cls, graph: ElasticGraph, landmarks: IndexArray, config: LandmarkConfig = LandmarkConfig()
     ) -> LandmarkDistances:
-        """Shortest paths from landmarks (p,) on a graph coarser than that of a mesh at unit area, which keeps them."""
+        """Measure shortest paths from landmarks (p,), on a coarser graph that keeps the landmarks."""
         coarse, vertices = cluster_graph(graph, config.distance_vertices, landmarks)
         return cls(coarse.distances(np.arange(len(landmarks))), vertices, config)
 
@@ -47,7 +47,7 @@ class LandmarkDistances:
         return self.to_nodes[:, : len(self.to_nodes)]
 
     def is_tip(self, landmark: int, others: IndexArray) -> bool:
-        """Whether it lies at the end of something: nothing near it is farther from some other landmarks."""
+        """Whether a landmark is at a tip: no vertex near it is farther from the others."""
         away = self.to_nodes[others].mean(axis=0)
         near = self.to_nodes[landmark] < self.config.tip_reach
         return bool(away[near].max() <= away[landmark] + self.config.tip_slack)
@@ -56,30 +56,30 @@ class LandmarkDistances:
 def place_by_distances(
     target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
 ) -> tuple[FloatArray, IndexArray, FloatArray]:
-    """Place every trusted landmark on the source by its distances to the other trusted ones.
+    """Place every trusted landmark on the source by its distances to the other trusted landmarks.
 
     The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, m)``, weights
     w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the `short` and
-    `max_misfit` of `LandmarkConfig`. Near landmarks count most, and a cap keeps a second wrong pair from deciding.
+    `max_misfit` of `LandmarkConfig`. Near landmarks count most. The cap m limits the influence of a second wrong pair.
 
     Returns
     -------
     gain : (p,) float64
-        Misfit of the given source vertex less the least one that any has; 0 of pairs that are not trusted.
+        Misfit of the given source vertex minus the least misfit of any vertex; 0 for pairs that are not trusted.
     node : (p,) int64
-        The vertex that has it, of the source graph.
+        Vertex of the source graph with the least misfit.
     distance : (p,) float64
-        From the given vertex to it along the surface.
+        Geodesic distance from the given vertex to that vertex.
     """
     p, short = len(target.to_nodes), target.config.short
     near = target.between + short
-    wanted, found = np.log(near), np.log(source.to_nodes + short)
-    shift = float(np.median((wanted - found[:, :p])[_pairs(trusted)]))
+    wanted, logs = np.log(near), np.log(source.to_nodes + short)
+    shift = float(np.median((wanted - logs[:, :p])[_pairs(trusted)]))
     gain, distance, node = np.zeros(p), np.zeros(p), np.arange(p)
     for i in trusted:
-        others = trusted[trusted != i]
-        weights = 1.0 / near[i, others]
-        ratios = np.abs(wanted[i, others, None] - shift - found[others])
+        remaining = trusted[trusted != i]
+        weights = 1.0 / near[i, remaining]
+        ratios = np.abs(wanted[i, remaining, None] - shift - logs[remaining])
         misfits = (weights / weights.sum()) @ np.minimum(ratios, target.config.max_misfit)
         node[i] = np.argmin(misfits)
         gain[i], distance[i] = misfits[i] - misfits[node[i]], source.to_nodes[i, node[i]]
@@ -87,16 +87,16 @@ def place_by_distances(
 
 
 def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> float:
-    """Median |log ratio| of the distances of all trusted pairs, the common scale taken out."""
+    """Median |log ratio| of the distances of all trusted pairs, after removing the common scale."""
     p, short = len(target.to_nodes), target.config.short
     ratios = (np.log(target.between + short) - np.log(source.to_nodes[:, :p] + short))[_pairs(trusted)]
     return float(np.median(np.abs(ratios - np.median(ratios))))
 
 
 def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> IndexArray:
-    """Pairs out of proportion to the others: two that were exchanged, then single ones, worst first.
+    """Pairs out of proportion to the others: exchanged pairs first, then single ones, worst first.
 
-    What is found is set aside and the others are judged again, while `fewest_judged` are left.
+    Outliers are removed and the others are judged again, while `fewest_judged` are left.
     """
     trusted, config = np.arange(len(target.to_nodes)), target.config
     wrong: list[int] = []
@@ -119,21 +119,21 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
 def worst_placed_pairs(
     target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int
 ) -> list[int]:
-    """Up to so many trusted pairs whose given place fits much worse than the best one, worst first."""
+    """Up to ``count`` trusted pairs placed much worse than at their best place, worst first."""
     (gain, node, distance), config = place_by_distances(target, source, trusted), target.config
     gain = np.where(distance >= config.min_distance, gain, 0.0)
-    found: list[int] = []
-    while len(found) < count:
+    misplaced: list[int] = []
+    while len(misplaced) < count:
         worst = int(np.argmax(gain))
         if gain[worst] > 0.0 and lies_farther_out(target, source, trusted, worst, int(node[worst]), distance[worst]):
             gain[worst] = 0.0
             continue
-        others = trusted[trusted != worst]
-        if gain[worst] < max(config.min_gain, config.gain_of_typical * typical_misfit(target, source, others)):
+        remaining = trusted[trusted != worst]
+        if gain[worst] < max(config.min_gain, config.gain_of_typical * typical_misfit(target, source, remaining)):
             break
-        found.append(worst)
-        gain[worst], trusted = 0.0, others
-    return found
+        misplaced.append(worst)
+        gain[worst], trusted = 0.0, remaining
+    return misplaced
 
 
 def lies_farther_out(
@@ -144,50 +144,50 @@ def lies_farther_out(
     node: int,
     distance: float,
 ) -> bool:
-    """Whether a tip's given place lies farther out on the limb that has the best one, a node at a distance.
+    """Whether a tip's given place is farther out on the limb than the best place ``node``.
 
-    The way to the tip of a long tail leads past the place that a short tail's tip would have on it.
+    The path to the tip of a long tail passes the place that a short tail's tip would have on it.
     """
-    others = trusted[trusted != landmark]
-    through = source.to_nodes[others, node] + distance
-    past = float(np.median(through - source.to_nodes[others, landmark])) < target.config.detour
-    return past and target.is_tip(landmark, others) and source.is_tip(landmark, others)
+    remaining = trusted[trusted != landmark]
+    through = source.to_nodes[remaining, node] + distance
+    past = float(np.median(through - source.to_nodes[remaining, landmark])) < target.config.detour
+    return past and target.is_tip(landmark, remaining) and source.is_tip(landmark, remaining)
 
 
 def best_exchanges(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
-    """Up to so many twos of trusted pairs, one after the other, that fit much better with source vertices exchanged."""
+    """Up to ``count`` couples of trusted pairs that fit much better with source vertices exchanged, flattened."""
     gain = exchange_gains(target, source, trusted)
     least = max(target.config.min_exchange_gain, typical_misfit(target, source, trusted))
-    found: list[int] = []
-    while len(found) < 2 * count:
+    exchanged: list[int] = []
+    while len(exchanged) < 2 * count:
         both = np.array(np.unravel_index(np.argmax(gain), gain.shape))
         if gain[tuple(both)] < least:
             break
-        found.extend(trusted[both].tolist())
+        exchanged.extend(trusted[both].tolist())
         gain[both], gain[:, both] = -np.inf, -np.inf
-    return found
+    return exchanged
 
 
 def exchange_gains(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> FloatArray:
-    """(q, q) what any two of q trusted pairs gain by exchanging their source vertices; -inf on the diagonal.
+    """(q, q) gain of any two of q trusted pairs by exchanging source vertices; -inf on the diagonal.
 
-    The misfit of both (see `place_by_distances`, neither asked about the other) minus the misfit of both exchanged.
+    Gain: misfit of both (`place_by_distances`, without the distance to each other) minus that of both exchanged.
     """
     square = np.ix_(trusted, trusted)
     short, most = target.config.short, target.config.max_misfit
     near = target.between[square] + short
-    wanted, found = np.log(near), np.log(source.between[square] + short)
+    wanted, given = np.log(near), np.log(source.between[square] + short)
     different = ~np.eye(len(trusted), dtype=bool)
-    wanted = wanted - float(np.median((wanted - found)[different]))
+    wanted = wanted - float(np.median((wanted - given)[different]))
     weights = np.where(different, 1.0 / near, 0.0)
-    # Landmark i at the vertex of j: asked about all others, about j itself, and about the own vertex.
-    total = _misfits(wanted, found, weights, most)
-    at_own = weights * np.minimum(np.abs(wanted - found), most)
-    at_other = weights * np.minimum(np.abs(wanted - found.diagonal()), most)
+    # Misfits of landmark i at the vertex of j: to all landmarks, less those to j and to i itself.
+    total = _misfits(wanted, given, weights, most)
+    at_own = weights * np.minimum(np.abs(wanted - given), most)
+    at_other = weights * np.minimum(np.abs(wanted - given.diagonal()), most)
     rest = weights.sum(axis=1)[:, None] - weights
-    own = (total.diagonal()[:, None] - at_own) / rest
-    other = (total - at_other) / rest
-    return np.asarray(np.where(different, own + own.T - other - other.T, -np.inf))
+    as_given = (total.diagonal()[:, None] - at_own) / rest
+    exchanged = (total - at_other) / rest
+    return np.asarray(np.where(different, as_given + as_given.T - exchanged - exchanged.T, -np.inf))
 
 
 def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray, most: float) -> FloatArray:
@@ -212,10 +212,10 @@ Marks = tuple[FloatArray, FloatArray]
 
 
 def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()) -> float:
-    """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored, 0 not known.
+    """Agreement of the landmarks' orientation on both surfaces: 1 the same, -1 mirrored, 0 unknown.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
-    and k. Triples vote once more, those the less whose distances in space differ, as where arms are crossed; the larger
+    and k. In a second vote, triples whose distances in space differ count less, as where arms are crossed. The larger
     result counts.
     """
     p, changed = len(target[0]), _changed_squared(target[0], source[0], config.short)
@@ -232,7 +232,7 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
 def exchanged_sides(
     distances: tuple[LandmarkDistances, LandmarkDistances], target: Marks, source: Marks
 ) -> tuple[int, int] | None:
-    """The two pairs around which orientations agree well with source points exchanged, and do not as given; if any."""
+    """The two pairs whose orientations agree only with source points exchanged; None if there are none."""
     p, config = len(target[0]), distances[0].config
     apart = np.minimum(*(side.between for side in distances)) > config.side_apart
     gains = np.triu(np.where(apart, exchange_gains(*distances, np.arange(p)) - config.side_min_gain, 0.0), 1).ravel()
@@ -249,7 +249,10 @@ def exchanged_sides(
 
 
 def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray, flat: float) -> float:
-    """`orientation_agreement` of triples with one of two landmarks, by nearness (p, p): bodies bend far off."""
+    """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p).
+
+    Far landmarks count little: bodies bend between them.
+    """
     agreed = counted = asked = 0.0
     for i in places:
         for turns, weights in ((_turns, near[i, :, None] * near[i]), (_turns_to, near[:, i, None] * near)):
@@ -261,9 +264,9 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
 
 
 def _changed_squared(positions: FloatArray, others: FloatArray, short: float) -> FloatArray:
-    """(p, p) squared log ratios of distances in space, the common scale taken out.
+    """(p, p) squared log ratios of distances in space, after removing the common scale.
 
-    Their median counts the diagonal's zeros: surfaces of unit area have one scale (docs/lab/accuracy.md).
+    The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/accuracy.md).
     """
     apart = (np.linalg.norm(places[:, None] - places, axis=2) + short for places in (positions, others))
     ratios = np.log(np.divide(*apart))
@@ -283,7 +286,7 @@ def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
 
 
 def _exchange_places(marks: Marks, places: tuple[int, int]) -> Marks:
-    """Marks with those at two places exchanged."""
+    """Marks with those at two indices exchanged."""
     order: IndexArray = np.arange(len(marks[0]))
     order[list(places)] = places[::-1]
     return marks[0][order], marks[1][order]

@@ -1,11 +1,11 @@
-"""Landmark pairs that hold a finished map where it does not want to be: all leave-one-out answers of one factorisation.
+"""Strain of landmark pairs: leave-one-out residuals of all pairs from one factorisation.
 
 At the finished map the elastic fit is, to second order, a quadratic problem in positions x and linear maps A,
 
     alpha E(x, A) + sum_i a_i (n_i . (x_i - y_i))^2,
 
 with n_i the source's normals at the images y_i. Everything but the p landmarks is eliminated, which leaves the energy
-``(l - l_0)^T H (l - l_0)`` of their places l. A landmark that is let go while the others are held moves by
+``(l - l_0)^T H (l - l_0)`` of their positions l. A landmark that is released while the others are held moves by
 ``u_i = -H_ii^-1 (H (l - l_0))_i``: the leave-one-out residual, without fitting p times.
 """
 
@@ -23,31 +23,31 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import kept, row_slices
 
-# Landmarks whose blocks of H are worked out at once.
+# Number of landmarks whose blocks of H are computed at once.
 LANDMARKS_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedEnergy:
-    """``(l - l_0)^T H (l - l_0)`` of the landmarks' places l, all other unknowns f at their best.
+    """``(l - l_0)^T H (l - l_0)`` of the landmarks' positions l, minimised over all other unknowns f.
 
     H is the Schur complement ``K_ll - K_fl^T K_ff^-1 K_fl`` of the whole quadratic problem, of which only products and
-    diagonal blocks are made: with thousands of landmarks it would fill the memory.
+    diagonal blocks are computed: with thousands of landmarks H would fill the memory.
     """
 
     own: sparse.csc_array  # (3 p, 3 p) K_ll; rows are landmarks times coordinates
     coupling: sparse.csc_array  # (m, 3 p) K_fl
     others: Factorization  # of K_ff
-    load: FloatArray  # (3 p,) ``H l_0``, where l_0 are the places that no landmark held would take
+    load: FloatArray  # (3 p,) ``H l_0``, l_0 the positions if no landmark is held
 
     @classmethod
     def of(cls, matrix: sparse.csc_array, right: FloatArray, landmarks: IndexArray) -> ReducedEnergy:
-        """Eliminate all but the unknowns (3 p,) of the landmarks from ``z^T K z - 2 z^T b``, K (n, n) and b (n,)."""
+        """Eliminate all unknowns but the landmarks' (3 p,) from ``z^T K z - 2 z^T b``."""
         rest = np.setdiff1d(np.arange(len(right)), landmarks)
-        own, columns = matrix[:, landmarks], matrix[:, rest]
-        coupling, others = sparse.csc_array(own[rest]), factor(sparse.csc_array(columns[rest]))
-        load = right[landmarks] - coupling.T @ others.solve(right[rest])
-        return cls(sparse.csc_array(own[landmarks]), coupling, others, np.asarray(load))
+        landmark_columns, columns = matrix[:, landmarks], matrix[:, rest]
+        coupling, factors = sparse.csc_array(landmark_columns[rest]), factor(sparse.csc_array(columns[rest]))
+        load = right[landmarks] - coupling.T @ factors.solve(right[rest])
+        return cls(sparse.csc_array(landmark_columns[landmarks]), coupling, factors, np.asarray(load))
 
     def times(self, values: FloatArray) -> FloatArray:
         """H x for x (3 p,) or (3 p, q)."""
@@ -61,23 +61,25 @@ class ReducedEnergy:
         for part in row_slices(count, LANDMARKS_AT_ONCE):
             rows = slice(3 * part.start, 3 * part.stop)
             coupling = self.coupling[:, rows]
-            found = self.own[rows, rows].toarray() - coupling.T @ self.others.solve(coupling.toarray())
+            reduced = self.own[rows, rows].toarray() - coupling.T @ self.others.solve(coupling.toarray())
             some = np.arange(part.stop - part.start)
-            blocks[part] = np.asarray(found).reshape(len(some), 3, len(some), 3)[some, :, some]
+            blocks[part] = np.asarray(reduced).reshape(len(some), 3, len(some), 3)[some, :, some]
         return blocks
 
     def released(self, places: FloatArray, held: IndexArray) -> FloatArray:
-        """(p, 3) displacements u_i of every held landmark (q,) let go alone; zero for those not held: they are free."""
+        """(p, 3) displacement u_i of every held landmark (q,) released alone; 0 for free landmarks."""
         force, blocks = self.times(places.ravel()) - self.load, self.blocks
         free = np.setdiff1d(np.arange(len(places)), held)
-        if len(free):  # eliminated as well
-            gone = _rows(free)
-            chosen = np.zeros((len(force), len(gone)))
-            chosen[gone, np.arange(len(gone))] = 1.0
+        if len(free):  # eliminate the free landmarks too
+            free_rows = _rows(free)
+            chosen = np.zeros((len(force), len(free_rows)))
+            chosen[free_rows, np.arange(len(free_rows))] = 1.0
             columns = self.times(chosen)
-            weights = np.linalg.solve(columns[gone], columns.T)
-            force = force - force[gone] @ weights
-            blocks = blocks - np.einsum("gik,gij->ikj", *(m.reshape(len(gone), -1, 3) for m in (columns.T, weights)))
+            weights = np.linalg.solve(columns[free_rows], columns.T)
+            force = force - force[free_rows] @ weights
+            blocks = blocks - np.einsum(
+                "gik,gij->ikj", *(m.reshape(len(free_rows), -1, 3) for m in (columns.T, weights))
+            )
         moved = np.zeros_like(places)
         moved[held] = -np.linalg.solve(blocks[held], force.reshape(-1, 3, 1)[held])[:, :, 0]
         return moved
@@ -90,7 +92,7 @@ def reduced_energy(
     landmarks: IndexArray,
     config: LandmarkConfig = LandmarkConfig(),
 ) -> ReducedEnergy:
-    """Eliminate all but the landmarks (p,) from the problem at images (n, 3) with the source's normals (n, 3) there."""
+    """Reduced energy of landmarks (p,) at images (n, 3) with the source's normals (n, 3) there."""
     coarse, vertices = cluster_graph(graph, config.strain_vertices, landmarks)
     plane = normals[vertices]
     blocks = coarse.areas[:, None, None] * plane[:, :, None] * plane[:, None, :]
@@ -108,17 +110,18 @@ def reduced_energy(
 
 
 def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkConfig = LandmarkConfig()) -> int | None:
-    """The landmark that would move far if let go, and alone so; None where there is none, or too few are judged.
+    """Index of the one landmark that would move far if released; None if there is none.
 
-    The others are asked again with it let go, because a wrong landmark pulls at its neighbours.
+    None as well if too few landmarks are held. The others are measured again without it, because a wrong landmark
+    strains its neighbours.
     """
     held = np.arange(len(places))
     if len(held) < config.fewest_strained:
         return None
     moved = np.linalg.norm(energy.released(places, held), axis=1)
     worst = int(np.argmax(moved))
-    others = np.linalg.norm(energy.released(places, held[held != worst]), axis=1)
-    return worst if moved[worst] >= max(config.strained, config.strained_of_next * float(others.max())) else None
+    moved_next = np.linalg.norm(energy.released(places, held[held != worst]), axis=1)
+    return worst if moved[worst] >= max(config.strained, config.strained_of_next * float(moved_next.max())) else None
 
 
 def _rows(landmarks: IndexArray) -> IndexArray:
@@ -127,5 +130,5 @@ def _rows(landmarks: IndexArray) -> IndexArray:
 
 
 def _spread(rows: IndexArray) -> IndexArray:
-    """Row 3 i + c of positions alone to row 12 i + c of positions and maps."""
+    """Convert rows 3 i + c of positions to rows 12 i + c of positions and maps."""
     return np.asarray(12 * (rows // 3) + rows % 3)

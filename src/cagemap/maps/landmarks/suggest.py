@@ -1,4 +1,4 @@
-"""Where one more landmark tells most: where answers differ, where the map is doubtful, far from the landmarks there."""
+"""Suggest landmarks: where answers differ, where the map is doubtful, far from other landmarks."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# A landmark is taken to decide as far as this around it, of sqrt(area).
+# Radius within which a landmark is taken to decide between answers, of sqrt(area).
 REACH = 0.2
-# What being far from all landmarks counts beside being doubtful.
+# Weight of the distance from all landmarks, added to the doubt.
 DISTANCE_SHARE = 0.5
 
 
 def suggested_vertices(
     places: FloatArray, images: FloatArray, others: FloatArray, trust: FloatArray, known: IndexArray, count: int
 ) -> IndexArray:
-    """Control vertices of the target at which landmarks would tell most, the most telling first.
+    """Control vertices of the target for further landmarks, most useful first.
 
-    A vertex counts by how far other answers put it, as far as no landmark is near, and by its distance to the nearest
-    landmark times its doubt. Each suggestion counts as a landmark for the next. At unit area: places and images
-    (n_0, 3) of the control vertices on target and source, and images (r, n_0, 3) by other answers, or the way back.
+    The score of a vertex is the distance of its image in other answers, less near landmarks, plus its distance to the
+    nearest landmark times its doubt. Each suggestion counts as a landmark for the next. At unit area: places and images
+    (n_0, 3) of the control vertices on target and source, and images (r, n_0, 3) by other answers or by the reverse
+    map.
 
     Raises
     ------
     ParameterError
-        If there are not so many vertices beside the known ones (p,).
+        If there are fewer control vertices without a landmark than ``count``; those with one are ``known`` (p,).
     """
     if not 1 <= count <= len(places) - len(known):
         raise ParameterError(f"count: expected 1 to {len(places) - len(known)} further landmarks, got {count}")
@@ -48,12 +49,12 @@ def suggested_vertices(
 
 
 def free_partners(places: FloatArray, wanted: FloatArray, taken: IndexArray) -> IndexArray:
-    """(c,) different control vertices of the source nearest to places (c, 3), none of them taken."""
+    """(c,) distinct control vertices of the source nearest to places (c, 3), none of them taken."""
     tree, used = cKDTree(places), set(taken.tolist())
-    found = []
+    partners = []
     for place in wanted:
         _, order = tree.query(place, k=min(len(places), len(used) + 1))
         free = next(int(vertex) for vertex in np.atleast_1d(order) if int(vertex) not in used)
         used.add(free)
-        found.append(free)
-    return np.array(found, dtype=np.int64)
+        partners.append(free)
+    return np.array(partners, dtype=np.int64)

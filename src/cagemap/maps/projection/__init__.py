@@ -1,1 +1,1 @@
-"""From fitted positions to points of the source: projected, unfolded, laid out."""
+"""Turn fitted positions into points of the source: project them and remove folds."""

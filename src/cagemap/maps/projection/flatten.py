@@ -1,10 +1,11 @@
-"""Flatten whole parts that a map folds: target and source around them become discs, matched one-to-one.
+"""Remove large folds of a map: match the discs around them one-to-one in a plane.
 
-A part that the source lacks or has much smaller (a fin, a tail) collapses onto it with one side upside down; relaxation
-does not remove such folds. But the part of the target whose image lies in a ball around the fold is a disc, and so is
-the source in that ball. The source's disc is flattened with its rim on a circle. In this plane every vertex of the
-target's disc becomes a convex combination of its neighbours while its rim stays, which is one-to-one (Tutte 1963;
-Floater 2003). Around vertices that are not folded the weights are mean value coordinates, so that the map stays there.
+A part that the source lacks or has much smaller (a fin, a tail) collapses onto it with one side flipped. Relaxation
+does not remove such folds. Take a ball around the fold: the part of the target with its image in the ball is a disc,
+and so is the source in the ball. The source's disc is flattened with its rim on a circle. In this plane every vertex of
+the target's disc becomes a convex combination of its neighbours while its rim is fixed; this is one-to-one (Tutte 1963;
+Floater 2003). Around vertices that are not folded the weights are mean value coordinates, which leave the map unchanged
+there.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Disc:
 
     vertices: IndexArray  # (n,) of the surface
     chosen: IndexArray  # (t,) triangles of the surface
-    triangles: IndexArray  # (t, 3) the same, numbered within the piece
+    triangles: IndexArray  # (t, 3) vertices of these triangles, numbered within the piece
     rim: IndexArray  # (r,) vertices on its border in counter-clockwise order, numbered within the piece
 
     @property
@@ -58,16 +59,17 @@ def flatten_folded_parts(
     held: IndexArray,
     config: ProjectionConfig = ProjectionConfig(),
 ) -> SurfacePoints:
-    """Unfold the parts with the largest folds, each within a disc, where that removes at least half of the fold.
+    """Unfold the parts with the largest folds, each within a disc.
 
-    A result that displaces much more area than is folded is discarded. Held vertices (p,) stay (landmarks).
+    A result is kept if it removes at least ``min_unfolded`` of the fold and displaces not much more area than is
+    folded. Held vertices (p,) keep their images (landmarks).
     """
     for part in folded_parts(target, flipped, config):
         for growth in config.growths:
-            found = _flatten_part(images, part, growth, target, held, config)
-            if found is None:
+            flattened = _flatten_part(images, part, growth, target, held, config)
+            if flattened is None:
                 continue
-            chosen, new = found
+            chosen, new = flattened
             still = flipped_triangles(new, target.triangles[chosen])
             areas = target.areas[chosen]
             folded = areas @ flipped[chosen]
@@ -83,7 +85,7 @@ def flatten_folded_parts(
 def folded_parts(
     target: TriangleSurface, flipped: BoolArray, config: ProjectionConfig = ProjectionConfig()
 ) -> list[IndexArray]:
-    """Vertices of flipped triangles (t,), by part, the largest first; none if more than ``max_folded`` is folded."""
+    """Vertices of flipped triangles (t,) by part, largest first; none if more than ``max_folded`` is folded."""
     triangles, areas = target.triangles, target.areas[flipped]
     if not config.min_part <= areas.sum() <= config.max_folded:
         return []
@@ -105,7 +107,7 @@ def _flatten_part(
     held: IndexArray,
     config: ProjectionConfig,
 ) -> tuple[IndexArray, SurfacePoints] | None:
-    """The target triangles of the disc around a part, and new images; None where either surface has no disc there."""
+    """Target triangles of the disc around a part, and new images; None without a disc."""
     centre = images.positions[part].mean(axis=0)
     away = row_lengths(images.positions - centre)
     radius = growth * away[part].max()
@@ -144,7 +146,7 @@ def _flatten_part(
 
 
 def flat_disc(disc: Disc) -> FloatArray:
-    """(n, 2) places of a disc in the unit circle: its rim evenly on it, others at the mean of their neighbours."""
+    """(n, 2) positions of a disc in the unit circle: rim evenly spaced, others at their neighbours' mean."""
     angles = 2.0 * np.pi * np.arange(len(disc.rim)) / len(disc.rim)
     plane = np.zeros((len(disc.vertices), 2))
     plane[disc.rim] = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -152,9 +154,9 @@ def flat_disc(disc: Disc) -> FloatArray:
 
 
 def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
-    """(v, n) convex combinations of their neighbours for the v vertices inside a flat disc, perhaps folded.
+    """(v, n) weights of the neighbours of the v inner vertices of a flat disc, perhaps folded.
 
-    Mean value coordinates (Floater 2003) where the disc is not folded around a vertex and from there to the rim.
+    Mean value coordinates (Floater 2003) in the unfolded part that is connected with the rim, equal weights elsewhere.
     """
     triangles, inside = disc.triangles, disc.inside
     n = len(places)
@@ -170,7 +172,7 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
             weights += [np.tan(angle / 2) / row_lengths(to_second), np.tan(angle / 2) / row_lengths(to_third)]
         rows += [first, first]
         columns += [second, third]
-    # All angles may be positive and still go around twice.
+    # All angles can be positive although the triangles go around the vertex twice.
     upright &= np.abs(whole - 2.0 * np.pi) < 1e-3
     upright |= ~inside
     patch = label_patches(triangles, upright)
@@ -180,7 +182,7 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
 
 
 def combine_points(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
-    """(n, 2) places where every vertex inside is the combination (v, n) of all, and the others stay; or SolverError."""
+    """(n, 2) positions with every inner vertex at its combination (v, n), the rim fixed; or SolverError."""
     if not inside.any():  # a disc so small that all its vertices are on the rim
         return places
     held = np.where(inside[:, None], 0.0, places)
@@ -193,9 +195,10 @@ def combine_points(weights: sparse.csr_array, places: FloatArray, inside: BoolAr
 def move_points(
     places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: FloatArray, steps: int
 ) -> FloatArray | None:
-    """Places (n, 2) after some of them moved to their goals, the others with them, one-to-one; the rim stays.
+    """(n, 2) positions with chosen points moved to their goals, one-to-one; the rim is fixed.
 
-    In each step a triangulation of rim and chosen points moves as far as none flips. None if goals are not reached.
+    Each step moves a triangulation of rim and chosen points as far as no triangle flips, and interpolates the others.
+    None if goals are not reached.
     """
     corners = np.concatenate([rim, chosen])
     wanted = np.concatenate([places[rim], goals])
@@ -233,16 +236,16 @@ def _upright(mesh: Delaunay, ends: FloatArray) -> bool:
 
 
 def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Triangles (m,) of a flat mesh that hold points (m, 2), and barycentric coordinates (m, 3) in them."""
+    """Triangles (m,) of a flat mesh that contain points (m, 2), and barycentric coordinates (m, 3) in them."""
     flat, queries = (np.column_stack([p, np.zeros(len(p))]) for p in (plane, points))
-    found = SurfacePoints.nearest(TriangleSurface(flat, triangles), queries)
-    return found.triangle, found.barycentric
+    nearest = SurfacePoints.nearest(TriangleSurface(flat, triangles), queries)
+    return nearest.triangle, nearest.barycentric
 
 
 def _disc_in(
     ball: BoolArray, triangles: IndexArray, seeds: IndexArray, max_share: float, *, whole: bool = False
 ) -> Disc | None:
-    """The disc of triangles with one corner, or all, in that part of a ball that is connected with the seeds."""
+    """Disc of the triangles with one corner (or all) in a ball, connected with the seeds."""
     patch = label_patches(triangles, ball)
     inside = ball & np.isin(patch, patch[seeds])
 
@@ -254,7 +257,7 @@ def _disc_in(
 
 
 def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:
-    """Some triangles as a disc; None if they are not one, or have too many vertices."""
+    """Disc of the chosen triangles; None if they are no disc or have too many vertices."""
     vertices, corners = np.unique(triangles[chosen], return_inverse=True)
     corners = corners.reshape(-1, 3)
     n = len(vertices)
@@ -270,7 +273,7 @@ def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Dis
 
 
 def _fill_holes(triangles: IndexArray, inside: BoolArray) -> BoolArray:
-    """Vertices inside and those that they surround: all that is not connected with most of the others."""
+    """Vertices inside, and the holes among them: all but the largest component outside."""
     if inside.all():
         return inside
     patch = label_patches(triangles, ~inside)
@@ -278,5 +281,5 @@ def _fill_holes(triangles: IndexArray, inside: BoolArray) -> BoolArray:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(t,) of vectors (t, 2)."""
+    """(t,) cross products of vectors (t, 2)."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -1,4 +1,4 @@
-"""From fitted points of one level to the map of the finest ones: they become a subdivision surface, projected once."""
+"""Project fitted points of one level onto the source: the point map of the finest levels."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from cagemap.surface.triangles import vertex_normals
 
 @kinds_checked
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
-    """Closest points of the source, in position and normal, of the subdivision surface through fitted points.
+    """Point map of the finest levels: closest points to the subdivision surface through fitted points.
 
     Parameters
     ----------
     prepared : PreparedPair
     fitted : (n, 3) float64
-        Places near the source, of area 1, of the target's vertices of the level that is deformed.
+        Positions near the source (of area 1) of the vertices of the target's deformed level.
     landmarks : PointPairs
         Met exactly, see `snap_landmarks`.
 
@@ -40,7 +40,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     Raises
     ------
     ParameterError
-        If the places are not those of that level's vertices.
+        If there is not one finite position for each vertex of that level.
     """
     count = prepared.mesh.n
     fitted = real_numbers(fitted, "fitted")
@@ -50,17 +50,18 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     positions = carried_to_finest(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
     config = prepared.elastic
-    found = facing_points(
+    images = facing_points(
         prepared.source.finest_triangles, positions, normals, config.projection_normal_weights, config.projection
     )
-    return PointMap(target, snap_landmarks(found, landmarks, config.projection))
+    return PointMap(target, snap_landmarks(images, landmarks, config.projection))
 
 
 def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: ProjectionConfig) -> SurfacePoints:
-    """Images of all target vertices, changed so that landmarks are met.
+    """Change images of target vertices so that landmarks are met exactly.
 
-    A landmark at a vertex replaces its image. Around another the corners of its triangle move by its error and are
-    projected again, until it is met; normals, weighted less in each step, keep them on their side of a thin part.
+    A landmark at a vertex replaces the vertex's image. For a landmark between vertices, the corners of its triangle
+    move by its error and are projected again, until the error is small. Normals, weighted less in each step, keep the
+    corners on their side of a thin part.
     """
     vertices = vertices_at(landmarks.target)
     at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
@@ -75,7 +76,7 @@ def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: Project
         missed = aims.positions - SurfacePoints.nearest(images.surface, means, guess=aims.triangle).positions
         if np.linalg.norm(missed, axis=1).max() < config.landmark_tolerance:
             break
-        # Every corner moves as the mean, by weight, of the landmarks in its triangles.
+        # Every corner moves by the weighted mean error of the landmarks in its triangles.
         moved = (gather @ missed) / np.maximum(np.asarray(gather.sum(axis=1)).reshape(-1, 1), 1e-12)
         at = images.at(free)
         weight = config.landmark_normal_weight / 4.0**step
@@ -87,19 +88,19 @@ def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: Project
 
 
 def held_vertices(landmarks: PointPairs) -> IndexArray:
-    """Target vertices whose images landmarks decide: their own, and the corners of triangles that they lie in."""
+    """Target vertices whose images landmarks fix: at landmarks, or in triangles that contain one."""
     vertices = vertices_at(landmarks.target)
     return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
 
 
 def map_of_places(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
-    """Point map T12 of the finest levels: fitted places (n, 3) projected, then unfolded with the landmarks held."""
+    """Point map T12 of the finest levels: project fitted positions (n, 3), then remove folds."""
     return unfold(project(prepared, fitted, landmarks), held_vertices(landmarks), prepared.elastic)
 
 
 @kinds_checked
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
-    """Remove most folds of a map: small ones are relaxed, parts that fold as a whole are flattened.
+    """Remove most folds of a map: relax small ones, flatten large ones.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     Raises
     ------
     ParameterError
-        If a held vertex is none of the target's.
+        If a held vertex is not a vertex of the target.
     """
     held = whole_numbers(held, "held")
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
@@ -124,9 +125,9 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
 
 
 def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
-    """(n_f, 3) places of the target's finest vertices where those of the level that is deformed are fitted.
+    """(n_f, 3) positions of the target's finest vertices, from fitted positions of its deformed level.
 
-    A subdivision surface passes through the fitted points. A plain mesh carries its details by the deformation's
+    A subdivision surface passes through the fitted points. Details of a plain mesh follow the deformation's
     differentials, blended by the rows of S^{f,l}: ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``.
     """
     refinement, level = prepared.target.hierarchy, prepared.levels[0]
@@ -150,7 +151,7 @@ def refined_positions(refinement: Refinement, level: int, points: FloatArray) ->
 def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 12) -> FloatArray:
     """Control points whose refined vertices pass through given points: ``E c = y`` by Richardson steps.
 
-    The spectrum of ``E`` (n, n), rows of S^{f,l}, lies in (0, 1]: what a few steps leave is of high frequency.
+    The spectrum of ``E`` (n, n), rows of S^{f,l}, is in (0, 1]: the residual of a few steps is of high frequency.
     """
     control = points
     for _ in range(steps):
@@ -165,14 +166,14 @@ def facing_points(
     weights: tuple[float, float],
     config: ProjectionConfig = ProjectionConfig(),
 ) -> SurfacePoints:
-    """Closest points of a surface; where normals disagree, those of a second search with more weight on normals.
+    """Closest points of a surface; searched again with more weight on normals where normals disagree.
 
     Weights are small: a normal that differs from the source's moves the closest point sideways.
     """
-    found = SurfacePoints.nearest(surface, points, normals, normal_weight=weights[0])
-    away = np.flatnonzero(np.einsum("md,md->m", found.normals, normals) < config.min_cosine)
+    near = SurfacePoints.nearest(surface, points, normals, normal_weight=weights[0])
+    away = np.flatnonzero(np.einsum("md,md->m", near.normals, normals) < config.min_cosine)
     if not len(away):
-        return found
-    guess = found.triangle[away]
+        return near
+    guess = near.triangle[away]
     again = SurfacePoints.nearest(surface, points[away], normals[away], normal_weight=weights[1], guess=guess)
-    return found.replaced(away, again)
+    return near.replaced(away, again)

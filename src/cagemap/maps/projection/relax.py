@@ -1,8 +1,7 @@
-"""Remove the folds of a map: flipped triangles are relaxed together with their neighbourhood and projected again.
+"""Remove small folds of a map: relax flipped triangles with their neighbourhood and project again.
 
-Inside a patch around the flips the image points move to the means of their neighbours while the rest of the map holds
-the patch's boundary: a discrete harmonic map, which is one-to-one where the patch's image is close to flat and convex
-(Tutte 1963).
+Inside a patch around the flips the image points move to the means of their neighbours; the patch's boundary is fixed.
+This is a discrete harmonic map, one-to-one where the patch's image is close to flat and convex (Tutte 1963).
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ def relax_folds(
     normal_weight: float,
     config: ProjectionConfig = ProjectionConfig(),
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
-    """Reduce the flipped triangles of a map; vertices far from a flip and held ones (p,) keep their image.
+    """Images with fewer flipped triangles, and which target triangles (t1,) are still flipped.
 
-    A connected patch keeps its new image only if fewer of its triangles are flipped. Patches grow in every round, until
-    one removes few flips. Also which target triangles (t1,) still are flipped.
+    Vertices far from a flip and held vertices (p,) keep their images. A connected patch keeps its new images only if
+    fewer of its triangles are flipped. Patches grow in every round, until a round removes few flips.
     """
     flipped = flipped_triangles(images, triangles)
     if not flipped.any():
@@ -43,7 +42,7 @@ def relax_folds(
     inner = flipped_rings(triangles, flipped, config.rings[-1], len(images))
     region = touched_triangles(triangles, inner)
     vertices, local_triangles = _renumbered(triangles[region], len(images))
-    # Folds may spread while they are relaxed. Vertices at the border stay: some of their triangles are not here.
+    # Folds may spread while they are relaxed. Border vertices stay fixed: some of their triangles are outside.
     movable = inner[vertices] & ~np.isin(vertices, held)
     local, folded = images.at(vertices), flipped[region]
     means = neighbour_means(local_triangles, np.ones(len(vertices), dtype=bool))
@@ -86,10 +85,10 @@ def _relaxed(
     normal_weight: float,
     sweeps: int,
 ) -> SurfacePoints:
-    """Points of the surface for some vertices (v,), whose places and normals (n, 6) are averaged in some sweeps."""
-    own, moved = means[vertices], places.copy()
+    """Points of the surface for vertices (v,), whose positions and normals (n, 6) are averaged in sweeps."""
+    rows, moved = means[vertices], places.copy()
     for _ in range(sweeps):
-        averaged = own @ moved
+        averaged = rows @ moved
         averaged[:, 3:] = normalize_rows(averaged[:, 3:])
         moved[vertices] = averaged
     positions, normals = moved[vertices, :3], moved[vertices, 3:]
@@ -97,7 +96,7 @@ def _relaxed(
 
 
 def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
-    """(n,) which vertices are those of flipped triangles and of some rings around them."""
+    """(n,) which vertices are in flipped triangles or in the rings around them."""
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
     for _ in range(rings):
@@ -129,9 +128,9 @@ def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
 
 
 def _improved_patches(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
-    """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
+    """(n,) vertices of the connected patches with fewer flipped triangles than before."""
     patch = label_patches(near, inside)
-    # The inside corners of a triangle are neighbours, so that any of them names its patch.
+    # The inside corners of a triangle are neighbours, so that any of them gives its patch.
     corner = np.argmax(inside[near], axis=1)
     patch_of = patch[near[np.arange(len(near)), corner]]
     gain = np.bincount(patch_of, before.astype(float) - after, minlength=len(inside))
@@ -148,7 +147,7 @@ def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
 
 
 def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:
-    """(v, n) convex combinations for the v vertices inside: weights, summed where they meet, in rows of sum 1."""
+    """(v, n) convex combinations for the v vertices inside: weights, duplicates summed, rows scaled to sum 1."""
     kept = inside[rows]
     number = np.cumsum(inside) - 1
     shape = (int(inside.sum()), len(inside))
