@@ -1,1 +1,1 @@
-"""The elastic fit: the target is deformed onto the source."""
+"""Elastic fit: deform the target onto the source."""

@@ -1,4 +1,4 @@
-"""Constraints of a placement: landmarks that are held at places, and curves that lie on curves."""
+"""Constraints of a placement: landmarks held at positions, and curves held on curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cagemap.surface.surface_points import SurfacePoints
 
 @dataclass(frozen=True, eq=False)
 class Anchors(CagePoints):
-    """Points of the mesh of a level, or vertices of a graph, that are held, or that curves go through."""
+    """Points of a level's mesh, or vertices of a graph, that are held or sample a curve."""
 
     @classmethod
     def on_level(
@@ -37,9 +37,9 @@ class Anchors(CagePoints):
     def hold(
         self, blocks: FloatArray, right: FloatArray, positions: FloatArray, places: FloatArray, weight: float
     ) -> None:
-        """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
+        """Add the term ``weight |sum_k b_k x_k - y|^2`` of every point to a data term (n, 3, 3), (n, 3).
 
-        A vertex has no other term. Between vertices every corner gets the residual with weight b_k, as in
+        At a vertex it replaces the data term. Between vertices every corner gets the residual with weight b_k, as in
         `source_to_target`.
         """
         at_vertex = self.weights[:, 0] == 1.0
@@ -64,23 +64,23 @@ class Anchors(CagePoints):
 
 @dataclass(frozen=True, eq=False)
 class CurveConstraint:
-    """A curve of a graph and its counterpart: it lies on that and slides along it freely."""
+    """A curve of a graph, held on its source curve, along which it may slide."""
 
-    anchors: Anchors  # (m,) points along it
-    rest: Polyline  # their places in the rest shape
+    anchors: Anchors  # (m,) points along the curve
+    rest: Polyline  # their positions in the rest shape
     source: Polyline
 
     def terms(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Term of the curve on its points: B (m, 3, 3) of ``sum_i (x_i - y_i)^T B_i (x_i - y_i)``, and B (y - x).
+        """Term of the curve for its points: B (m, 3, 3) of ``sum_i (x_i - y_i)^T B_i (x_i - y_i)``, and B (y - x).
 
-        Closest points of the two polylines, both ways, as planes across the curve. A source point's residual is given
-        to the two points beside its closest point, as in `source_to_target`. Ends belong to ends.
+        Closest points of the two polylines, both ways; distances are measured across the curve. A source point's
+        residual is given to the two points beside its closest point, as in `source_to_target`. Ends correspond to ends.
         """
-        own = Polyline(self.anchors.of(positions), self.source.closed)
-        closest = self.source.nearest(own.positions)
+        polyline = Polyline(self.anchors.of(positions), self.source.closed)
+        closest = self.source.nearest(polyline.positions)
         blocks = self.rest.shares[:, None, None] * closest.across()
-        moved = np.einsum("mab,mb->ma", blocks, closest.places - own.positions)
-        back = own.nearest(self.source.positions)
+        moved = np.einsum("mab,mb->ma", blocks, closest.places - polyline.positions)
+        back = polyline.nearest(self.source.positions)
         lengths = self.source.shares * (self.rest.length / self.source.length)
         weights = lengths[:, None, None] * back.across()
         residual = np.einsum("mab,mb->ma", weights, self.source.positions - back.places)
@@ -90,7 +90,7 @@ class CurveConstraint:
         return blocks, moved
 
     def thinned(self, count: int) -> CurveConstraint:
-        """At most ``count`` of its points, each moved to the vertex next to it."""
+        """The curve with at most ``count`` of its points, each moved to its nearest vertex."""
         chosen = self.rest.spread(count)
         vertices = self.anchors.at(chosen).nearest_vertices
         rows = np.sort(np.unique(vertices, return_index=True)[1])
@@ -101,7 +101,7 @@ class CurveConstraint:
 def add_curves(
     curves: Sequence[CurveConstraint], blocks: FloatArray, right: FloatArray, positions: FloatArray, weight: float
 ) -> None:
-    """Add the term of every curve, times a weight, to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+    """Add the weighted term of every curve to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
     for curve in curves:
         terms, forces = curve.terms(positions)
         curve.anchors.add(blocks, right, positions, weight * terms, weight * forces)
@@ -110,12 +110,12 @@ def add_curves(
 def with_clusters(
     curves: Sequence[CurveConstraint], held: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
-    """Vertices (p + c,) that a coarse graph keeps, the held ones (p,) first, and the curves on that graph."""
+    """Vertices (p + c,) that a coarse graph keeps, held ones (p,) first, and the curves on it."""
     each = max(vertices // config.curve_share // max(len(curves), 1), config.min_curve_points)
     thinned = [curve.thinned(each) for curve in curves]
     listed = np.concatenate([held, *(curve.anchors.corners[:, 0] for curve in thinned)])
     values, first = np.unique(listed, return_index=True)
-    place = np.argsort(np.argsort(first))  # of every value among the vertices
+    place = np.argsort(np.argsort(first))  # position of every value among the vertices
     numbered = (
         replace(curve, anchors=Anchors.of_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]))
         for curve in thinned
@@ -125,13 +125,13 @@ def with_clusters(
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """Points and curves of a graph with where they belong on the source."""
+    """Points and curves of a graph with their counterparts on the source."""
 
     anchors: Anchors  # (p,) points that are held
-    places: FloatArray  # (p, 3) where these are held
+    places: FloatArray  # (p, 3) positions at which the points are held
     curves: tuple[CurveConstraint, ...] = ()
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Put their terms into a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+        """Add the constraints' terms to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
         add_curves(self.curves, blocks, right, positions, config.curve_weight)
         self.anchors.hold(blocks, right, positions, self.places, config.landmark_weight)

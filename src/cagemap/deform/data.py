@@ -1,9 +1,9 @@
-"""Data terms: closest points both ways, as planes that the deformed target should lie on.
+"""Data terms: point-to-plane distances to closest points, target to source and source to target.
 
-Closest points pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something: the
-inside of a mouth with the chin. Two signs tell them apart, and their terms get no weight: such a part of the target
-receives none of the source's area, and the round trip from such a point of the source to the target and back ends
-elsewhere.
+Closest points also pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something:
+the inside of a mouth with the chin. Two tests detect them, and their terms get no weight: such a part of the target
+receives none of the source's area, and the round trip from such a point of the source to the target and back does not
+return to it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cagemap.surface.triangles import normalize_rows
 
 @dataclass(frozen=True, eq=False)
 class SourceSamples:
-    """Vertices of the source, some of them, that should lie on the target."""
+    """Sampled vertices of the source that should be on the target."""
 
     points: FloatArray  # (m, 3)
     planes: FloatArray  # (m, 3): unit normals
@@ -36,7 +36,7 @@ class SourceSamples:
 
     @classmethod
     def choose(cls, source: TriangleSurface, count: int, masks: Masks = WHOLE) -> SourceSamples:
-        """Some vertices of a source, spread over its numbering."""
+        """Sample vertices of a source, evenly spaced by number."""
         chosen = evenly_spaced_vertices(len(source.positions), count)
         planes, areas = source.vertex_normals[chosen], source.vertex_areas[chosen]
         outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
@@ -46,23 +46,23 @@ class SourceSamples:
 
 @dataclass(frozen=True, eq=False)
 class DataTerm:
-    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, and where it was found."""
+    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, with its closest points."""
 
     blocks: FloatArray  # (n, 3, 3): B_i
     right: FloatArray  # (n, 3): B_i y_i
-    weights: FloatArray  # (n,): area that every vertex stands for in the term
+    weights: FloatArray  # (n,): area weight of every vertex in the term
     triangles: IndexArray  # (m,): triangle of every closest point, a guess for the next search
     closest: FloatArray  # (m, 3): the closest points
 
     def distance(self, positions: FloatArray) -> float:
-        """Root mean square distance of the vertices (n, 3) with a term, each from its own plane."""
+        """Root mean square distance of the vertices (n, 3) from their planes."""
         offsets = positions - self.closest
         squared = float(np.einsum("na,nab,nb->", offsets, self.blocks, offsets))
         total = float(self.weights.sum())
         return float(np.sqrt(max(squared, 0.0) / total)) if total > 0 else float("inf")
 
     def scaled(self, factors: FloatArray) -> DataTerm:
-        """Every vertex's term times a factor (n,)."""
+        """The term with every vertex's part times a factor (n,)."""
         return replace(
             self,
             blocks=factors[:, None, None] * self.blocks,
@@ -82,21 +82,22 @@ def target_to_source(
     *,
     beyond: bool = False,
 ) -> DataTerm:
-    """Point-to-plane term of the deformed vertices: each should lie in the tangent plane at its closest point.
+    """Point-to-plane term of the deformed vertices, to the tangent planes at their closest points.
 
     Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search. Beyond
-    the source's boundary a vertex has a term only if asked for: without terms of the source, a target could leave it.
+    the source's boundary a vertex has a term only if ``beyond``: needed without source-to-target terms, where a target
+    could move off the source.
     """
-    found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
-    corners = found.corners
-    closest = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
-    plane = normalize_rows(found.interpolate(source.vertex_normals))
+    nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
+    corners = nearest.corners
+    closest = curved_points(source.positions[corners], source.vertex_normals[corners], nearest.barycentric)
+    plane = normalize_rows(nearest.interpolate(source.vertex_normals))
     weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
-    weights *= masks.of_target(len(areas)) * masks.at_source(found)
+    weights *= masks.of_target(len(areas)) * masks.at_source(nearest)
     if not beyond:
-        weights *= ~found.at_boundary
+        weights *= ~nearest.at_boundary
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, found.triangle, closest)
+    return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, nearest.triangle, closest)
 
 
 def source_to_target(
@@ -111,7 +112,7 @@ def source_to_target(
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
 ) -> DataTerm:
-    """Point-to-plane term of source vertices: each should lie on the deformed target.
+    """Point-to-plane term of source vertices, to the deformed target.
 
     The residual r = n . (q - sum_k b_k x_k) of a source vertex q is given to each corner of the triangle that holds its
     closest point, with weight b_k: an upper bound of the true term (Jensen), equal at the current positions.
@@ -148,10 +149,11 @@ def source_to_clusters(
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
 ) -> DataTerm:
-    """Term of source samples, each on the coarse vertex that is nearest to it in position and normal.
+    """Term of source samples, each for the coarse vertex nearest in position and normal.
 
-    Only the source sees a short leg inside a long one. The plane has the mean of both normals (symmetric ICP,
-    Rusinkiewicz 2019); a share of the term is towards the point itself: few points at a leg's end face along it.
+    Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
+    ICP, Rusinkiewicz 2019). A share of the term is point-to-point, since few points at a leg's end have normals along
+    the leg.
     """
     points, planes = samples.points, samples.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
@@ -170,7 +172,8 @@ def source_to_clusters(
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
     """(m, 3) points of the curved surface above those of its triangles, exact for quadratics (Boubekeur, Alexa 2008).
 
-    A triangle lies h^2 / 8 R inside a surface of radius R: fits would shrink and swell, and maps slide sideways.
+    A triangle is h^2 / 8 R inside a surface of radius R, so that without this fits shrink or swell, and maps slide
+    sideways.
     """
     flat = np.einsum("mk,mkd->md", barycentric, corners)
     heights = np.einsum("mkd,mkd->mk", corners - flat[:, None], normals)
@@ -180,9 +183,9 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
 def received_weights(
     smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool = False
 ) -> FloatArray:
-    """(n,) from 0 (nothing lies there) to 1, by how much of the source's area (n,) vertices receive, of their own.
+    """(n,) weights from 0 to 1, by the source's area that vertices receive (n,), relative to their own.
 
-    Of parts, whose unit areas say nothing, densities are compared with what a piece of area receives on average.
+    For parts of surfaces, whose unit areas are not comparable, densities are relative to the mean density.
     """
     none, full = config.received
     density = smoother.solve(received)
@@ -194,7 +197,7 @@ def received_weights(
 def round_trip_weights(
     trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
 ) -> FloatArray:
-    """(m,) weights of source points by their round trips, less of those inside the target: it cannot grow into them."""
+    """(m,) weights of source points by their round trips; lower inside the target, which cannot grow inwards."""
     return robust_weights(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
 
 

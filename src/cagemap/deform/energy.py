@@ -1,4 +1,4 @@
-"""The elastic energy of a graph, solved for its differentials, and the linear systems of positions that it leads to."""
+"""The elastic energy of a graph: its differentials, and the linear systems for positions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BlockPattern:
 
     matrix: sparse.csc_array
     elastic: FloatArray  # values of L in the pattern
-    blocks: IndexArray  # where the entries of the blocks stand in it
+    blocks: IndexArray  # indices of the blocks' entries in the pattern
 
     @classmethod
     def build(cls, laplacian: sparse.csr_array) -> BlockPattern:
@@ -32,7 +32,7 @@ class BlockPattern:
         elastic = sparse.csc_array(sparse.kron(laplacian, sparse.eye_array(3)))
         pattern = sparse.csc_array(abs(elastic) + ones)
         pattern.sort_indices()
-        # Where the entries of both parts stand in the common pattern: number them, and read the numbers back.
+        # Find the entries of both parts in the common pattern: number them, and read the numbers back.
         numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
 
         def places(rows: IndexArray, columns: IndexArray) -> IndexArray:
@@ -54,17 +54,18 @@ class BlockPattern:
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """A system of positions, solved with its own factors, or by its residual with factors that are only near.
+    """Linear system for positions, solved with exact factors, or by its residual with approximate ones.
 
-    Factors of single precision are near: what a step misses, the next iteration finds in its residual, in double.
+    Factors of single precision are approximate: the next iteration corrects the error of a step, by its residual in
+    double precision.
     """
 
     factors: Factorization
-    matrix: sparse.csc_array | None = None  # where the factors are only near
-    stage: Stage | None = None  # numbers of the conjugate gradients, where the factors are of an earlier matrix
+    matrix: sparse.csc_array | None = None  # if the factors are approximate
+    stage: Stage | None = None  # numbers of the conjugate gradients, if the factors are of an earlier matrix
 
     def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
-        """(n, 3) the solution for a right side (n, 3), or positions (n, 3) that are corrected for it."""
+        """(n, 3) solution for a right side (n, 3), exact, or by correcting positions (n, 3)."""
         if self.matrix is None:
             return self.factors.solve(right.ravel()).reshape(-1, 3)
         residual = right.ravel() - self.matrix @ positions.ravel()
@@ -74,7 +75,7 @@ class LinearSystem:
     def gradients(self, residual: FloatArray, stage: Stage) -> FloatArray:
         """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952).
 
-        Each costs a tenth of a factorisation. Where they leave too much of the residual, the matrix is factored anew.
+        Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
         """
         matrix = self.matrix
         assert matrix is not None
@@ -93,7 +94,7 @@ NONE = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class ElasticEnergy:
-    """E(x, A) of a graph (`cagemap.deform.graph`), with the factors that give the maps A for positions x.
+    """Elastic energy E(x, A) of a graph (`cagemap.deform.graph`), with factors for the maps A.
 
     The normal equations ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``, are those of the energy with A_i
     instead of A_ij in its first term; they decouple into the three rows of A, with one matrix for all.
@@ -110,7 +111,7 @@ class ElasticEnergy:
         edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
         blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
-        # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
+        # A flat ring does not determine the normal direction: the smoothing does, and a small ridge for safety.
         blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         pattern = BlockPattern.build(graph.laplacian)
         return cls(graph, pattern, factor(pattern.at(smoothing, blocks)), admissible or bounded_maps)
@@ -127,7 +128,7 @@ class ElasticEnergy:
 
 @dataclass(frozen=True, eq=False)
 class VertexTerms:
-    """``sum_i x_i^T B_i x_i - 2 b_i^T x_i``, for `cagemap.deform.minimise`: of one iteration, or the same in all."""
+    """Terms ``sum_i x_i^T B_i x_i - 2 b_i^T x_i`` of one iteration, or the same in all iterations."""
 
     energy: ElasticEnergy
     blocks: FloatArray  # (n, 3, 3): B_i
@@ -138,11 +139,11 @@ class VertexTerms:
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
     def at(self, *iterate: object) -> VertexTerms:
-        """Themselves, where they are constant."""
+        """The terms themselves: they are constant."""
         return self
 
     def system(self, alpha: float, stage: Stage, before: LinearSystem | None) -> LinearSystem:
-        """Alpha L + B with new factors, or with those of a system before."""
+        """System alpha L + B with new factors, or with those of the system ``before``."""
         matrix, like = self.energy.pattern.at(alpha, self.blocks), self.energy.factors
         if self.constant:
             return LinearSystem(factor(matrix, like=like))
@@ -164,11 +165,12 @@ def rotations(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexA
 def bounded_maps(
     maps: FloatArray, normals: FloatArray, config: GraphConfig = GraphConfig()
 ) -> tuple[FloatArray, IndexArray]:
-    """Linear maps without those that flatten a surface or turn it over: limbs that shrink would fold like an accordion.
+    """Bound linear maps that flatten the surface or turn it over; returns also which ones.
 
     A map whose two stretches in the tangent plane have a ratio below ``config.flat``, or whose determinant is not
-    positive, gets its singular values s_1 >= s_2 >= +-s_3 bounded from below by ``config.min_stretch * s_1``. Others
-    stay: a part that is thin on the other shape, flat along its normal, is no fold.
+    positive, gets its singular values s_1 >= s_2 >= +-s_3 bounded from below by ``config.min_stretch * s_1``: otherwise
+    limbs that shrink fold like an accordion. Other maps stay: a part that is thin on the other shape, flat along its
+    normal, is no fold.
     """
     across, turned = np.einsum("nab,nb->na", maps, normals), transformed_normals(maps, normals)
     # With stretches s and t in the tangent plane: s t, and s^2 + t^2.
@@ -189,7 +191,7 @@ def bounded_maps(
 
 
 def transformed_normals(maps: FloatArray, normals: FloatArray) -> FloatArray:
-    """(n, 3) normals after linear maps (n, 3, 3), as long as areas are stretched: cofactor matrices times normals."""
+    """(n, 3) cofactor matrices of maps (n, 3, 3) times normals: deformed normals, scaled by area stretch."""
     # Rows of the cofactor matrix are cross products of the map's rows.
     cofactors = np.stack([np.cross(maps[:, (k + 1) % 3], maps[:, (k + 2) % 3]) for k in range(3)], axis=1)
     return np.asarray(np.einsum("nab,nb->na", cofactors, normals))
@@ -211,7 +213,7 @@ def energy_matrix(graph: ElasticGraph, smoothing: float) -> sparse.csr_array:
     residual = sparse.csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(heads), 4 * graph.n))
     stretch = residual.T @ sparse.diags_array(weights) @ residual
     maps_only = sparse.diags_array([0.0, 1.0, 1.0, 1.0])
-    # A flat ring leaves the normal direction of its map open, as in `ElasticEnergy.build`.
+    # A flat ring does not determine the normal direction of its map, see `ElasticEnergy.build`.
     ridge = 1e-9 * float(stretch.diagonal().mean())
     change = sparse.kron(smoothing * graph.laplacian + ridge * sparse.eye_array(graph.n), maps_only)
     return sparse.csr_array(stretch + change)

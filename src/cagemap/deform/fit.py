@@ -1,7 +1,7 @@
-"""Fit the target to the source: a coarse stage that moves whole limbs, then the mesh of a level.
+"""Fit the target to the source: a coarse stage for whole limbs, then a fine stage for a level's mesh.
 
-The target's mesh is deformed as affinely as possible (`cagemap.deform.graph`) until it lies on the source. Data terms
-are point-to-plane, so that tangential motion is left to the energy; landmarks are held.
+The target's mesh is deformed as affinely as possible (`cagemap.deform.graph`) until it is on the source. Data terms are
+point-to-plane, so that only the energy resists tangential motion. Landmarks are held.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
-# Triangles of closest points of the iteration before, both ways.
+# Triangles of closest points of the previous iteration, both ways.
 Guesses = tuple[IndexArray | None, IndexArray | None]
 
 
@@ -32,8 +32,8 @@ Guesses = tuple[IndexArray | None, IndexArray | None]
 class SurfaceTerms:
     """Data terms and constraints of a rest shape on the source.
 
-    A mesh has data terms both ways: source samples on the target fill fingers, ears and lips. Clusters have source
-    samples only where they are given.
+    A mesh has data terms both ways: source-to-target terms extend it into fingers, ears and lips. Clusters have
+    source-to-target terms only if samples are given.
     """
 
     rest: RestShape
@@ -68,7 +68,7 @@ class SurfaceTerms:
         rest, config, normals = self.rest, self.config, vertex_normals(positions, mesh.triangles)
         assert rest.received is not None
         assert self.samples is not None
-        there = target_to_source(
+        term = target_to_source(
             rest.graph.areas, self.source, positions, normals, guesses[0], config.fine_normal_weight, rest.masks
         )
         back = source_to_target(
@@ -78,16 +78,16 @@ class SurfaceTerms:
             normals,
             guesses[1],
             config.normal_weight,
-            there.closest,
+            term.closest,
             alpha,
             rest.masks,
             config.data,
         )
-        distance = there.distance(positions)
+        distance = term.distance(positions)
         of_parts = mesh.is_open or self.source.is_open
-        there = there.scaled(received_weights(rest.received, back.weights, config.data, of_parts=of_parts))
-        blocks, right = there.blocks + back.blocks, there.right + back.right
-        return VertexTerms(rest.energy, blocks, right, distance, (there.triangles, back.triangles))
+        term = term.scaled(received_weights(rest.received, back.weights, config.data, of_parts=of_parts))
+        blocks, right = term.blocks + back.blocks, term.right + back.right
+        return VertexTerms(rest.energy, blocks, right, distance, (term.triangles, back.triangles))
 
 
 def coarse_fit(
@@ -96,10 +96,10 @@ def coarse_fit(
     shape: CoarseShape | None = None,
     samples: SourceSamples | None = None,
 ) -> Placement:
-    """Placement of the clusters by the coarse stage, from rough positions (k, 3) or, if None, from the landmarks alone.
+    """Placement of the clusters by the coarse stage, from positions (k, 3), or from landmarks if None.
 
-    The shape may have other constraints or smoothing than the problem's own. Samples of the source should lie on it
-    too, where limbs are to reach the ends of the source's.
+    ``shape`` replaces the problem's clusters, with other constraints or smoothing. Source ``samples`` give
+    source-to-target terms, with which limbs reach the ends of the source's limbs.
 
     Raises
     ------
@@ -120,20 +120,20 @@ def coarse_fit(
 
 
 def fine_fit(problem: Problem, coarse: Placement) -> FloatArray:
-    """(n, 3) positions near the source of the target's mesh, deformed from a coarse placement."""
+    """(n, 3) positions of the target's mesh near the source, by the fine stage from a coarse placement."""
     prepared = problem.prepared
     return fine_stage(problem, coarse.on(prepared.rest.graph, prepared.elastic.graph))
 
 
 def fine_stage(problem: Problem, start: FloatArray) -> FloatArray:
-    """(n, 3) where the target's mesh ends that starts at some positions (n, 3)."""
+    """(n, 3) positions of the target's mesh after the fine stage, from start positions (n, 3)."""
     prepared, elastic = problem.prepared, problem.prepared.elastic
     terms = SurfaceTerms(prepared.rest, prepared.source_surface, problem.constraints, elastic, prepared.source_samples)
     return minimise(prepared.rest.energy, terms, start, elastic.fine)
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
-    """(k, 3) the clusters carried by held ones alone: a similarity, then the energy, which knows the twist of limbs."""
+    """(k, 3) clusters placed by held ones alone: a similarity, then the energy, which resolves twisted limbs."""
     graph, places, held = shape.rest.graph, shape.constraints.places, shape.constraints.anchors.corners[:, 0]
     rotation, scale, shift = fit_similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
@@ -144,7 +144,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
 
 
 def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
-    """Rotation R, scale s and shift t with s R p + t nearest to the images (Umeyama 1991); no reflection."""
+    """Rotation R, scale s and shift t that bring s R p + t nearest to images (Umeyama 1991); no reflection."""
     centre, image_centre = points.mean(axis=0), images.mean(axis=0)
     u, singular, vt = np.linalg.svd((images - image_centre).T @ (points - centre))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
@@ -155,7 +155,7 @@ def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, 
 
 
 def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:
-    """A placement of the mesh with its `vertex_costs`, the distances of source samples, and `stretch_costs` if open."""
+    """Placement of the mesh with its costs: `vertex_costs`, distances of source samples, `stretch_costs` if open."""
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
     samples = prepared.source_samples
     costs = vertex_costs(rest, prepared.source_surface, positions, rest.energy.maps(positions), config)
@@ -172,24 +172,24 @@ def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placeme
 def vertex_costs(
     rest: RestShape, source: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
 ) -> FloatArray:
-    """(n,) cost by vertex: squared distance in position and normal, and the energy at one stiffness."""
+    """(n,) cost by vertex: squared distance in position and normal, plus the energy at a fixed stiffness."""
     graph = rest.graph
     normals = deformed_normals(graph.normals, maps)
-    found = SurfacePoints.nearest(source, positions, normals, normal_weight=config.normal_weight)
-    areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(found)
-    squared = ((found.positions - positions) ** 2).sum(axis=1)
-    turned = 2.0 - 2.0 * np.einsum("nd,nd->n", found.normals, normals)
+    nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=config.normal_weight)
+    areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(nearest)
+    squared = ((nearest.positions - positions) ** 2).sum(axis=1)
+    turned = 2.0 - 2.0 * np.einsum("nd,nd->n", nearest.normals, normals)
     data = areas * _capped(squared + config.normal_weight**2 * turned, source, config)
     return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, config.coarse.smoothing))
 
 
 def _capped(squared: FloatArray, other: TriangleSurface, config: ElasticConfig) -> FloatArray:
-    """(n,) squared distances from another surface, at most `DataConfig.uncovered` squared where that one is open."""
+    """(n,) squared distances from another surface; at most `DataConfig.uncovered` squared if it is open."""
     return np.minimum(squared, config.data.uncovered**2) if other.is_open else squared
 
 
 def stretch_costs(rest: RestShape, positions: FloatArray, config: ElasticConfig) -> FloatArray:
-    """(n,) variance of logarithms of stretches: a part may lie anywhere on a whole that it fits by stretching."""
+    """(n,) variance of log stretches, so that a part does not fit anywhere by stretching."""
     graph = rest.graph
     stretches = np.linalg.svd(rest.energy.maps(positions), compute_uv=False)[:, :2]
     logs = np.log(np.maximum(stretches, config.graph.min_stretch**4))

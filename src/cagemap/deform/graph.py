@@ -1,4 +1,4 @@
-"""The as-affine-as-possible energy of a surface that is carried onto another one, on a weighted graph.
+"""The as-affine-as-possible energy of a deformed surface, on a weighted graph.
 
 Every vertex i has a position x_i and a linear map A_i (3 x 3). The energy
 
@@ -27,15 +27,15 @@ from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
-# Vertices, far from each other, that distances along a surface are measured from.
+# Number of vertices, far from each other, from which distances along a surface are measured.
 STATIONS = 60
-# Pieces of a mesh with less than this share of its area, eyes and teeth, have none of them.
+# Connected pieces with less than this share of the mesh's area (eyes, teeth) have no stations.
 MIN_PIECE_AREA = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticGraph:
-    """Rest shape of the energy."""
+    """Weighted graph with the rest shape of the energy."""
 
     positions: FloatArray  # (n, 3) at rest, at unit surface area
     normals: FloatArray  # (n, 3) unit normals
@@ -72,7 +72,7 @@ class ElasticGraph:
 
     @kept
     def station_distances(self) -> FloatArray:
-        """(s, n) distances along the edges from `STATIONS` vertices, far from each other, on no small piece."""
+        """(s, n) distances along the edges from `STATIONS` distant vertices, none on a small piece."""
         piece = label_components(self.heads, self.tails, self.n)
         sizes = np.bincount(piece, self.areas)
         rows, nearest = [], np.where(sizes >= min(MIN_PIECE_AREA, sizes.max()), np.inf, -1.0)[piece]
@@ -82,7 +82,7 @@ class ElasticGraph:
         return read_only(np.array(rows))
 
     def energies(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> FloatArray:
-        """(n,) shares of E(x, A): of every edge a half at each end."""
+        """(n,) E(x, A) by vertex: half of every edge's energy at each end."""
         means = 0.5 * (maps[self.heads] + maps[self.tails])
         residual = positions[self.heads] - positions[self.tails] - np.einsum("eab,eb->ea", means, self.edges)
         change = ((maps[self.heads] - maps[self.tails]) ** 2).sum(axis=(1, 2))
@@ -105,12 +105,12 @@ class ElasticGraph:
         return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
 
     def smoother(self, length: float, masses: FloatArray | None = None) -> Factorization:
-        """Screened Poisson smoothing over a length: factors of ``M + length^2 L``, M the areas or other masses (n,)."""
+        """Factors of ``M + length^2 L``: screened Poisson smoothing over a length, masses M (n,), default areas."""
         masses = self.areas if masses is None else masses
         return factor(sparse.csc_array(sparse.diags_array(masses) + length**2 * self.laplacian))
 
     def part(self, vertices: IndexArray, stiffness: FloatArray) -> ElasticGraph:
-        """The graph on some vertices (k,), ascending, its edges stiffened by the mean stiffness (n,) of both ends."""
+        """Subgraph on vertices (k,), ascending, with edges stiffened by the mean stiffness (n,) of both ends."""
         number = np.full(self.n, -1, dtype=np.int64)
         number[vertices] = np.arange(len(vertices))
         edges = (number[self.heads] >= 0) & (number[self.tails] >= 0)
@@ -126,7 +126,7 @@ class ElasticGraph:
         )
 
     def rings(self, vertices: IndexArray, count: int) -> IndexArray:
-        """(k,) vertices and those up to so many edges away, ascending."""
+        """(k,) vertices and those up to ``count`` edges away, ascending."""
         inside = np.zeros(self.n, dtype=np.bool_)
         inside[vertices] = True
         for _ in range(count):
@@ -135,7 +135,7 @@ class ElasticGraph:
 
 
 def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = GraphConfig()) -> ElasticGraph:
-    """Graph of a mesh: its edges with cotangent weights."""
+    """Graph of a mesh's edges with cotangent weights."""
     upper = sparse.triu(stiffness(mesh.positions, faces), 1).tocoo()
     weights = np.maximum(-upper.data, config.min_weight * np.median(np.abs(upper.data)))
     heads, tails = np.concatenate([upper.row, upper.col]), np.concatenate([upper.col, upper.row])
@@ -153,10 +153,10 @@ def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = G
 def cluster_graph(
     fine: ElasticGraph, count: int, held: IndexArray, config: GraphConfig = GraphConfig()
 ) -> tuple[ElasticGraph, IndexArray]:
-    """Coarser graph on some of a graph's vertices, the most central ones of cells of a grid in position and normal.
+    """Coarser graph on the most central vertices of grid cells in position and normal.
 
-    An edge between two cells takes the sum of the fine edges' weights, scaled by squared lengths so that a linear
-    function keeps its energy.
+    Returns the fine numbers of its vertices as well. An edge between two cells gets the sum of the fine edges' weights,
+    scaled by squared lengths so that a linear function keeps its energy.
     """
     cell = _cells(fine, min(count, fine.n), config)
     cell[held] = -1 - np.arange(len(held))[::-1]  # smallest numbers, so that np.unique puts them first, in order
@@ -174,7 +174,8 @@ def cluster_graph(
     summed = sparse.coo_array((fine.weights[across] * lengths**2, (heads, tails)), shape=(k, k)).tocsr().tocoo()
     coarse_lengths = np.linalg.norm(fine.positions[vertices[summed.row]] - fine.positions[vertices[summed.col]], axis=1)
     weights = summed.data / np.maximum(coarse_lengths, 1e-9) ** 2
-    # A cell's fine edges cover a strip as wide as a fine edge, not the cell: give the coordinates their energy back.
+    # A cell's fine edges cover a strip as wide as a fine edge, not the cell: rescale, so that coordinates keep their
+    # energy.
     scale = 2.0 * fine.areas.sum() / max(float((weights * coarse_lengths**2).sum() / 2), 1e-30)
     graph = ElasticGraph(
         fine.positions[vertices],
@@ -194,7 +195,7 @@ def extrapolate(
     fine: ElasticGraph,
     config: GraphConfig = GraphConfig(),
 ) -> FloatArray:
-    """(n, 3) positions of a finer graph's vertices: blended affine extrapolations of the nearest coarse vertices.
+    """(n, 3) positions of a finer graph's vertices: blended affine extrapolations from coarse vertices.
 
     ``y_v = sum_k b_k (x_k + A_k (p_v - p_k))``, weights falling to zero at the last neighbour. Exact for affine maps.
     """
@@ -211,7 +212,7 @@ def extrapolate(
 
 
 def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
-    """(n,) connected cell of a grid over position and normal, of a width that gives about ``count`` cells."""
+    """(n,) connected grid cell in position and normal, for about ``count`` cells."""
     width = np.sqrt(1.0 / count)
     cell = np.zeros(graph.n, dtype=np.int64)
     for _ in range(8):
@@ -220,17 +221,17 @@ def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
         counts = keys.max(axis=0) + 1
         _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
         cell = connected_cells(graph, cell.ravel(), config)
-        found = int(cell.max()) + 1
-        if 0.85 * count <= found <= 1.2 * count or (found == graph.n and count >= graph.n):
+        cell_count = int(cell.max()) + 1
+        if 0.85 * count <= cell_count <= 1.2 * count or (cell_count == graph.n and count >= graph.n):
             break
-        width *= np.sqrt(found / count)
+        width *= np.sqrt(cell_count / count)
     return cell
 
 
 def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
-    """(n,) cells split into their connected pieces, tiny pieces joined to the neighbour with most common edge weight.
+    """(n,) connected pieces of cells; tiny ones joined to the neighbour with the longest common border.
 
-    Parts that only touch share cells of a grid; a tiny piece would be a stiff dot.
+    Parts that only touch share grid cells, so cells must be split. A tiny piece would be stiff.
     """
     inside = cell[graph.heads] == cell[graph.tails]
     piece = label_components(graph.heads[inside], graph.tails[inside], graph.n)

@@ -1,6 +1,6 @@
 """Minimise an elastic energy with other terms: positions and differentials alternate.
 
-Everything that deforms is one call of `minimise` with another energy and other terms: the coarse and the fine stage,
+Every deformation is one call of `minimise` with its energy and terms: the coarse and the fine stage,
 positions from landmarks alone, the pose of a placement, the response of a map to its landmarks, and the wrap of a net.
 """
 
@@ -17,16 +17,16 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 
-# Maps (n, 3, 3) of positions, and which of them were bounded; made while data terms are sought.
+# Maps (n, 3, 3) of positions, and which of them were bounded; computed while data terms are searched.
 Differentials = Future[tuple[FloatArray, IndexArray]]
 
 
 class Energy(Protocol):
-    """What gives differentials to positions; `cagemap.deform.energy.ElasticEnergy`."""
+    """Energy that gives differentials for positions, such as `cagemap.deform.energy.ElasticEnergy`."""
 
     @property
     def graph(self) -> ElasticGraph:
-        """Whose energy it is."""
+        """Graph of the energy."""
 
     def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
         """(n, 3, 3) maps for positions (n, 3), and which of them were bounded."""
@@ -48,17 +48,17 @@ class Quadratic(Protocol):
 
     @property
     def distance(self) -> float:
-        """Root mean square distance of the target from the source, of sqrt(area); infinite where nobody asks."""
+        """Root mean square distance of the target from the source, of sqrt(area); infinite if not needed."""
 
     def system(self, alpha: float, stage: Stage, before: Any) -> System:
-        """``alpha L + B``; with the factors of a system before, where there is one."""
+        """System ``alpha L + B``; reuses the factors of the system ``before``, if any."""
 
 
 class Terms(Protocol):
-    """What an energy is minimised with: data terms and constraints."""
+    """Data terms and constraints that are added to the energy."""
 
     def at(self, positions: FloatArray, found: Differentials, alpha: float, before: Any) -> Quadratic:
-        """Terms near positions (n, 3), at a stiffness alpha; those of the iteration before are known, or None."""
+        """Terms at positions (n, 3) and a stiffness alpha; ``before`` are those of the previous iteration, or None."""
 
 
 def minimise(
@@ -70,8 +70,8 @@ def minimise(
 ) -> FloatArray:
     """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials.
 
-    Momentum makes the alternation three times faster. Where the mesh lies on the source, the stiffness is the largest
-    that keeps it there (Morozov's discrepancy principle): softening would let it slide. ``adjust`` is applied to the
+    Momentum makes the alternation three times faster. Where the mesh is on the source, the stiffness is the largest
+    that keeps it there (Morozov's discrepancy principle): a softer mesh would slide. ``adjust`` is applied to the
     positions of every iteration, to keep a symmetry.
     """
     positions, before = start, start

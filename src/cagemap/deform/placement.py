@@ -1,4 +1,4 @@
-"""A placement of the target on the source: positions, and what they cost."""
+"""A placement of the target on the source: positions and their cost."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from cagemap.numerics.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the vertices of a graph, or of the target's mesh, are placed on the source."""
+    """Positions on the source of a graph's, or the target mesh's, vertices."""
 
     positions: FloatArray  #: (n, 3) near the source, at unit area
-    cost: float = 0.0  #: sum of `costs`; 0 where it was not asked for
-    #: (n,) squared distances both ways and elastic energy by vertex; empty where they were not asked for
+    cost: float = 0.0  #: sum of `costs`; 0 if not computed
+    #: (n,) squared distances both ways and elastic energy by vertex; empty if not computed
     costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     name: str = ""  #: the start in words, such as "turned 180 degrees about y"
     doubt: float = 1.0  #: factor on the cost when placements are ranked: above 1 where the files' axes are turned
-    #: (n, 3, 3) differentials; empty where nothing is extrapolated from it
+    #: (n, 3, 3) differentials; empty if not needed for extrapolation
     maps: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)), repr=False)
-    graph: ElasticGraph | None = field(default=None, repr=False)  #: whose clusters these are
+    graph: ElasticGraph | None = field(default=None, repr=False)  #: graph of the positions, for clusters
     #: (n, 3) positions after `refit.finished`; placements are compared by ``positions``
     final: FloatArray | None = field(default=None, repr=False)
-    #: Places of landmarks whose target points belong to the source points of others, in this placement
+    #: pairs of landmarks whose source points are exchanged in this placement
     exchange: tuple[tuple[int, int], ...] = ()
 
     @property
     def answer(self) -> FloatArray:
-        """(n, 3) what the map is made of."""
+        """(n, 3) positions for the map: ``final``, else ``positions``."""
         return self.positions if self.final is None else self.final
 
     @property
     def rank(self) -> float:
-        """Cost times doubt."""
+        """Cost times doubt, by which placements are ranked."""
         return self.doubt * self.cost
 
     def on(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
-        """(n, 3) where it takes the vertices of another graph of the same shape."""
+        """(n, 3) positions of another graph of the same shape, extrapolated from this placement."""
         assert self.graph is not None
         return extrapolate(self.graph, self.positions, self.maps, graph, config)
 
@@ -49,9 +49,9 @@ class Placement:
 def distinct_placements(ranked: Sequence[Placement], areas: FloatArray, least: float) -> list[Placement]:
     """Placements that are at a mean distance of at least ``least`` from every better one."""
     kept: list[Placement] = []
-    for one in ranked:
-        if all(mean_distance(one.positions, better.positions, areas) >= least for better in kept):
-            kept.append(one)
+    for placement in ranked:
+        if all(mean_distance(placement.positions, better.positions, areas) >= least for better in kept):
+            kept.append(placement)
     return kept
 
 

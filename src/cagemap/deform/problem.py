@@ -1,4 +1,4 @@
-"""What a fit needs: two surfaces prepared once for all sets of landmarks, and the problem with one such set."""
+"""Input of a fit: surfaces prepared once for all landmarks, and the problem with one landmark set."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from cagemap.surface.triangles import vertex_normals
 
 @dataclass(frozen=True, eq=False)
 class RestShape:
-    """The energy of a rest shape, with all that the target alone decides."""
+    """Elastic energy of a rest shape, with everything that depends on the target alone."""
 
     energy: ElasticEnergy
-    mesh: TriangleSurface | None  # whose graph it is; None for clusters of one
+    mesh: TriangleSurface | None  # mesh of the graph; None for clusters of a mesh
     received: Factorization | None  # smoother of received area, see `received_weights`
-    masks: Masks = WHOLE  # what counts in the data: of the graph's vertices, and of the source's
+    masks: Masks = WHOLE  # weights of the graph's and the source's vertices in data terms
 
     @classmethod
     def build(
@@ -50,11 +50,11 @@ class RestShape:
 
     @property
     def graph(self) -> ElasticGraph:
-        """Whose energy it is."""
+        """Graph of the energy."""
         return self.energy.graph
 
     def at(self, positions: FloatArray, smoothing: float) -> RestShape:
-        """The same mesh at rest at other positions (n, 3), with the weights of its edges and areas as they are."""
+        """The rest shape moved to positions (n, 3), with its edge weights and areas unchanged."""
         assert self.mesh is not None
         normals = vertex_normals(positions, self.mesh.triangles)
         graph = replace(self.graph, positions=positions, normals=normals)
@@ -66,20 +66,20 @@ class CoarseShape:
     """Clusters of a mesh's vertices, for the stage that moves whole limbs."""
 
     rest: RestShape  # of the k clusters
-    # (k,): vertex of the mesh that stands for each; those that were to have a cluster of their own come first
+    # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
     # Landmarks, which are the first clusters, and curves, whose vertices have clusters of their own after them
     constraints: Constraints
 
     def smoothed(self, smoothing: float) -> CoarseShape:
-        """The same clusters with differentials smoothed over another length."""
+        """The clusters with another smoothing of differentials."""
         energy = ElasticEnergy.build(self.rest.graph, smoothing, self.rest.energy.admissible)
         return replace(self, rest=replace(self.rest, energy=energy))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreparedPair:
-    """Two surfaces with all of a match that no landmark changes.
+    """Two surfaces with everything of a match that does not depend on landmarks.
 
     Attributes
     ----------
@@ -87,13 +87,13 @@ class PreparedPair:
     start : StartConfig
     elastic : ElasticConfig
     levels : (int, int)
-        Of target and source, that are searched; the target's is the level that is deformed.
+        Searched levels of target and source; the target's is the deformed level.
     rest : RestShape
-        Of the target's mesh of that level.
+        Rest shape of the target's mesh of that level.
     source_surface : TriangleSurface
-        A level of the source, to fit to.
+        The level of the source that is fitted to.
     masks : Masks
-        Of the finest vertices; those of ``rest`` are of ``mesh`` and ``source_surface``.
+        Masks of the finest vertices; ``rest`` has those of ``mesh`` and ``source_surface``.
     """
 
     target: Surface
@@ -114,16 +114,16 @@ class PreparedPair:
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
-        """Factor the target's rest shape, and order the source's triangles for closest points."""
+        """Factor the target's rest shape, and build the source's search trees."""
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
         fitted = source.triangles(source.hierarchy.coarsest_level(elastic.source_vertices))
         with ThreadPool(1) as aside:
             trees = aside.submit(lambda: (fitted.tree, source.finest_triangles.tree))
             graph = level_graph(target, levels[0], elastic.graph)
-            made = cls._of_graph(graph, target, source, start, elastic, levels, masks)
+            pair = cls._of_graph(graph, target, source, start, elastic, levels, masks)
             trees.result()
-        return made
+        return pair
 
     @classmethod
     def _of_graph(
@@ -136,7 +136,7 @@ class PreparedPair:
         levels: tuple[int, int],
         masks: Masks,
     ) -> PreparedPair:
-        """The pair whose target's level has this graph."""
+        """Build the pair with a given graph of the target's level."""
         mesh, fitted = target.triangles(levels[0]), source.hierarchy.coarsest_level(elastic.source_vertices)
         part = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted))
         rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, part)
@@ -150,36 +150,36 @@ class PreparedPair:
 
     @property
     def mesh(self) -> TriangleSurface:
-        """The target's mesh of the level that is deformed, at its places on the finest surface."""
+        """Mesh of the target's deformed level, at its positions on the finest surface."""
         return self.target.triangles(self.levels[0])
 
     @kept
     def vertices(self) -> IndexArray:
-        """(n,) finest target vertices that the vertices of `mesh` are."""
+        """(n,) numbers of the vertices of `mesh` among the finest target vertices."""
         return self.target.hierarchy.on_finest(self.levels[0])
 
     def curves(self, landmarks: PointPairs) -> tuple[CurveConstraint, ...]:
-        """The curves among landmarks, on `mesh`."""
-        found = []
+        """Constraints on `mesh` of the landmarks' curves."""
+        constraints = []
         for pair in landmarks.curves:
             anchors = Anchors.on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
             rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
-            found.append(CurveConstraint(anchors, rest, pair.source.line))
-        return tuple(found)
+            constraints.append(CurveConstraint(anchors, rest, pair.source.line))
+        return tuple(constraints)
 
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
-        """Graphs of both search levels, which landmarks are judged on; made once when they are first asked for."""
+        """Graphs of both searched levels, on which landmarks are checked; built on first access."""
         return self.rest.graph, level_graph(self.source, self.levels[1], self.elastic.graph)
 
     @kept
     def coincidence(self) -> Coincidence | None:
-        """How the target lies on the source, None where it does not; found when first asked for."""
+        """Coincidence of target and source, None if they do not coincide; computed on first access."""
         return Coincidence.find(self.target, self.source, self.masks, self.elastic.coincidence)
 
     @kept
     def reversed(self) -> PreparedPair:
-        """The source in the target's place and the other way round, on the same levels; made when first asked for."""
+        """The pair with target and source exchanged, on the same levels; built on first access."""
         masks, levels = self.masks.reversed(), self.levels[::-1]
         return self._of_graph(self.graphs[1], self.source, self.target, self.start, self.elastic, levels, masks)
 
@@ -188,7 +188,7 @@ class PreparedPair:
 
 
 def level_graph(surface: Surface, level: int, config: GraphConfig = GraphConfig()) -> ElasticGraph:
-    """Graph of a level's vertices at their places on the finest surface, at unit area."""
+    """Graph of a level's vertices at their positions on the finest surface, at unit area."""
     faces = surface.hierarchy.levels[level].faces
     mesh = surface.triangles(level)
     return mesh_graph(mesh, mesh.triangles if faces is None else faces, config)
@@ -196,25 +196,25 @@ def level_graph(surface: Surface, level: int, config: GraphConfig = GraphConfig(
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A prepared pair with landmarks; what follows from both is made when it is first asked for, and kept."""
+    """A prepared pair with landmarks; what depends on both is computed on first access and kept."""
 
     prepared: PreparedPair
-    pair: Pair  # the same surfaces with their landmarks
+    pair: Pair  # the surfaces with their landmarks
 
     @kept
     def landmark_vertices(self) -> tuple[IndexArray, IndexArray]:
-        """(p,) vertices of target and source that landmarks lie on or near, of the levels that are searched."""
+        """(p,) vertices of target and source at or near landmarks, on the searched levels."""
         prepared, landmarks = self.prepared, self.pair.landmarks
         target = vertices_near(landmarks.target, prepared.target, prepared.levels[0])
         return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
     def shape(self) -> CoarseShape:
-        """Clusters of the target's mesh, every landmark one of its own."""
+        """Clusters of the target's mesh, with a cluster for every landmark."""
         return self.holding(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 
     def holding(self, vertices: IndexArray, places: FloatArray) -> CoarseShape:
-        """The clusters where some vertices (q,) of the target's mesh are held at places (q, 3) beside the landmarks."""
+        """Clusters with vertices (q,) of the target's mesh held at places (q, 3), besides the landmarks."""
         rest, landmarks, config = self.prepared.rest, self.pair.landmarks, self.prepared.elastic
         held = np.concatenate([self.landmark_vertices[0], vertices])
         every, curves = with_clusters(self.prepared.curves(landmarks), held, config.coarse_vertices, config.data)
@@ -248,7 +248,7 @@ class Problem:
         return self.staged(self.prepared.elastic.stiff_coarse)
 
     def staged(self, coarse: Stage, vertices: int | None = None) -> Problem:
-        """The problem with another coarse stage, and with about so many clusters for it."""
+        """The problem with another coarse stage, and about ``vertices`` clusters for it."""
         elastic = self.prepared.elastic
         elastic = replace(elastic, coarse=coarse, coarse_vertices=vertices or elastic.coarse_vertices)
         return replace(self, prepared=replace(self.prepared, elastic=elastic))

@@ -1,12 +1,12 @@
 """Refit a placement in the source's pose, and average it with the inverse of the reverse fit.
 
 The elastic energy counts the rotation of a bent joint as a change of differentials, and less of it where the skin is
-squeezed: its minimum has shins slid towards bent knees. So a placement that found the pose is used to bring the target
-there, as rigidly as possible, and the target in that pose is fitted again. Then two bodies stand alike, for which the
-stiff coarse stage is the right one.
+squeezed: at its minimum, shins slide towards bent knees. So the target is moved into the pose of a placement, as
+rigidly as possible, and fitted again from there. Then both bodies have the same pose, for which the stiff coarse stage
+is best.
 
-What sliding is left, the same energy does the other way round in the reverse fit: the average of a fit and the inverse
-of that leaves half of either out (inverse consistency, Christensen and Johnson 2001).
+The sliding that remains has the opposite direction in the reverse fit: averaging the fit with the inverse of the
+reverse fit reduces it (inverse consistency, Christensen and Johnson 2001).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 
 def finish_placement(problem: Problem, placed: Placement) -> Placement:
-    """The placement refitted in the source's pose, and made inverse consistent where that costs hardly more.
+    """Refit a placement in the source's pose; make it inverse consistent if not much costlier.
 
-    Not under masks: what is masked would be fitted back as well, and drag what is not with it.
+    Unchanged under masks: the reverse fit would fit masked area too, and displace its surroundings.
     """
     prepared, posed, config = problem.prepared, placed, problem.prepared.elastic
     if prepared.rest.masks.any:
@@ -43,22 +43,22 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
 
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
-    """Positions (n, 3) by the coarse and the fine stage of the target in the pose of a placement, so many times."""
+    """(n, 3) positions after refitting the target from the pose of a placement, ``times`` times."""
     stiff, rest, config = problem.stiff, problem.prepared.rest, problem.prepared.elastic
     for _ in range(config.refit.rounds if times is None else times):
-        there = rest.at(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
-        alike = replace(stiff, prepared=replace(stiff.prepared, rest=there))
-        positions = fine_fit(alike, coarse_fit(alike, there.graph.positions[alike.shape.vertices]))
+        posed = rest.at(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
+        alike = replace(stiff, prepared=replace(stiff.prepared, rest=posed))
+        positions = fine_fit(alike, coarse_fit(alike, posed.graph.positions[alike.shape.vertices]))
     return positions
 
 
 def pose_difference(rest: RestShape, positions: FloatArray) -> float:
-    """How far poses differ, in radians: mean of `rotation_angles`."""
+    """Difference of poses in radians: mean of `rotation_angles`."""
     return float(rest.graph.areas @ rotation_angles(rest, positions)) / float(rest.graph.areas.sum())
 
 
 def largest_limb_rotation(rest: RestShape, positions: FloatArray, share: float) -> float:
-    """Least of `rotation_angles`, in radians, on the most rotated share of the area that is not masked."""
+    """Least of `rotation_angles`, in radians, on the most rotated share of the unmasked area."""
     angles = rotation_angles(rest, positions)
     order = np.argsort(-angles)
     covered = np.cumsum((rest.graph.areas * rest.masks.of_target(rest.graph.n))[order])
@@ -66,39 +66,39 @@ def largest_limb_rotation(rest: RestShape, positions: FloatArray, share: float) 
 
 
 def rotation_angles(rest: RestShape, positions: FloatArray) -> FloatArray:
-    """(n,) angles, in radians, between the rotation of every vertex of a placement (n, 3) and that of all."""
-    areas, own = rest.graph.areas, nearest_rotations(rest.energy.maps(positions))
-    common = common_rotation(areas, own)
-    cosines = 0.5 * (np.einsum("nab,ab->n", own, common) - 1.0)
+    """(n,) angles in radians between the rotation of every vertex of a placement (n, 3) and their mean."""
+    areas, turns = rest.graph.areas, nearest_rotations(rest.energy.maps(positions))
+    common = common_rotation(areas, turns)
+    cosines = 0.5 * (np.einsum("nab,ab->n", turns, common) - 1.0)
     return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
 def common_rotation(areas: FloatArray, rotations: FloatArray) -> FloatArray:
-    """(3, 3) rotation nearest to some (n, 3, 3), by area (n,)."""
+    """(3, 3) mean rotation: nearest to rotations (n, 3, 3), weighted by area (n,)."""
     return nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
 
 
 def rigid_pose(rest: RestShape, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
-    """(n, 3) the rest shape near some positions (n, 3), as rigid as possible (Sorkine and Alexa 2007) but at joints.
+    """(n, 3) rest shape moved to positions (n, 3), as rigidly as possible (Sorkine and Alexa 2007) except at joints.
 
     Minimises ``sum_i a_i |x_i - y_i|^2 + alpha sum_ij c_ij w_ij |x_i - x_j - R_ij (p_i - p_j)|^2``, R the rotations of
     smoothed differentials, c small where they turn already: bodies bend at joints.
     """
-    graph, stage, found = rest.graph, config.stage, positions
+    graph, stage, posed = rest.graph, config.stage, positions
     blocks, right = graph.areas[:, None, None] * np.eye(3), graph.areas[:, None] * positions
     energy = ElasticEnergy.build(graph, stage.smoothing, rotations)
     for _ in range(config.joint_rounds):
-        stiffness = edge_stiffness(graph, energy.differentials(found)[0], config)
+        stiffness = edge_stiffness(graph, energy.differentials(posed)[0], config)
         energy = ElasticEnergy.build(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
-        found = minimise(energy, VertexTerms(energy, blocks, right, constant=True), found, stage)
-    return found
+        posed = minimise(energy, VertexTerms(energy, blocks, right, constant=True), posed, stage)
+    return posed
 
 
 def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
     """(2 m,) ``1 / (1 + k^2 / mean k^2)`` of edges, k the smoothed gradient of rotations (n, 3, 3): least at joints."""
     changes = ((turns[graph.heads] - turns[graph.tails]) ** 2).sum(axis=(1, 2))
     covered = np.bincount(graph.heads, graph.weights * (graph.edges**2).sum(axis=1), graph.n)
-    covered = np.maximum(covered, 1e-12 * covered.mean())  # where faces are points nothing is seen to turn
+    covered = np.maximum(covered, 1e-12 * covered.mean())  # degenerate faces show no rotation
     squared = np.bincount(graph.heads, graph.weights * changes, graph.n) / covered
     squared = np.maximum(graph.smoother(config.joint_smoothing).solve(graph.areas * squared), 0.0)
     stiff = 1.0 / (1.0 + squared / max(float(graph.areas @ squared), 1e-12))
@@ -106,9 +106,9 @@ def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig =
 
 
 def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
-    """Positions (n, 3) half-way between a fine placement and the inverse of the reverse fit that starts there.
+    """(n, 3) mean of a fine placement and the inverse of the reverse fit from it.
 
-    As they are where the source has no counterpart of much of the target: there the inverse knows nothing.
+    Unchanged if much of the target has no counterpart on the source: the inverse is undefined there.
     """
     prepared, back = problem.prepared, problem.prepared.reversed
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
@@ -125,13 +125,13 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
 def inverse_positions(
     mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface, normal_weight: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Places (n2, 3) of another mesh by the inverse of a deformation (n, 3) onto it, and distances (n2,) from that."""
+    """Positions (n2, 3) of another mesh by the inverse of a deformation (n, 3), and distances (n2,) from it."""
     tree = build_tree(deformed, mesh.triangles)
     at, barycentric, gaps = closest_points(tree, other.positions, other.vertex_normals, normal_weight=normal_weight)
     return np.einsum("mk,mkd->md", barycentric, mesh.positions[mesh.triangles[at]]), gaps
 
 
 def smooth_shifts(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray, length: float) -> FloatArray:
-    """(n, 3) shifts of a mesh smoothed over a length; where trust (n,) is 0 they follow their surroundings."""
+    """(n, 3) shifts of a mesh smoothed over a length, weighted by trust (n,)."""
     masses = graph.areas * np.maximum(trust, 1e-6)
     return graph.smoother(length, masses).solve(masses[:, None] * shifts)

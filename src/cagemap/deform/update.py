@@ -1,7 +1,7 @@
 """Update a map after landmarks were added, moved or removed: a linear elastic response.
 
-The map is an equilibrium of the fit. A moved landmark displaces its surroundings along the surface by d, which the
-coarse graph resolves: E(d, A) is quadratic, the data hold d in the source's tangent planes, and neither closest points
+The map is an equilibrium of the fit. A moved landmark displaces its surroundings along the surface by d. The coarse
+graph resolves d: E(d, A) is quadratic, the data terms keep d in the source's tangent planes, and neither closest points
 nor the fine mesh are needed. The result is close to that of the whole fit (docs/lab/accuracy.md), at a fraction of its
 time.
 """
@@ -31,7 +31,7 @@ def displacement_response(
     config: ElasticConfig = ElasticConfig(),
     terms: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Displacements (n, 3) of a graph's vertices, and their differentials (n, 3, 3), when some of them are moved.
+    """Displacements (n, 3) of a graph's vertices and their differentials (n, 3, 3), for given offsets of some.
 
     The held vertices (p,) move by offsets (p, 3), the others in the tangent planes of normals (n, 3). Other terms are
     blocks B (n, 3, 3) and B y (n, 3) of ``(d - y)^T B (d - y)`` for displacements d.
@@ -45,12 +45,14 @@ def displacement_response(
     blocks[held] = landmark_weight * np.eye(3)
     right[held] = landmark_weight * offsets
     constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))
-    found = minimise(energy, VertexTerms(energy, blocks, right, constant=True), np.zeros((graph.n, 3)), constant)
-    return found, energy.maps(found)
+    displacements = minimise(
+        energy, VertexTerms(energy, blocks, right, constant=True), np.zeros((graph.n, 3)), constant
+    )
+    return displacements, energy.maps(displacements)
 
 
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
-    """Positions (n, 3), of the level that is deformed, of a map moved so that it meets landmarks and curves."""
+    """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
     prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.landmark_vertices[0]
     graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)
