@@ -1,4 +1,4 @@
-"""Wrap: the target's cage in the source's shape, such that the refined surface lies on the source."""
+"""Wrap: fit the target's cage such that its refined surface is on the source."""
 
 from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.net import level_mesh

@@ -1,9 +1,9 @@
 """Fit a control net: control points whose *refined* surface lies on the source.
 
-The map says where every point of the target's refined surface belongs. The net starts at the minimum of
-``||S X - P||^2`` and is then drawn onto the source's tangent planes at the closest points (`cagemap.wrap.terms`), which
-lets it slide along the surface. The as-affine-as-possible energy of the net keeps the flow of edge loops, stops faces
-from crossing, and carries what has no counterpart along.
+The map gives the image P of every point of the target's refined surface. The net starts at the minimum of
+``||S X - P||^2``. It is then fitted to the source's tangent planes at closest points (`cagemap.wrap.terms`), so that it
+can slide along the surface. The as-affine-as-possible energy of the net keeps the flow of edge loops, prevents crossing
+faces, and places parts without a counterpart.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Adjust = Callable[[FloatArray], FloatArray]
 
 
 def keep_positions(positions: FloatArray) -> FloatArray:
-    """No symmetry to keep."""
+    """The positions unchanged: there is no symmetry to keep."""
     return positions
 
 
 def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjust = keep_positions) -> FloatArray:
-    """(n_l, 3) fitted points of a net, at unit area of the source; ``adjust`` keeps a symmetry after every round."""
+    """(n_l, 3) fitted points of a net, at unit area of the source; ``adjust`` keeps a symmetry."""
     free = free_points(samples, config)
     pieces = detached_pieces(net.graph, free)
     detached = np.concatenate([free[:0], *pieces])
@@ -52,14 +52,14 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
 
 
 def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
-    """(k,) points of the net that no sample acts on: what has no counterpart."""
-    own = samples.rows.T @ samples.weights
+    """(k,) points of the net without sample weight: they have no counterpart."""
+    weights = samples.rows.T @ samples.weights
     most = samples.rows.T @ np.full(len(samples.weights), samples.weights.max())
-    return np.flatnonzero(own <= config.net.min_weight * most)
+    return np.flatnonzero(weights <= config.net.min_weight * most)
 
 
 def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
-    """Connected pieces of a graph that lie in points (k,) as a whole."""
+    """Connected pieces of a graph whose vertices are all in points (k,)."""
     piece = label_components(graph.heads, graph.tails, graph.n)
     sizes = np.bincount(piece)
     whole = np.bincount(piece[points], minlength=len(sizes)) == sizes
@@ -68,7 +68,7 @@ def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
 
 
 def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
-    """Connected pieces of free points (k,) alone, such as eyes or teeth; that is not all of the graph."""
+    """Connected pieces of free points (k,) only, such as eyes; refuses a graph without other points."""
     pieces = whole_pieces(graph, free)
     if sum(map(len, pieces)) == graph.n:
         raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
@@ -78,24 +78,24 @@ def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
 def carry_detached_pieces(
     graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatArray, config: NetConfig
 ) -> FloatArray:
-    """(n, 3) positions with every detached piece moved as the points nearest to it at rest: by a similarity."""
+    """(n, 3) positions with every detached piece moved by the similarity of its nearest points."""
     if not pieces:
         return positions
     rest = graph.positions
     attached = np.setdiff1d(np.arange(graph.n), np.concatenate(pieces))
     tree, moved = cKDTree(rest[attached]), positions.copy()
-    for own in pieces:
-        _, nearest = tree.query(rest[own].mean(axis=0), k=min(config.nearest_points, len(attached)))
+    for piece in pieces:
+        _, nearest = tree.query(rest[piece].mean(axis=0), k=min(config.nearest_points, len(attached)))
         near = attached[np.atleast_1d(nearest)]
         rotation, scale, shift = fit_similarity(rest[near], positions[near])
-        moved[own] = scale * rest[own] @ rotation.T + shift
+        moved[piece] = scale * rest[piece] @ rotation.T + shift
     return moved
 
 
 def run_rounds(
     energy: Energy, terms: NetTerms, positions: FloatArray, count: int, adjust: Adjust = keep_positions
 ) -> FloatArray:
-    """(n, 3) positions after so many rounds, adjusted after each; what does not move is as it was."""
+    """(n, 3) positions after ``count`` rounds, adjusted after each; points that do not move are unchanged."""
     if not count:
         return positions
     config = terms.config
@@ -104,7 +104,7 @@ def run_rounds(
 
 
 def similar_at(points: IndexArray) -> Admissible:
-    """Bounded differentials; those of some points (k,) are similarities: turned and scaled, and not sheared."""
+    """Restriction of differentials: bounded, and similarities (rotation and scale) at points (k,)."""
 
     def admissible(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
         maps, bounded = bounded_maps(maps, normals)
@@ -119,7 +119,7 @@ def similar_at(points: IndexArray) -> Admissible:
 
 @dataclass(frozen=True, eq=False)
 class FixedMaps:
-    """An energy whose differentials stay as they are, wherever the net goes: it needs no factorisation."""
+    """An energy with constant differentials: it needs no factorisation."""
 
     graph: ElasticGraph
     maps: tuple[FloatArray, IndexArray]
@@ -141,9 +141,10 @@ def moved_locally(
     *,
     fixed: bool = False,
 ) -> FloatArray:
-    """(n, 3) a net after some rounds in which few points (m,) move, with similarities at some points (k,).
+    """(n, 3) net after rounds in which few points (m,) move, with similarities at points (k,).
 
-    Differentials are those of a part around them, as stiff as it is (n,), or fixed ones, which costs no factorisation.
+    The energy is that of the part around them, with stiffness (n,). If ``fixed``, differentials are constant, which
+    needs no factorisation.
     """
     if not len(moving):
         return positions

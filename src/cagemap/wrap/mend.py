@@ -1,4 +1,4 @@
-"""Mend a fitted net in parts: faces that fold or grow thin."""
+"""Mend faces of a fitted net that fold or grow thin."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ from cagemap.wrap.terms import Samples
 def mend(
     net: ControlNet, samples: Samples, config: WrapConfig, positions: FloatArray, adjust: Adjust = keep_positions
 ) -> FloatArray:
-    """(n_l, 3) a fitted net whose faces do not fold and are not much thinner than at rest, as far as that can be had.
+    """(n_l, 3) fitted net after mending faces that fold or are much thinner than at rest.
 
-    Bad faces become stiffer and are fitted again. Small ones that still fold are released; others are laid flat before.
+    Bad faces become stiffer and are fitted again. Small faces that still fold are released from the source; larger ones
+    are flattened before the fit.
     """
     if not config.rounds:
         return positions
@@ -70,11 +71,11 @@ def mend(
         similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
         moved = partial(moved_locally, net, samples, config, similar, stiffness)
         moving = np.setdiff1d(graph.rings(corners, rings), detached)
-        again = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
-        flat = _lay_flat(graph, positions, np.intersect1d(again, moving))
+        still_folded = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
+        flat = _lay_flat(graph, positions, np.intersect1d(still_folded, moving))
         positions = moved(flat, moving, 1, fixed=many)
         near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
-        # What is carried along has further to go.
+        # Released points move further: more rounds.
         positions = adjust(moved(positions, near, numbers.release_rounds, fixed=many))
     return _without_folds(net, positions, folded_at_rest, detached, adjust, numbers)
 
@@ -87,7 +88,7 @@ def _without_folds(
     adjust: Adjust,
     config: MendConfig,
 ) -> FloatArray:
-    """(n, 3) the net with the last faces that fold laid flat, where they are small; the one with the fewest folds."""
+    """(n, 3) net with the fewest folds, after flattening the last folded faces if they are small."""
     graph, best, fewest = net.graph, positions, net.mesh.n_faces + 1
     flat = detached[:0]
     for flattening in range(config.flattenings + 1):
@@ -103,7 +104,7 @@ def _without_folds(
 
 
 def _lay_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> FloatArray:
-    """(n, 3) a net in which points (m,) are the means of their neighbours, which unfolds a patch (Tutte 1963)."""
+    """(n, 3) net with points (m,) at the means of their neighbours: unfolds a patch (Tutte 1963)."""
     flat = np.setdiff1d(flat, np.concatenate([flat[:0], *whole_pieces(graph, flat)]))
     if not len(flat):
         return positions

@@ -20,13 +20,13 @@ from cagemap.wrap.config import NetConfig
 
 @dataclass(frozen=True, eq=False)
 class ControlNet:
-    """One level of a surface, whose vertices are free to move."""
+    """One level of a surface as a net of control points, with its rest shape."""
 
     refinement: Refinement
     level: int  # of the net; below the finest
     mesh: ControlMesh  # the net, at rest
-    # Its rest shape at unit area of the surface. Weights are cotangents times lengths of edges (times their mean), so
-    # that the energy weighs against squared distances to a surface much the same for small faces as for large ones
+    # Rest shape at unit area of the surface. Weights are cotangents times edge lengths (times their mean), so that
+    # the energy has a similar weight against squared distances for small and large faces
     graph: ElasticGraph
     energy: ElasticEnergy
     # (m,) Where every face's triangles of the finest level begin: those of one face follow those of the face before
@@ -38,7 +38,7 @@ class ControlNet:
 
 
 def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
-    """A level as a mesh of its own, with UVs, materials and groups; level 0 is the control mesh itself.
+    """A level as a mesh with UVs, materials and groups; level 0 is the control mesh.
 
     Raises ParameterError if the level is not 0 and the mesh has hole faces, which the level's mesh would lack.
     """
@@ -76,7 +76,7 @@ def folded_faces(net: ControlNet, positions: FloatArray) -> NDArray[np.bool_]:
 
 
 def face_aspects(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
-    """(m,) longest edge of every face by its shortest."""
+    """(m,) longest edge of every face divided by its shortest."""
     corner = positions[mesh.face_indices]
     lengths = np.linalg.norm(corner[mesh.next_corners] - corner, axis=1)
     begin = mesh.face_offsets[:-1]

@@ -1,11 +1,11 @@
-"""Terms of a wrap: samples of the refined surface lie on the source, for `cagemap.deform.minimise`.
+"""Terms of a wrap for `cagemap.deform.minimise`: distances of surface samples from the source.
 
 With S the refinement from the net's level to the finest and P the images of the finest vertices by the map:
 
     sum_i w_i ( (n_i . (S X - q)_i)^2 + anchor |(S X - P)_i|^2 )
 
-with closest points q and normals n of the source. The system couples the three coordinates, through the tangent
-planes. It is solved by conjugate gradients from where the net is; the system without planes, ``S^T w S + fairness L``,
+with closest points q and normals n of the source. The system couples the three coordinates through the tangent planes.
+It is solved by conjugate gradients from the current positions; the system without planes, ``S^T w S + fairness L``,
 is the preconditioner, the same for all coordinates and all rounds.
 """
 
@@ -36,19 +36,19 @@ from cagemap.wrap.net import ControlNet
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Vertices of the refined surface, and where the map takes them; at unit area of the source."""
+    """Vertices of the refined surface and their images by the map, at unit area of the source."""
 
     rows: sparse.csr_array  # (s, n_l) of S: the samples from the net's points
-    images: SurfacePoints  # where the map takes them
+    images: SurfacePoints  # images by the map
     reach: FloatArray  # (s,): how far from its image a sample may slide
-    weights: FloatArray  # (s,): their areas times how far they may follow
+    weights: FloatArray  # (s,): areas times follow weights
     held: NDArray[np.bool_]  # (s,): samples that stay at their image (boundaries), instead of sliding along the surface
 
     @classmethod
     def choose(
         cls, net: ControlNet, images: SurfacePoints, follow: FloatArray, held: NDArray[np.bool_], config: NetConfig
     ) -> Samples:
-        """Vertices of a level below the net; images, weights (n_f,) and held (n_f,) are of all finest vertices."""
+        """Sample vertices of a level finer than the net; images, follow and held (n_f,) are of finest vertices."""
         refinement, graph = net.refinement, net.graph
         level = min(net.level + 1, refinement.n_levels)
         while level < min(net.level + config.levels_below, refinement.n_levels):
@@ -66,14 +66,14 @@ class Samples:
         return cls(rows, images.at(slice(count)), config.reach * (rows @ around), weights, held[:count])
 
     def of_part(self, seen: IndexArray, part: IndexArray) -> Samples:
-        """Some samples, from some points of the net alone."""
+        """The samples ``seen``, as functions of the points ``part`` only."""
         rows = self.rows[seen][:, part]
         return Samples(rows, self.images.at(seen), self.reach[seen], self.weights[seen], self.held[seen])
 
 
 @dataclass(frozen=True, eq=False)
 class NetTerms:
-    """Terms of a net, or of a part of it, of which some points (m,) move."""
+    """Terms of a net, or of a part of it, with moving points (m,)."""
 
     samples: Samples
     config: WrapConfig
@@ -97,7 +97,7 @@ class NetTerms:
         return cls(samples, config, moving, transposed, graph.laplacian, factor(sparse.csc_array(matrix)))
 
     def start(self, energy: ElasticEnergy) -> FloatArray:
-        """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy; what does not move is at rest."""
+        """(n, 3) net that minimises ``||S X - P||^2`` with a little energy; fixed points stay at rest."""
         samples, moving, positions = self.samples, self.moving, energy.graph.positions.copy()
         right = self.transposed @ (samples.weights[:, None] * samples.images.positions)
         positions[moving] = self.factors.solve(right[moving])
@@ -106,7 +106,7 @@ class NetTerms:
         return positions
 
     def at(self, positions: FloatArray, found: object, alpha: float, before: SampleTerms | None) -> SampleTerms:
-        """Terms at the closest points of the source."""
+        """Terms with the source's closest points to positions (n, 3)."""
         samples, images = self.samples, self.samples.images
         guess = images.triangle if before is None else before.closest.triangle
         weight = self.config.net.normal_weight
@@ -122,7 +122,7 @@ class NetTerms:
 
 @dataclass(frozen=True, eq=False)
 class SampleTerms:
-    """Terms of one round: weights (s,) of the distance to the planes at closest points, and of that to the images."""
+    """Terms of one round: weights (s,) of distances to planes (``across``) and to images (``along``)."""
 
     terms: NetTerms
     closest: SurfacePoints
@@ -132,7 +132,7 @@ class SampleTerms:
     distance: float = np.inf
 
     def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
-        """Their own system: the stiffness is always the fairness."""
+        """The terms themselves: the stiffness is always the fairness."""
         return self
 
     def times(self, positions: FloatArray) -> FloatArray:
@@ -144,7 +144,7 @@ class SampleTerms:
         return np.asarray(terms.transposed @ wanted + terms.config.fairness * (terms.laplacian @ positions))
 
     def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
-        """(n, 3) the solution for a right side (n, 3), over the points that move, from positions (n, 3)."""
+        """(n, 3) solution for a right side (n, 3) in the moving points, from positions (n, 3)."""
         terms, moving, shape = self.terms, self.terms.moving, positions.shape
 
         def times(flat: FloatArray) -> FloatArray:
@@ -169,7 +169,7 @@ class SampleTerms:
 
 
 def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
-    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or lays it over others."""
+    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
@@ -177,13 +177,13 @@ def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> Fl
     for _ in range(2):
         sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
     ratio = np.divide(sums[:, 1], sums[:, 0], out=np.ones(target.n), where=sums[:, 0] > 0)
-    found = np.clip((ratio - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
-    found[_hollow_parts(point_map, found >= 0.5, config)] = 0.0
-    return found
+    mask = np.clip((ratio - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
+    mask[_hollow_parts(point_map, mask >= 0.5, config)] = 0.0
+    return mask
 
 
 def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
-    """(n1,) squeezed parts with what lies behind them, where that is laid over images of the rest; ``whole`` is not."""
+    """(n1,) squeezed parts (not ``whole``) and the area behind them, if its images overlap the rest."""
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():

@@ -1,4 +1,4 @@
-"""Wrap a target's cage onto a source along a map; what remains of the source is detail over the wrapped surface."""
+"""Wrap a target's cage onto a source by a map; the remaining distance is detail to bake."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cagemap.wrap.mend import mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
 from cagemap.wrap.terms import Samples, counterpart_mask
 
-# What is said of a plain target.
+# Message for a target without a cage.
 NO_CAGE = (
     "expected a cage to wrap, got a plain mesh (scheme none), which has no control points. Say how the target is "
     "subdivided (`ControlMesh.scheme`): catmull-clark, loop for triangles, or bilinear, which leaves its form. The "
@@ -35,9 +35,9 @@ NO_CAGE = (
 # Triangles, barycentric coordinates and distances of closest points.
 Closest = tuple[IndexArray, FloatArray, FloatArray]
 
-# Level of both surfaces at least: what most programs render a subdivision surface at.
+# Least level of both surfaces for baking: most programs render a subdivision surface at it.
 _RENDERED = 4
-# No finer than this, whatever the level.
+# Largest number of vertices for baking, whatever the level.
 _MOST_VERTICES = 1_500_000
 
 
@@ -48,26 +48,25 @@ class Residual:
     mean: float
     p99: float
     largest: float
-    where: int  #: vertex that is furthest
+    where: int  #: vertex with the largest distance
 
 
 @dataclass(frozen=True, eq=False)
 class Wrapped:
-    """The target's net in the source's shape."""
+    """Result of a wrap: the target's net in the source's shape."""
 
-    #: the net (level ``level`` of the target) with its fitted positions, in the source's units; all else is the
-    #: target's
+    #: the net (level ``level`` of the target) with its fitted positions, in the source's units; all else is unchanged
     mesh: ControlMesh
     level: int
-    surface: FloatArray  #: (n_f, 3) finest vertices of the surface over it
-    closest: PointMap  #: closest points of the source to them
-    distance: FloatArray  #: (n_f,) how far these are, as parts of sqrt(source area)
-    follow: FloatArray  #: (n_f,) how far each vertex was to follow, from 0 to 1
+    surface: FloatArray  #: (n_f, 3) finest vertices of the net's refined surface
+    closest: PointMap  #: closest points of the source to these vertices
+    distance: FloatArray  #: (n_f,) their distances, as parts of sqrt(source area)
+    follow: FloatArray  #: (n_f,) weight with which each vertex followed the source, from 0 to 1
     residual: Residual  #: of all finest vertices to the source
-    followed: Residual  #: the same of those that have a counterpart
+    followed: Residual  #: of finest vertices with a counterpart, to the source
     from_source: Residual  #: of all vertices of the source to the wrapped surface
     left_out: float  #: share of the target's area that has no counterpart
-    folded: IndexArray  #: (k,) faces of the net that turn against their refined surface, and did not at rest
+    folded: IndexArray  #: (k,) faces of the net that are folded against their refined surface, and were not at rest
     aspect: float  #: 99th percentile of faces' longest by shortest edge, divided by that at rest
 
 
@@ -84,15 +83,15 @@ def wrap(
     Parameters
     ----------
     target : Refinement
-        Up to the level that the map was computed on.
+        Refinement up to the level of the map.
     point_map : PointMap
-        Of the finest level.
+        Point map of the finest level.
     config : WrapConfig
     follow : (n_0,) or (n_f,) float64, optional
-        How far every control vertex, or finest vertex, may follow, from 0 to 1; what may not is carried along. Parts
-        without counterpart are found anyway.
+        Weight with which every control vertex, or finest vertex, follows the source, from 0 to 1; with weight 0 it
+        moves with its surroundings. Parts without a counterpart are detected in any case.
     symmetry : (n_l,) int64, optional
-        Mirror image of every point of the net, which is then kept symmetric.
+        Mirror image of every point of the net; keeps the net symmetric.
 
     Raises
     ------
@@ -113,9 +112,9 @@ def wrap(
             f"{point_map.target.n}: are target and source exchanged, or of other levels?"
         )
     with ThreadPool(1) as pool:
-        found = pool.submit(counterpart_mask, point_map, config.net)
+        mask_task = pool.submit(counterpart_mask, point_map, config.net)
         net = control_net(target, config.level, point_map.target.scale, config.net)
-        weights = found.result() * _follow(target, follow)
+        weights = mask_task.result() * _follow(target, follow)
     samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config.net)
     adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
     follows = weights >= config.net.followed
@@ -156,7 +155,7 @@ def wrap(
 
 
 def measure_residual(distance: FloatArray, counted: NDArray[np.bool_] | None = None) -> Residual:
-    """Figures of distances (n,), of all of them or those that are counted."""
+    """Residual figures of distances (n,), of all vertices or of those counted."""
     vertices = np.arange(len(distance)) if counted is None else np.flatnonzero(counted)
     among = distance[vertices]
     return Residual(
@@ -165,7 +164,7 @@ def measure_residual(distance: FloatArray, counted: NDArray[np.bool_] | None = N
 
 
 def symmetrize(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
-    """(n, 3) a net made mirror symmetric: the mean of it and its mirror image, about the plane that suits it best."""
+    """(n, 3) symmetric net: mean of the net and its mirror image about the best-fitting plane."""
     # The best rigid motion of the image, with one axis turned over, is the reflection about that plane.
     flip = np.array([-1.0, 1.0, 1.0])
     image = positions[symmetry] * flip
@@ -175,7 +174,7 @@ def symmetrize(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
 
 
 def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
-    """(n_f,) how far the finest vertices may follow, from values at these or at control vertices."""
+    """(n_f,) follow weights of the finest vertices, from weights at these or at control vertices."""
     n, count = target.control.n_vertices, target.finest.n_vertices
     if follow is None:
         return np.ones(count)
@@ -189,19 +188,19 @@ def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
-    """The wrapped surface, to bake into its own layout, the source as detail over it, and the refined source.
+    """Wrapped surface to bake into its UV layout, the source as detail, and the refined source.
 
-    Both are refined past the levels of the match. Where a vertex was not to follow, the detail does not count.
+    Both are refined past the levels of the match. Detail is weighted by ``follow``.
     """
     transfer, follow = wrapped_transfer(wrapped, target)
-    other = _refined(source, max(source.n_levels, _RENDERED))
-    triangles = level_triangles(other, other.n_levels)
-    detail = detail_over(transfer.point_map.source, other.finest.positions, triangles)
-    return transfer, replace(detail, follow=follow), other
+    refined_source = _refined(source, max(source.n_levels, _RENDERED))
+    triangles = level_triangles(refined_source, refined_source.n_levels)
+    detail = detail_over(transfer.point_map.source, refined_source.finest.positions, triangles)
+    return transfer, replace(detail, follow=follow), refined_source
 
 
 def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, FloatArray]:
-    """The wrapped surface as it is rendered, to bake into its own layout; and how far its vertices (n,) follow."""
+    """Wrapped surface at render level, to bake into its UV layout, and its follow weights (n,)."""
     fine = _refined(target, max(target.n_levels, _RENDERED))
     # `refine` works on the control mesh; positions of the net are refined from their own level.
     positions = fine.prolong(wrapped.mesh.positions, wrapped.level, fine.n_levels)
@@ -210,7 +209,7 @@ def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, Fl
 
 
 def _refined(refinement: Refinement, level: int) -> Refinement:
-    """The refinement up to a level, or up to the last one that is not too large."""
+    """The refinement up to a level, or up to the last level of allowed size."""
     size = refinement.finest.n_vertices
     while level > refinement.n_levels and size * 4 ** (level - refinement.n_levels) > _MOST_VERTICES:
         level -= 1
