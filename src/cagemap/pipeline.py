@@ -1,4 +1,4 @@
-"""The method on one page: prepare each surface once, then match a pair (paper, Fig. 2)."""
+"""The pipeline: prepare each surface once, then match a pair (paper, Fig. 2)."""
 
 from __future__ import annotations
 
@@ -58,26 +58,26 @@ class MatchConfig(Brief):
     method : str
         "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
         "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
-        "paper": the paper's own hierarchical functional map, which starts at level 0; wants a fixed schedule.
+        "paper": the paper's hierarchical functional map; starts at level 0 and needs a fixed schedule.
     hfm : HfmConfig
-        Of "hfm".
+        Parameters of "hfm".
     paper : PaperConfig
-        Of "paper".
+        Parameters of "paper".
     start : StartConfig
-        Where "elastic" starts from.
+        Starts of "elastic".
     elastic : ElasticConfig
-        The elastic fit.
+        Parameters of the elastic fit.
     use_symmetry : bool
         "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
         symmetries are given.
     symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
         "hfm" and "paper" only: self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
     answer : int
-        Which of the answers, where there are several: few landmarks decide, or they are mirrored as a whole. 0 is best.
+        Index of the answer to return if there are several (few or mirrored landmarks); 0 is the best.
     check_landmarks : bool
-        Leave out landmark pairs that look wrong ("elastic" only); otherwise all are met exactly.
+        Leave out landmark outliers ("elastic" only); otherwise all landmarks are met exactly.
     masks : Masks
-        What of the two finest levels is matched ("elastic" only); landmarks are met wherever they lie.
+        Weights of the finest vertices of both surfaces ("elastic" only); landmarks are met in masked area too.
     """
 
     method: str = "elastic"
@@ -94,7 +94,7 @@ class MatchConfig(Brief):
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if not all(isinstance(one, tuple | list) and len(one) == 2 for one in self.symmetries):
+        if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in self.symmetries):
             raise ParameterError(
                 "symmetries: expected pairs of arrays, the target's images and the source's, got others"
             )
@@ -109,7 +109,7 @@ class MatchConfig(Brief):
 
 
 def _prepared(side: Surface | ControlMesh, config: MatchConfig) -> Surface:
-    """A surface as it is, a mesh prepared at the default size."""
+    """Prepare a mesh at the default size; a surface is returned unchanged."""
     if isinstance(side, Surface):
         return side
     level = choose_level(side, DEFAULT_VERTICES)
@@ -118,10 +118,10 @@ def _prepared(side: Surface | ControlMesh, config: MatchConfig) -> Surface:
 
 @kinds_checked
 def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
-    """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must."""
+    """Prepare everything of an elastic match that does not depend on landmarks, for repeated matches."""
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
-        # The bases of a result that was read are not made yet, triangles of none.
+        # Compute bases and triangles now, if not done yet: a result that was read has none.
         in_threads(lambda surface: (surface.basis, surface.triangles(0)), [target, source])
         return PreparedPair.build(target, source, config.start, config.elastic, config.masks)
 
@@ -137,18 +137,17 @@ def match(
 ) -> MatchResult:
     """Map a target surface to a source surface (paper, section 5).
 
-    With fewer than three landmarks all ways in which the target may lie on the source are tried, and the result says
-    how sure its answer is.
+    With fewer than three landmarks many alignments are tried, and the result has a ``confidence``.
 
     Parameters
     ----------
     target : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
-        M1, the surface that receives. A mesh is prepared with about 200 000 vertices; `prepare_surfaces` chooses
-        levels, and its surfaces serve further matches.
+        M1, the surface that receives. A mesh is prepared with about 200 000 vertices; use `prepare_surfaces` to choose
+        levels or to reuse surfaces.
     source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
         M2, the surface that gives.
     landmarks : Landmarks or (p, 2) array, optional
-        Points, and curves, that correspond; of an array pairs (target vertex, source vertex).
+        Corresponding points and curves; an array has rows (target vertex, source vertex).
     config : MatchConfig
     progress : callable
         Called with the name of each stage.
@@ -203,7 +202,7 @@ def match_pair(
     timings: dict[str, float] | None = None,
     preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
-    """The elastic match of a prepared pair.
+    """Match a prepared pair by the elastic method.
 
     Parameters
     ----------
@@ -211,12 +210,12 @@ def match_pair(
     landmarks : Landmarks, optional
         As in `match`.
     config : MatchConfig
-        Its start, elastic and masks are those that the pair was prepared with, or the defaults, which stand for them.
+        Its start, elastic and masks must be those of the prepared pair, or the defaults, which stand for these.
     progress : callable
     timings : dict of str to float, optional
-        Seconds of stages that came before.
+        Seconds of earlier stages.
     preview : callable, optional
-        Called during the search with approximate maps, where there are fewer than three landmarks.
+        Called with approximate maps during the search, with fewer than three landmarks.
 
     Raises
     ------
@@ -249,8 +248,8 @@ def match_pair(
                 point_map, placements = elastic_map(problem, progress)
         shared = SharedArea.of_fit(prepared, placements[0].answer)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
-    found = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
-    return other_answer(found, config.answer, config, progress=progress) if config.answer else found
+    result = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
+    return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
 @arrays_accepted
@@ -261,19 +260,19 @@ def update_match(
     *,
     progress: Progress = no_progress,
 ) -> MatchResult:
-    """A match after landmarks were added, moved or removed: a preview at once, from the map that is there.
+    """Update a match after landmarks were added, moved or removed: a fast preview.
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
-    (docs/lab/accuracy.md). Where landmarks change what goes where, an arm for a leg, match again instead.
+    (docs/lab/accuracy.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
 
     Parameters
     ----------
     before : MatchResult
     landmarks : Landmarks
-        All of them, as they are now. Pairs that the match left out stay out unless they have changed; pairs that have
-        are checked by their distances to the others.
+        All landmarks, changed or not. Pairs that the match left out stay out unless they changed; changed pairs are
+        checked by their distances to the others.
     config : MatchConfig
-        As in the match before.
+        The config of the match before.
     progress : callable
         Called with the name of each stage.
 
@@ -291,9 +290,9 @@ def update_match(
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.check_landmarks:
-                every = Problem(prepared, Pair(target, source, point_pairs(target, source, landmarks)))
+                all_problem = Problem(prepared, Pair(target, source, point_pairs(target, source, landmarks)))
                 changed = landmarks.new_since(before.landmarks)
-                check = checked_changes(every, landmarks.names, changed, check, point_map)
+                check = checked_changes(all_problem, landmarks.names, changed, check, point_map)
             trusted = check.trusted(landmarks)
             problem = Problem(prepared, Pair(target, source, point_pairs(target, source, trusted)))
             known = known_map(problem)
@@ -310,17 +309,19 @@ def update_match(
 def other_answer(
     before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = no_progress
 ) -> MatchResult:
-    """Another of the answers ``before.confidence.answers`` in place of the first, which is 0.
+    """Result with another of ``before.confidence.answers``; index 0 is the match's own.
 
     Raises
     ------
     ParameterError
-        If there is no such answer, or only the match itself knew it.
+        If there is no such answer, or a result that was read does not contain it in full.
     """
     answers = () if before.confidence is None else before.confidence.answers
     if not 0 <= index < len(answers):
-        found = f"one of the {len(answers)} that the match found, from 0" if answers else "0: the match found no other"
-        raise ParameterError(f"answer {index}: expected {found}")
+        expected = (
+            f"one of the {len(answers)} that the match found, from 0" if answers else "0: the match found no other"
+        )
+        raise ParameterError(f"answer {index}: expected {expected}")
     config, landmarks = replace(config, masks=before.masks, answer=0), before.landmarks
     prepared = before.prepared or prepare_pair(before.target, before.source, config)
     if answers[index].exchange:
@@ -330,12 +331,12 @@ def other_answer(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
     target, source = prepared.target, prepared.source
-    met = point_pairs(target, source, landmarks)
+    pairs = point_pairs(target, source, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
             places = answers[index].positions[prepared.vertices]
-            point_map = map_of_places(prepared, places, met)
+            point_map = map_of_places(prepared, places, pairs)
         shared = SharedArea.of_fit(prepared, answers[index].positions)
         judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress, shared)
     return replace(judged, confidence=before.confidence)
@@ -343,7 +344,7 @@ def other_answer(
 
 @arrays_accepted
 def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
-    """Two surfaces with their landmarks, and with the symmetries that are given, or found for "paper" (5.2)."""
+    """Pair of two surfaces with landmarks, and with symmetries, given or found for "paper" (5.2)."""
     if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
         raise ParameterError("symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none")
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
@@ -369,12 +370,12 @@ def judge(
     ----------
     target : Surface
     point_map : PointMap
-        Anyone's.
+        Any point map of the target's finest level.
     landmarks : PointPairs, optional
     names : tuple of str
-        Of the landmarks, for warnings.
+        Names of the landmarks, for warnings.
     masks : Masks
-        What of both surfaces counts.
+        Weights of both surfaces' vertices in the figures.
 
     Raises
     ------
@@ -392,7 +393,7 @@ def judge(
 
 
 def _require_prepared_for(prepared: PreparedPair, config: MatchConfig) -> None:
-    """Refuse a config that a prepared pair does not follow."""
+    """Refuse a config that differs from that of the prepared pair."""
     if config.method != "elastic":
         raise ParameterError(
             f"match_pair: expected the method elastic, which alone has prepared pairs, got {config.method!r}; "
@@ -409,10 +410,10 @@ def _require_prepared_for(prepared: PreparedPair, config: MatchConfig) -> None:
         "elastic": config.elastic in (prepared.elastic, ElasticConfig()),
         "masks": same_masks or not config.masks.any,
     }
-    others = [name for name, same in followed.items() if not same]
-    if others:
+    fields = [name for name, same in followed.items() if not same]
+    if fields:
         raise ParameterError(
-            f"match_pair: expected the {' and '.join(others)} that the pair was prepared with, got others; prepare the "
+            f"match_pair: expected the {' and '.join(fields)} that the pair was prepared with, got others; prepare the "
             "pair again with this config (cagemap.prepare_pair)"
         )
 
@@ -426,7 +427,7 @@ def _judged(
     progress: Progress,
     shared: SharedArea | None,
 ) -> MatchResult:
-    """The result of an elastic match, with its quality; what is not shared counts for no figure."""
+    """Result of an elastic match with its quality; area without a counterpart is not counted."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
