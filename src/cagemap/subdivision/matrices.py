@@ -1,4 +1,4 @@
-"""Subdivision matrices S: a mask per vertex of the finer level, rows in the order vertices, edges, faces."""
+"""Subdivision matrices S: one row of weights per finer vertex, in the order vertices, edges, faces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.subdivision.sharpness import MeshState, sharpen_matrix
 
 
 class RowFiller:
-    """Fills rows of known lengths of a CSR matrix; the first entry of a row is its own vertex's weight."""
+    """Fill a CSR matrix with rows of known lengths; a row's first entry is its own vertex's weight."""
 
     def __init__(self, lengths: NDArray[np.integer]) -> None:
         self.indptr = np.zeros(len(lengths) + 1, dtype=np.int32)
@@ -30,14 +30,14 @@ class RowFiller:
         self.data[at] = weights
 
     def matrix(self, n_columns: int) -> csr_array:
-        """The matrix; a vertex that a stencil meets twice (valence 2 inside, n-gons) gets one entry."""
+        """The matrix, with repeated entries of a row summed (at valence 2 inside, and for n-gons)."""
         matrix = csr_array((self.data, self.indices, self.indptr), shape=(len(self.indptr) - 1, n_columns))
         matrix.sum_duplicates()
         return matrix
 
 
 def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> None:
-    """Fill the rows of boundary vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
+    """Fill rows of boundary vertices: ``weights`` (own, each boundary neighbour), or 1 at corners."""
     crease = topology.boundary & ~corner
     curve = topology.boundary_corners
     starts, ends = topology.vertices[curve], topology.vertices[topology.following[curve]]
@@ -49,7 +49,7 @@ def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, we
 
 
 def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
-    """Fill the rows of inner vertices: own weight (n,), then per corner one vertex (c,) of weight (n,) per ring."""
+    """Fill rows of inner vertices: own weight (n,), then per ring a vertex (c,) per corner, and its weight (n,)."""
     smooth = ~topology.boundary
     numbers = np.flatnonzero(smooth).astype(np.int32)
     rows.put(numbers, 0, numbers, own[numbers])
@@ -61,7 +61,7 @@ def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings:
 
 
 def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other_weight: float, n_others: int) -> None:
-    """Fill the rows of edge points: the two ends, then on each side the ``n_others`` other vertices of the face."""
+    """Fill rows of edge points: the two ends, then ``n_others`` other vertices of each adjacent face."""
     forward, backward = topology.edge_corners.T
     interior = backward >= 0
     numbers = np.arange(topology.n_vertices, topology.n_vertices + topology.n_edges, dtype=np.int32)
@@ -77,20 +77,20 @@ def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other
 
 
 def vertex_row_lengths(topology: Topology, corner: BoolArray, n_rings: int) -> IntArray:
-    """(n,) entries of every vertex' row: itself and its rings, or on the boundary its neighbours along the curve."""
+    """(n,) number of entries in every vertex's row: itself and its rings, or its boundary neighbours."""
     lengths = np.where(topology.boundary, 3, 1 + n_rings * topology.valences)
     lengths[corner] = 1
     return lengths
 
 
 def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
-    """Per corner: the next vertex of its face, and under Catmull-Clark also the opposite one."""
+    """Vertices (c,) next to every corner in its face, and under Catmull-Clark also the opposite ones."""
     neighbours = topology.vertices[topology.following]
     return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[topology.following]]
 
 
 def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
-    """One step of Catmull-Clark on quads or of Loop on triangles, from their masks."""
+    """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
     rings = rings_of(topology, scheme)
     if isinstance(scheme, Loop):
         own, *each = scheme.vertex_weights(topology.valences)
@@ -111,7 +111,7 @@ def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: Bool
 
 
 def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
-    """One step of Catmull-Clark on faces of any size, through the face points as in [CC78]; for control meshes."""
+    """Matrix of one step of Catmull-Clark on faces of any size, by way of face points [CC78]."""
     smooth = ~topology.boundary
     shape = (topology.n_corners, topology.n_vertices)
     here = _selection(topology.vertices, shape)
@@ -144,12 +144,12 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
 
 
 def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
-    """Matrix with a single 1 in every row."""
+    """Sparse matrix with a single 1 in every row, at the given columns."""
     return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
 
 
 def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
-    """One step without smoothing: vertices stay, edges get the middle, faces the mean of their corners."""
+    """Matrix of one linear step: vertices stay, edges get midpoints, faces the mean of their corners."""
     n, e = topology.n_vertices, topology.n_edges
     forward = np.flatnonzero(topology.forward)
     edges = np.repeat(topology.edges[forward], 2)
@@ -163,7 +163,7 @@ def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
 
 
 def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
-    """S of the step from a level to the next, (n_fine, n_coarse): rows sum to 1, indices ascend in every row."""
+    """Matrix S (n_fine, n_coarse) from a level to the next; rows sum to 1, indices ascend in every row."""
     topology = state.topology
     if isinstance(scheme, Bilinear):
         return linear_matrix(topology)
