@@ -86,8 +86,8 @@ class BasisConfig:
         return (*(0 for _ in range(level)), self.count)
 
 
-# Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs are
-# then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/accuracy.md).
+# Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs
+# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/accuracy.md).
 MIN_VERTICES = 3000
 VERTICES_PER_FUNCTION = 20
 
