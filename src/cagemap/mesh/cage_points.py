@@ -48,7 +48,7 @@ class NamedPoints:
 
 @dataclass(frozen=True, eq=False)
 class CagePoints:
-    """Points of a control mesh: vertices (q, 3) of a triangle of a face's fan, and weights (q, 3) that sum to 1."""
+    """Points of a control mesh: corners (q, 3) of triangles of faces, and weights (q, 3), sum 1."""
 
     corners: IndexArray
     weights: FloatArray

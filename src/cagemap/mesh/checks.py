@@ -180,14 +180,14 @@ def _counts(
 
 
 def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: IndexArray) -> MeshProblem | None:
-    """Edges of more than two faces, and the remedy for each; ``numbers`` (m,) are face numbers in the file."""
+    """Edges of more than two faces, and their remedies; ``numbers`` (m,) are face numbers in the file."""
     bad = topology.face_counts > 2
     if not bad.any():
         return None
     extra = extra_faces(topology)
-    left = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
-    tiny = left & _tiny_edges(mesh, topology)
-    split = left & ~tiny
+    remaining = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
+    tiny = remaining & _tiny_edges(mesh, topology)
+    split = remaining & ~tiny
     remedies = []
     if extra.any():
         faces = numbers[np.flatnonzero(extra)]
@@ -311,7 +311,7 @@ def _has_copied_component(mesh: ControlMesh, labels: IndexArray) -> bool:
 
 
 def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
-    """Whether a boundary loop is a thin slit, or a hole much smaller than faces; probably not intended."""
+    """Whether a boundary loop is a thin slit, or a hole much smaller than faces."""
     with np.errstate(over="ignore", invalid="ignore"):
         points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
         following = np.roll(points, -1, axis=0)

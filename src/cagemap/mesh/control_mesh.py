@@ -203,7 +203,7 @@ class ControlMesh:
         return replace(self, positions=given)
 
     def with_uv_set(self, name: str) -> ControlMesh:
-        """Return the same mesh using the UV set of that name; ParameterError if there is no such set."""
+        """Return the same mesh using the named UV set; ParameterError if there is none."""
         if name == self.uv_name and self.uvs is not None:
             return self
         chosen = next((uv_set for uv_set in self.uv_sets if uv_set.name == name), None)

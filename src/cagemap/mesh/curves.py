@@ -160,9 +160,9 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
         return []  # saves listing the edges of large meshes
     faults = []
     names = list(curves.names)
-    again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
-    if again:
-        faults.append(f"expected every name of a curve once, got these again: {first_few(again)}. Rename them.")
+    repeated = [names[i] for i in find_repeats(np.array(names, dtype=object))]
+    if repeated:
+        faults.append(f"expected every name of a curve once, got these again: {first_few(repeated)}. Rename them.")
     for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):
         faults += _side_faults(side, lines, names, mesh)
     halves = [name for name, a, b in zip(names, curves.target.closed, curves.source.closed, strict=True) if a != b]

@@ -137,7 +137,7 @@ class Landmarks:
         return list(zip(self.target_points.keys, self.source_points.keys, strict=True))
 
     def exchanged(self, places: Collection[tuple[int, int]]) -> Landmarks:
-        """Return pairs of target point i and source point j for every (i, j), with the name of i."""
+        """Pair target point i with source point j for every (i, j), under the name of i."""
         target, source = (np.array([place[side] for place in places], dtype=np.int64) for side in (0, 1))
         return self._at(target, source)
 
@@ -165,9 +165,9 @@ def pair_by_name(
 
     DirectionError if a file of points names the other mesh; InvalidLandmarksError if no name is on both sides.
     """
-    for points, mesh, other in ((target_points, target, source), (source_points, source, target)):
+    for points, mesh, other_mesh in ((target_points, target, source), (source_points, source, target)):
         stated_name, own_name, other_name = (
-            PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other.name)
+            PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other_mesh.name)
         )
         if stated_name == other_name != own_name:
             raise DirectionError(
@@ -210,10 +210,10 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
     faults += curve_faults(landmarks.curves, target, source)
     if faults:
         made_for = landmarks.target_name, landmarks.source_name
-        others = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
-        others = "" if made_for == (target.name, source.name) else others
+        intended = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
+        intended = "" if made_for == (target.name, source.name) else intended
         raise InvalidLandmarksError(
-            f"landmarks for target {target.name} and source {source.name}{others}:{list_problems(faults)}"
+            f"landmarks for target {target.name} and source {source.name}{intended}:{list_problems(faults)}"
         )
 
 

@@ -103,7 +103,7 @@ def _query(tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IndexArray]:
 
 
 def is_symmetry(control: ControlMesh, image: IndexArray) -> bool:
-    """Whether a permutation of the vertices maps faces to faces, and creases and corners to equally sharp ones."""
+    """Whether a vertex permutation maps faces to faces, creases and corners to equally sharp ones."""
     if not np.array_equal(np.sort(image), np.arange(control.n_vertices)):
         return False
     elements = []

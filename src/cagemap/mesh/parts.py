@@ -159,7 +159,7 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
-    """(n,) number of every vertex of a mesh on a part made by `extract_faces`; -1 if not on it."""
+    """(n,) vertex of a part made by `extract_faces` for every vertex of the mesh, or -1."""
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
@@ -215,8 +215,8 @@ def pair_parts(
         (row, column)
         for row, part in enumerate(target_parts)
         if not part.name.rpartition(" ")[2].isdigit()
-        for column, other in enumerate(source_parts)
-        if part.name.rpartition("/")[2] == other.name.rpartition("/")[2]
+        for column, source_part in enumerate(source_parts)
+        if part.name.rpartition("/")[2] == source_part.name.rpartition("/")[2]
     ]
     chosen: dict[int, int] = {}
     for row, column in candidates:
@@ -300,7 +300,7 @@ def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
     result = []
     for name in dict.fromkeys(name for sets_by_name in known for name in sets_by_name):
         bare = [UvSet(name, np.array([NO_UV]), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
-        sets = [sets_by_name.get(name, other) for sets_by_name, other in zip(known, bare, strict=True)]
+        sets = [sets_by_name.get(name, blank) for sets_by_name, blank in zip(known, bare, strict=True)]
         starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])[:-1]
         values = np.concatenate([uv_set.uvs for uv_set in sets])
         result.append(UvSet(name, values, _shifted([uv_set.uv_indices for uv_set in sets], starts)))

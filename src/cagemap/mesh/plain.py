@@ -226,8 +226,8 @@ def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
             return mesh, n_faces - mesh.n_faces, cut
         # Faces joined around the split vertices: it is ambiguous which of them belong together.
         mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1]))
-        mesh, more = _one_fan_per_vertex(mesh)
-        cut += more
+        mesh, newly_cut = _one_fan_per_vertex(mesh)
+        cut += newly_cut
     raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges")
 
 
@@ -241,19 +241,19 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     """Give every fan of faces its own vertex, copies last; also the number of vertices copied."""
     topology = mesh_topology(mesh)
     many = (topology.face_counts > 2)[topology.edges]  # such edges join no faces
-    apart = topology.edges.copy()
-    apart[many] = topology.n_edges + np.arange(many.sum())
-    fans = corner_fans(replace(topology, edges=apart))
+    edges = topology.edges.copy()
+    edges[many] = topology.n_edges + np.arange(many.sum())
+    fans = corner_fans(replace(topology, edges=edges))
     _, first = np.unique(fans, return_index=True)
-    at = mesh.face_indices[first]
-    order = np.argsort(at, kind="stable")
-    again = np.zeros(len(at), dtype=bool)
-    again[order[1:]] = at[order[1:]] == at[order[:-1]]
-    if not again.any():
+    vertices = mesh.face_indices[first]
+    order = np.argsort(vertices, kind="stable")
+    repeated = np.zeros(len(vertices), dtype=bool)
+    repeated[order[1:]] = vertices[order[1:]] == vertices[order[:-1]]
+    if not repeated.any():
         return mesh, 0
-    number = at.copy()
-    number[again] = mesh.n_vertices + np.arange(again.sum())
-    copied = at[again]
+    number = vertices.copy()
+    number[repeated] = mesh.n_vertices + np.arange(repeated.sum())
+    copied = vertices[repeated]
     source = np.concatenate([np.arange(mesh.n_vertices), copied])
     assert mesh.file_vertices is not None
     return replace(
@@ -266,7 +266,7 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 
 def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
-    """Reverse the given faces (m,) of a mesh with one face size; first corners stay, and so do quads' diagonals."""
+    """Reverse faces (m,) of a mesh with one face size, keeping first corners and quads' diagonals."""
     if not faces.any():
         return mesh
     corners = np.arange(len(mesh.face_indices)).reshape(mesh.n_faces, -1)

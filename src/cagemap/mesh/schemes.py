@@ -107,7 +107,7 @@ class CatmullClark(SubdivisionOptions):
         return 1 - 7 / (4 * n), 3 / (2 * n**2), 1 / (4 * n**2)
 
     def face_edge_weights(self, sizes: Integers) -> FloatArray:
-        """Weight of a new face point in an edge point by face size; the weights of both sides are averaged."""
+        """Weight of a new face point in an edge point, by face size, averaged over both sides."""
         smooth = (np.asarray(sizes) == 3) & (self.triangles == "smooth")
         return np.where(smooth, SMOOTH_TRIANGLE, 1 / 4)
 

@@ -22,7 +22,7 @@ class Skeleton:
 
 
 def tails_of(heads: FloatArray, parents: IndexArray) -> FloatArray:
-    """Tails (j, 3) of joints with heads (j, 3) and parents (j,), -1 for a root: the mean of the children's heads.
+    """Tails (j, 3) of joints with heads (j, 3) and parents (j,) (root: -1): means of children's heads.
 
     A joint without children is half as long as its parent, in the same direction.
     """

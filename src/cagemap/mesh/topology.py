@@ -52,7 +52,7 @@ class Topology:
 
     @kept
     def face_counts(self) -> IndexArray:
-        """(e,) number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold."""
+        """(e,) number of faces at every edge: 2 inside, 1 on the boundary, more if non-manifold."""
         return np.bincount(self.edges, minlength=self.n_edges).astype(np.int64)
 
     @kept
@@ -107,8 +107,8 @@ class Topology:
         numbers = np.arange(self.n_corners, dtype=np.int32)
         start = np.empty(self.n_vertices, dtype=np.int32)
         start[self.vertices[::-1]] = numbers[::-1]
-        alone = twin < 0
-        start[self.vertices[alone]] = numbers[alone]
+        unpaired = twin < 0
+        start[self.vertices[unpaired]] = numbers[unpaired]
         corners, rank = np.unique(start), 0
         while len(corners):  # around all vertices at once
             ranks[corners] = rank
@@ -154,7 +154,7 @@ def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tup
 
 
 def adjacent_corners(topology: Topology) -> tuple[IndexArray, IndexArray]:
-    """Pairs of half-edges that share an edge: one pair at inner edges, a chain at edges of more faces."""
+    """Pairs of half-edges of the same edge: one pair, or a chain at edges of more faces."""
     order = np.argsort(topology.edges, kind="stable")
     adjacent = np.diff(topology.edges[order]) == 0
     return order[:-1][adjacent], order[1:][adjacent]
@@ -254,7 +254,7 @@ def face_components(mesh: ControlMesh) -> IndexArray:
 
 
 def uv_islands(mesh: ControlMesh) -> IndexArray | None:
-    """(m,) UV island of every face: faces that share a texture vertex are of one island. None without UVs."""
+    """(m,) UV island of every face, connected by shared texture vertices; None without UVs."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return None
     return _renumber(face_pieces(mesh, mesh.uv_indices, len(mesh.uvs)))

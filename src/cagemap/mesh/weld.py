@@ -1,4 +1,4 @@
-"""Join vertices that a file repeats at one position, as glTF and FBX exporters do along seams of UVs and normals."""
+"""Join vertices repeated at one position, as in glTF and FBX files along seams of UVs and normals."""
 
 from __future__ import annotations
 
