@@ -248,7 +248,7 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
     boxes, corners, normals = tree
     queries, directions, limits, start = asked
     weight2, minimum_cosine = options
-    found, barycentric, squared = answers
+    nearest, barycentric, squared = answers
     n_triangles, first_leaf = len(corners), (len(boxes) - 1) // 2
     nodes, bounds = np.empty(_STACK_SIZE, dtype=np.int64), np.empty(_STACK_SIZE)
     last = np.int64(-1)
@@ -282,13 +282,13 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
             if bound >= best:
                 continue
             while node < first_leaf:
-                node, other = 2 * node + 1, 2 * node + 2
+                node, sibling = 2 * node + 1, 2 * node + 2
                 bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
-                farther = _box_cost(boxes, other, x, y, z, nx, ny, nz, weight2)
+                farther = _box_cost(boxes, sibling, x, y, z, nx, ny, nz, weight2)
                 if farther <= bound:
-                    node, other, bound, farther = other, node, farther, bound
+                    node, sibling, bound, farther = sibling, node, farther, bound
                 if farther < best:
-                    nodes[size], bounds[size] = other, farther
+                    nodes[size], bounds[size] = sibling, farther
                     size += 1
                 if bound >= best:
                     break
@@ -306,7 +306,7 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
                     best = d2 + penalty
                     best_t, best_v, best_w, best_squared = t, v, w, d2
         last = best_t if best_t >= 0 else last
-        found[i], squared[i] = best_t, best_squared
+        nearest[i], squared[i] = best_t, best_squared
         if best_t >= 0:
             barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
 

@@ -86,11 +86,11 @@ class SurfacePoints:
         """
         order = surface.tree.order
         ends = np.cumsum(surface.areas[order])
-        at = (np.arange(count) + 0.5) * (ends[-1] / count)
-        place = np.minimum(np.searchsorted(ends, at), len(order) - 1)
+        targets = (np.arange(count) + 0.5) * (ends[-1] / count)
+        place = np.minimum(np.searchsorted(ends, targets), len(order) - 1)
         triangle = order[place]
         # Position in the triangle: from the remaining area, and from the golden ratio's sequence, which is aperiodic.
-        along = np.sqrt(np.clip((ends[place] - at) / np.maximum(surface.areas[triangle], 1e-300), 0.0, 1.0))
+        along = np.sqrt(np.clip((ends[place] - targets) / np.maximum(surface.areas[triangle], 1e-300), 0.0, 1.0))
         across = np.arange(count) * 0.6180339887498949 % 1.0
         return cls(surface, triangle, np.column_stack([1.0 - along, along * (1.0 - across), along * across]))
 

@@ -144,8 +144,8 @@ def _pair_edges(corners, neighbors, head, rest):  # type: ignore[no-untyped-def]
             low, high = (a, b) if a < b else (b, a)
             previous, edge = np.int32(-1), head[low]
             while edge >= 0:
-                other, j = edge // 3, edge % 3
-                if corners[other, (j + 1) % 3] == high or corners[other, (j + 2) % 3] == high:
+                neighbor, j = edge // 3, edge % 3
+                if corners[neighbor, (j + 1) % 3] == high or corners[neighbor, (j + 2) % 3] == high:
                     break
                 previous, edge = edge, rest[edge]
             if edge < 0:
