@@ -36,7 +36,7 @@ def is_linear(scheme: Scheme) -> bool:
 
 
 def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tuple[MeshState, FloatArray]:
-    """UV layout of a control mesh, and its values (p, 2), one for each pair of a mesh vertex and a UV."""
+    """UV layout of a control mesh, and values (p, 2) of every pair of vertex and UV."""
     assert control.uvs is not None
     assert control.uv_indices is not None
     pairs = control.uv_indices * control.n_vertices + control.face_indices
@@ -67,16 +67,16 @@ def _fixed_values(
     follows = None
     if mode in _DEPENDENT:
         n_values = np.bincount(owners, minlength=topology.n_vertices)[owners]
-        other = np.arange(len(owners))  # the other UV of a vertex with two
+        twin = np.arange(len(owners))  # the other UV of a vertex with two
         twins = np.flatnonzero(n_values == 2)
         both = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
-        other[both] = both[:, ::-1]
+        twin[both] = both[:, ::-1]
         causes = fixed | single if mode == "corners_plus2" else fixed
-        fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[other]))
+        fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[twin]))
         semi = _at_edges(cut, inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS))
-        smooth_one = (n_values == 2) & ~semi & semi[other] & ~(around.vertices > 0) & ~(fixed | single)
+        smooth_one = (n_values == 2) & ~semi & semi[twin] & ~(around.vertices > 0) & ~(fixed | single)
         if smooth_one.any():
-            follows = np.where(smooth_one, other, np.arange(len(owners)))
+            follows = np.where(smooth_one, twin, np.arange(len(owners)))
         if mode == "corners_plus2":
             seam_end = cut.boundary & (n_values == 1) & ~topology.boundary[owners]
             fixed = fixed | seam_end
@@ -187,7 +187,7 @@ def interpolate_linearly(
 
 
 def corner_triangles(control: ControlMesh, level: int, scheme: Scheme) -> IndexArray:
-    """(c,) triangle of a level at every control face corner; from level 1 on its first vertex is the corner."""
+    """(c,) triangle of a level at every control face corner, its first vertex from level 1 on."""
     corners = np.arange(len(control.face_indices))
     if level == 0:
         # In a face's fan the last two corners share the last triangle, the first two the first one.

@@ -118,14 +118,14 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     semi, dart, crease_vertices, corner = _features(topology, sharpness)
     ends, n = topology.edge_ends, topology.n_vertices
     smooth = ~(semi | dart | crease_vertices | corner)
-    own, other = CREASE_LIMIT
+    own_weight, neighbour_weight = CREASE_LIMIT
     along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease_vertices[ends]
     fixed, crease = np.flatnonzero(corner), np.flatnonzero(crease_vertices)
     entries: list[Entries] = [
         (fixed, fixed, np.ones(len(fixed))),
-        (crease, crease, np.full(len(crease), own)),
-        (ends[along[:, 0], 0], ends[along[:, 0], 1], np.full(along[:, 0].sum(), other)),
-        (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), other)),
+        (crease, crease, np.full(len(crease), own_weight)),
+        (ends[along[:, 0], 0], ends[along[:, 0], 1], np.full(along[:, 0].sum(), neighbour_weight)),
+        (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), neighbour_weight)),
     ]
     result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, n)
     result = result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0]
@@ -241,9 +241,9 @@ def _dart_rows(
     entries: list[list[Entries]] = [[(none, none, np.zeros(0))] for _ in range(3)]
     for valence in np.unique(valences).tolist():
         alike = valences == valence
-        alone = np.unique(centres[alike])
+        darts = np.unique(centres[alike])
         for kind, weights in zip(entries, _dart_weights(scheme, valence), strict=True):
-            kind.append((alone, alone, np.full(len(alone), weights[0])))
+            kind.append((darts, darts, np.full(len(darts), weights[0])))
             for number, ring in enumerate(rings):
                 places = 1 + number * valence + ranks[alike]
                 kind.append((centres[alike], ring[around[alike]], weights[places]))
@@ -302,9 +302,9 @@ def matrix_of(entries: list[Entries], n: int) -> csr_array:
 
 def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> csr_array:
     """(n, n) weights of limit positions without creases; (1/6, 2/3, 1/6) on the boundary, 1 at corners."""
-    own, *each = scheme.limit_weights(topology.valences)
+    own_weights, *each = scheme.limit_weights(topology.valences)
     rows = RowFiller(vertex_row_lengths(topology, corner, len(each)))
-    put_inner_rows(rows, topology, own, *zip(rings_of(topology, scheme), each, strict=True))
+    put_inner_rows(rows, topology, own_weights, *zip(rings_of(topology, scheme), each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_LIMIT)
     return rows.matrix(topology.n_vertices)
 
@@ -345,27 +345,27 @@ def _inner_tangents(topology: Topology, scheme: SmoothScheme) -> tuple[list[Entr
 def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:
     """Entries of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
     curve = topology.boundary_corners
-    # The boundary goes from vertex `before` over `here` to `after`, with faces on its left.
-    here, after = topology.vertices[curve], topology.vertices[topology.following[curve]]
+    # The boundary goes from vertex `before` over `vertex` to `after`, with faces on its left.
+    vertex, after = topology.vertices[curve], topology.vertices[topology.following[curve]]
     before = np.empty(topology.n_vertices, dtype=np.int32)
-    before[after] = here
-    before = before[here]
-    stays = corner[here].astype(np.float64)
+    before[after] = vertex
+    before = before[vertex]
+    stays = corner[vertex].astype(np.float64)
     if number == 0:
-        return [(here, after, np.ones(len(here))), (here, before, stays - 1), (here, here, -stays)]
-    single = topology.valences[here] == 1
+        return [(vertex, after, np.ones(len(vertex))), (vertex, before, stays - 1), (vertex, vertex, -stays)]
+    single = topology.valences[vertex] == 1
     # Single face: a corner's tangents are along its two edges, else the curve's first and second derivatives.
     entries = [
-        (here[single], before[single], np.ones(int(single.sum()))),
-        (here[single], here[single], stays[single] - 2),
-        (here[single], after[single], 1 - stays[single]),
+        (vertex[single], before[single], np.ones(int(single.sum()))),
+        (vertex[single], vertex[single], stays[single] - 2),
+        (vertex[single], after[single], 1 - stays[single]),
     ]
     corners_at = np.flatnonzero(topology.boundary[topology.vertices])
-    for valence in np.unique(topology.valences[here[~single]]):
+    for valence in np.unique(topology.valences[vertex[~single]]):
         centre, edges, faces = scheme.inward_tangent(int(valence))
-        chosen = topology.valences[here] == valence
-        entries.append((here[chosen], here[chosen], np.full(int(chosen.sum()), centre)))
-        entries.append((here[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
+        chosen = topology.valences[vertex] == valence
+        entries.append((vertex[chosen], vertex[chosen], np.full(int(chosen.sum()), centre)))
+        entries.append((vertex[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
         corners = corners_at[topology.valences[topology.vertices[corners_at]] == valence]
         ring_weights = (edges[:-1], faces)
         for ring, ring_weight in zip(rings_of(topology, scheme), ring_weights, strict=False):

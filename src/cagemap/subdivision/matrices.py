@@ -13,7 +13,7 @@ from cagemap.subdivision.sharpness import MeshState, sharpen_matrix
 
 
 class RowFiller:
-    """Fill a CSR matrix with rows of known lengths; a row's first entry is its own vertex's weight."""
+    """Fill a CSR matrix with rows of known lengths; first entries are the vertices' own weights."""
 
     def __init__(self, lengths: NDArray[np.integer]) -> None:
         self.indptr = np.zeros(len(lengths) + 1, dtype=np.int32)
@@ -49,7 +49,7 @@ def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, we
 
 
 def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
-    """Fill rows of inner vertices: own weight (n,), then per ring a vertex (c,) per corner, and its weight (n,)."""
+    """Fill rows of inner vertices: own weight (n,), then vertex (c,) and weight (n,) of every ring."""
     smooth = ~topology.boundary
     numbers = np.flatnonzero(smooth).astype(np.int32)
     rows.put(numbers, 0, numbers, own[numbers])
@@ -93,15 +93,15 @@ def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: Bool
     """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
     rings = rings_of(topology, scheme)
     if isinstance(scheme, Loop):
-        own, *each = scheme.vertex_weights(topology.valences)
+        own_weights, *each = scheme.vertex_weights(topology.valences)
         edge_weights, n_face_points = scheme.edge_weights(), 0
     else:
-        own, *each = scheme.quad_vertex_weights(topology.valences)
+        own_weights, *each = scheme.quad_vertex_weights(topology.valences)
         edge_weights, n_face_points = scheme.quad_edge_weights(), topology.n_faces
     edge_lengths = np.where(~topology.outer_edges, 2 + 2 * len(rings), 2)
     lengths = vertex_row_lengths(topology, corner, len(rings)), edge_lengths, np.full(n_face_points, 4)
     rows = RowFiller(np.concatenate(lengths))
-    put_inner_rows(rows, topology, own, *zip(rings, each, strict=True))
+    put_inner_rows(rows, topology, own_weights, *zip(rings, each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
     _put_edge_rows(rows, topology, *edge_weights, n_others=len(rings))
     if n_face_points:
@@ -114,27 +114,27 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
     """Matrix of one step of Catmull-Clark on faces of any size, by way of face points [CC78]."""
     smooth = ~topology.boundary
     shape = (topology.n_corners, topology.n_vertices)
-    here = _selection(topology.vertices, shape)
+    starts = _selection(topology.vertices, shape)
     ends = _selection(topology.vertices[topology.following], shape)
     of_face = _selection(topology.faces, (topology.n_corners, topology.n_faces))
     of_edge = _selection(topology.edges, (topology.n_corners, topology.n_edges))
     sizes = np.bincount(topology.faces, minlength=topology.n_faces)
-    face_points = diags_array(1 / sizes) @ (of_face.T @ here)
+    face_points = diags_array(1 / sizes) @ (of_face.T @ starts)
 
-    own, neighbour, face = scheme.vertex_weights(topology.valences)
+    own_weights, neighbour, face = scheme.vertex_weights(topology.valences)
     boundary = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
     put_boundary_rows(boundary, topology, corner, CREASE_VERTEX)
     vertex_points = (
-        diags_array(np.where(smooth, own, 0.0))
-        + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
-        + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
+        diags_array(np.where(smooth, own_weights, 0.0))
+        + diags_array(np.where(smooth, neighbour, 0.0)) @ (starts.T @ ends)
+        + diags_array(np.where(smooth, face, 0.0)) @ (starts.T @ of_face) @ face_points
         + boundary.matrix(topology.n_vertices)
     )
     interior = ~topology.outer_edges
     forward = topology.edge_corners[:, 0]
     face_weight = 0.5 * np.bincount(topology.edges, scheme.face_edge_weights(sizes)[topology.faces])
     edge_points = (
-        diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (here[forward] + ends[forward])
+        diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (starts[forward] + ends[forward])
         + diags_array(np.where(interior, face_weight, 0.0)) @ (of_edge.T @ of_face) @ face_points
     )
     stacked = csr_array(vstack([vertex_points, edge_points, face_points], format="csr"))

@@ -43,7 +43,7 @@ class Level:
 
     @kept
     def layout(self) -> Layout | None:
-        """UVs and the UV of every face corner; computed when first read, as maps do not need them."""
+        """UVs and the UV of every face corner; computed when first read."""
         return None if self.lay is None else self.lay()
 
     @property
@@ -57,7 +57,7 @@ class Level:
         return None if self.layout is None else self.layout[1]
 
     def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
-        """The same level with other UVs (p, 2), and the UV of every corner in the shape of ``faces``."""
+        """The same level with other UVs (p, 2) and UV indices in the shape of ``faces``."""
         return replace(self, lay=lambda: (uvs, uv_indices))
 
     @property
@@ -388,7 +388,7 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
 
 
 def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
-    """Refine a UV set that is not in use, by the same rules as the one in use."""
+    """Refine a UV set that is not in use."""
     alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
     finest = refine(alone, refinement.n_levels, refinement.scheme).finest
     assert finest.uvs is not None

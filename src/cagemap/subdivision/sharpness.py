@@ -103,7 +103,7 @@ def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -
 
 
 def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) -> Sharpness:
-    """Sharpness of the next level: edge e becomes 2e and 2e + 1; new edges and vertices are smooth."""
+    """Sharpness of the next level; edge e becomes 2e and 2e + 1, new elements are smooth."""
     edges = np.zeros(child.n_edges)
     edges[: sharpness.halves.size] = sharpness.halves.ravel()
     edges[child.outer_edges] = INFINITE_SHARPNESS
@@ -161,20 +161,22 @@ def sharpen_matrix(
     smooth_part = np.ones(matrix.shape[0])
     smooth_part[:n] = np.where(unchanged, 1.0, smooth)
     smooth_part[n : n + len(ends)] = 1.0 - hard
-    own, other = CREASE_VERTEX
+    own_weight, neighbour_weight = CREASE_VERTEX
     crease = np.where(unchanged, 0.0, crease)
     along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
     sharp_edges = np.flatnonzero(hard)
     parts = [
-        (vertices, vertices, corner + own * (crease + crease_after)),
-        (ends[:, 0], ends[:, 1], other * along[:, 0]),
-        (ends[:, 1], ends[:, 0], other * along[:, 1]),
+        (vertices, vertices, corner + own_weight * (crease + crease_after)),
+        (ends[:, 0], ends[:, 1], neighbour_weight * along[:, 0]),
+        (ends[:, 1], ends[:, 0], neighbour_weight * along[:, 1]),
         (n + sharp_edges, ends[sharp_edges, 0], hard[sharp_edges] / 2),
         (n + sharp_edges, ends[sharp_edges, 1], hard[sharp_edges] / 2),
     ]
     rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    some = weights != 0
-    added = coo_array((weights[some], (rows[some].astype(np.int32), columns[some].astype(np.int32))), matrix.shape)
+    nonzero = weights != 0
+    added = coo_array(
+        (weights[nonzero], (rows[nonzero].astype(np.int32), columns[nonzero].astype(np.int32))), matrix.shape
+    )
     result = csr_array(diags_array(smooth_part) @ matrix + added)
     result.eliminate_zeros()
     result.sort_indices()
