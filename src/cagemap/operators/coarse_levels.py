@@ -50,7 +50,7 @@ _SIMPLIFICATION_LOCK = threading.Lock()
 
 
 class Simplified(NamedTuple):
-    """A coarser mesh: its vertices in the finer mesh (k,), coarse vertex of every finer one (n,), triangles (t, 3)."""
+    """A coarser mesh: finer vertex of every coarse one (k,), coarse vertex of every finer one (n,), triangles."""
 
     kept: IndexArray
     cluster: IndexArray
@@ -175,12 +175,12 @@ def flip_to_delaunay(positions: FloatArray, triangles: IndexArray) -> IndexArray
     """
     triangles = triangles.copy()
     for _ in range(MAX_FLIP_ROUNDS):
-        first, corner, second, other = _to_flip(positions, triangles)
+        first, corner, second, second_corner = _to_flip(positions, triangles)
         if not len(first):
             break
         # Edge (a, b) between the apexes p and q becomes (p, q); orientations are unchanged.
         p, a = triangles[first, corner], triangles[first, (corner + 1) % 3]
-        q, b = triangles[second, other], triangles[second, (other + 1) % 3]
+        q, b = triangles[second, second_corner], triangles[second, (second_corner + 1) % 3]
         triangles[first] = np.column_stack([p, a, q])
         triangles[second] = np.column_stack([q, b, p])
     return triangles
@@ -191,11 +191,11 @@ def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, 
     neighbors = triangle_neighbors(triangles).astype(np.int64)
     first, corner = np.nonzero(neighbors > np.arange(len(triangles))[:, None])
     second = neighbors[first, corner]
-    other = np.argmax(neighbors[second] == first[:, None], axis=1)
+    second_corner = np.argmax(neighbors[second] == first[:, None], axis=1)
     apex, left = triangles[first, corner], triangles[first, (corner + 1) % 3]
-    right, top = triangles[first, (corner + 2) % 3], triangles[second, other]
+    right, top = triangles[first, (corner + 2) % 3], triangles[second, second_corner]
     # Both triangles have the same orientation.
-    oriented = triangles[second, (other + 1) % 3] == right
+    oriented = triangles[second, (second_corner + 1) % 3] == right
     cotangents = _cotangent(positions, apex, left, right) + _cotangent(positions, top, left, right)
     normals = normalize_rows(triangle_normals(positions, triangles))
     flat = np.einsum("ed,ed->e", normals[first], normals[second]) > MIN_NORMAL_COSINE
@@ -209,12 +209,12 @@ def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, 
     worst = np.full(len(triangles), np.inf)
     for side in (first, second):
         np.minimum.at(worst, side[wanted], cotangents[wanted])
-    alone = wanted[(cotangents[wanted] == worst[first[wanted]]) & (cotangents[wanted] == worst[second[wanted]])]
+    chosen = wanted[(cotangents[wanted] == worst[first[wanted]]) & (cotangents[wanted] == worst[second[wanted]])]
     # Coinciding new edges, and ties in one triangle, are left to the next round.
-    alone = alone[np.unique(keys[alone], return_index=True)[1]]
-    taken = np.bincount(np.concatenate([first[alone], second[alone]]), minlength=len(triangles))
-    alone = alone[(taken[first[alone]] == 1) & (taken[second[alone]] == 1)]
-    return first[alone], corner[alone], second[alone], other[alone]
+    chosen = chosen[np.unique(keys[chosen], return_index=True)[1]]
+    taken = np.bincount(np.concatenate([first[chosen], second[chosen]]), minlength=len(triangles))
+    chosen = chosen[(taken[first[chosen]] == 1) & (taken[second[chosen]] == 1)]
+    return first[chosen], corner[chosen], second[chosen], second_corner[chosen]
 
 
 def _cotangent(positions: FloatArray, apex: IndexArray, left: IndexArray, right: IndexArray) -> FloatArray:
