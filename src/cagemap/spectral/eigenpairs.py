@@ -139,7 +139,7 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 def _shift_inside(
     stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int
 ) -> tuple[Factorization, float]:
-    """Factor W - shift M with a shift inside the band low..high, or below the spectrum if inertia is unknown."""
+    """Factor W - shift M, with a shift inside low..high, or below the spectrum without inertia."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
     spacing = 4.0 * np.pi / float(mass.sum())
     middle = 0.6 * high if low == 0 else 0.5 * (low + high)
@@ -322,7 +322,7 @@ def shift_invert_lanczos(
 
 
 def _products(basis: Block, block: Block) -> Block:
-    """(m, b) Q^T X of blocks with the same rows, in threads; the sum does not depend on their number."""
+    """(m, b) product Q^T X, in threads; independent of their number."""
     shares = in_threads(lambda part: basis[part].T @ block[part], row_slices(len(block), ROWS))
     return np.asarray(sum(shares[1:], shares[0]))
 

@@ -101,8 +101,8 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
         _orthonormalise(vectors, areas)
         for part in row_slices(k, COLUMNS):
-            some = vectors[:, part]
-            values[part] = np.einsum("ij,ij->j", some, multiply(weights, some))
+            columns = vectors[:, part]
+            values[part] = np.einsum("ij,ij->j", columns, multiply(weights, columns))
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
     )
@@ -124,8 +124,8 @@ def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatA
     """The largest of `residual_norms`."""
 
     def worst(part: slice) -> float:
-        some = vectors[:, part]
-        return float(residual_norms(values[part], multiply(weights, some), areas[:, None] * some, areas).max())
+        columns = vectors[:, part]
+        return float(residual_norms(values[part], multiply(weights, columns), areas[:, None] * columns, areas).max())
 
     return max(worst(part) for part in row_slices(len(values), COLUMNS))
 
@@ -200,7 +200,7 @@ def _edge_gradients(triangles: TriangleSurface, regularisation: float) -> tuple[
 
 
 def _tangent_axes(triangles: TriangleSurface) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) X and Y axes of the tangent planes, normal to the mean unit normal of the adjacent faces."""
+    """(n, 3) X and Y axes of tangent planes, normal to the mean of adjacent faces' normals."""
     doubled = 2.0 * triangles.areas[:, None]
     of_faces = triangles.normals * doubled / (doubled + EPSILON)
     normals = sum(grouped_sums(corner, of_faces, triangles.n) for corner in triangles.triangles.T)

@@ -57,7 +57,7 @@ class Surface:
 
     @kept
     def hierarchy(self) -> Refinement:
-        """All levels: those of the refinement, or a plain mesh's coarse levels and, as the finest, the mesh.
+        """All levels: the refinement's, or a plain mesh as the finest level and its coarse levels.
 
         Level numbers of all methods refer to these.
         """
@@ -88,7 +88,7 @@ class Surface:
 
     @kept
     def scale(self) -> float:
-        """Factor from the file's lengths to lengths at unit area; the operators' scale if they are the finest."""
+        """Factor from the file's lengths to lengths at unit area; if possible the operators' scale."""
         operators: Operators | None = vars(self).get("operators")
         if operators is not None and operators.finest == self.finest:
             return operators.scale
@@ -202,7 +202,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 
 @kinds_checked
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
-    """Default basis of a method: functions of one level; for "paper" a schedule for levels up to ``level``.
+    """Default basis of a method: functions of one level, for "paper" a schedule up to ``level``.
 
     Raises
     ------
