@@ -52,7 +52,7 @@ class Factorization:
     dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
-        """Solve A X = B for B (n,) or (n, q), in the precision of the factors; ParameterError for other shapes."""
+        """Solve A X = B for B (n,) or (n, q), in the factors' precision; ParameterError for other shapes."""
         values = np.ascontiguousarray(right_sides, dtype=self.dtype)
         if values.ndim not in (1, 2) or values.shape[0] != self.shape[0]:
             raise ParameterError(

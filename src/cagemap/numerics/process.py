@@ -30,7 +30,7 @@ def set_up_process() -> None:
 
 
 def keep_memory() -> None:
-    """Set glibc malloc to reuse freed memory in all threads: new pages cost more than the arithmetic on them."""
+    """Set glibc malloc to reuse freed memory: new pages cost more than the arithmetic on them."""
     mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     for parameter, value in MALLOC.items() if mallopt else ():  # musl has none
         mallopt(parameter, value)

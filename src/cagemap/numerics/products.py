@@ -23,7 +23,7 @@ _MAX_THREADS = 8
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ignore[no-untyped-def]
-    """Fill rows first..last - 1 of A X; X and the result are in C order for a contiguous inner loop."""
+    """Fill rows first..last - 1 of A X; C order makes the inner loop contiguous."""
     columns = block.shape[1]
     for row in range(first, last):
         begin, end = indptr[row], indptr[row + 1]
@@ -42,7 +42,7 @@ def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ign
 
 
 def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
-    """Product A X in C order, for CSR A (n, m) and dense X (m, q); faster than ``@`` on wide blocks.
+    """Product A X in C order of CSR A (n, m) and dense X (m, q); on wide blocks faster than ``@``.
 
     The result does not depend on the number of threads.
     """

@@ -128,7 +128,7 @@ class ThreadPool(ThreadPoolExecutor):
 
 
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Value]:
-    """Results of a function for all items, in order, computed in threads; raises the first item's error at the end.
+    """Apply a function to all items in threads; results in order. Raises the first item's error at the end.
 
     Threads, including the caller, take items from one iterator: submitting small items one by one costs too much.
     """
