@@ -172,8 +172,8 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
     corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
     rows = surface.basis.rows(surface.finest, corners)
     weights = np.vstack([curve.shares[:, None] * curve.points.barycentric for curve in curves])
-    of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
-    gather = sparse.csr_array((weights.ravel(), (of, places.ravel())), shape=(len(curves), len(corners)))
+    curve_of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
+    gather = sparse.csr_array((weights.ravel(), (curve_of, places.ravel())), shape=(len(curves), len(corners)))
     return np.asarray(gather @ rows)
 
 

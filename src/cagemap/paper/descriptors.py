@@ -35,7 +35,7 @@ class Filters:
 
 
 def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, heat: int, wave: int) -> Filters:
-    """Filters of both kinds for two surfaces of unit area, from the geometric mean of their whole spectra.
+    """Filters of both kinds for two surfaces of unit area, from their spectra's geometric mean.
 
     The eigenvalues (k1,), (k2,) may be in any order. ParameterError for too few eigenvalues or no filters.
     """

@@ -89,7 +89,7 @@ def hfm_map(
     constraints: Constraints | None = None,
     start: MapLike | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
-    """Maps of the search levels and all finer ones, and the point map T12 of the finest levels.
+    """Maps of the search levels and all finer ones, and the finest point map T12.
 
     The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions.
 
@@ -122,7 +122,7 @@ def hfm_map(
 def zoomout_all_bands(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, config: HfmConfig
 ) -> tuple[FloatArray, Displacement]:
-    """C12 of all bands and the displacement, by ZoomOut in both directions from C12 of the first functions."""
+    """C12 of all bands and the displacement, by ZoomOut in both directions from an initial C12."""
     target = LevelSamples.of(pair.target, levels[0])
     source = LevelSamples.of(pair.source, levels[1])
     counts = target.rows.shape[1], source.rows.shape[1]
@@ -191,8 +191,10 @@ def both_directions(
 
 def fit_displacement(samples: Samples, positions: FloatArray, images: FloatArray, functions: int) -> Displacement:
     """Fit the rotation R and tau = Phi~1^+ (P12 X2 - X1 R) to matched points (b, 3)."""
-    to, of = (points - samples.areas @ points / samples.areas.sum() for points in (images, positions))
-    rotation = Rotation.align_vectors(to, of, weights=samples.areas)[0].as_matrix().T
+    centred_images, centred_positions = (
+        points - samples.areas @ points / samples.areas.sum() for points in (images, positions)
+    )
+    rotation = Rotation.align_vectors(centred_images, centred_positions, weights=samples.areas)[0].as_matrix().T
     return Displacement(rotation, fit_functional_map(samples, images - positions @ rotation, functions))
 
 

@@ -78,7 +78,7 @@ def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int
 
 
 def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
-    """Functional map to start from: a given one, or one fitted to a point map or vertex map.
+    """Functional map to start from: as given, or fitted to a point or vertex map.
 
     A vertex map is fitted with ``sizes`` basis functions; other maps may have any size.
 
@@ -113,8 +113,10 @@ def _neighbours(surface: Surface, level: int) -> sparse.csr_array:
     """Sparse (n, n) matrix with entries where two vertices of a level share a face."""
     faces = surface.hierarchy.levels[level].faces
     corners = surface.triangles(level).triangles if faces is None else faces
-    of = np.repeat(np.arange(len(corners)), corners.shape[1])
-    on = sparse.csr_array((np.ones(corners.size), (of, corners.ravel())), shape=(len(corners), _size(surface, level)))
+    faces_of = np.repeat(np.arange(len(corners)), corners.shape[1])
+    on = sparse.csr_array(
+        (np.ones(corners.size), (faces_of, corners.ravel())), shape=(len(corners), _size(surface, level))
+    )
     return sparse.csr_array(on.T @ on)
 
 
@@ -141,7 +143,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
 
 
 def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
-    """Pairs of levels after ``start`` up to the finest ones, refining each side at most one level per step.
+    """Pairs of levels from ``start`` (excluded) to the finest, each side at most one level per step.
 
     Both sides are refined together while their sizes are comparable; otherwise only the coarser one.
     """

@@ -48,7 +48,7 @@ def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
 
 
 def vertex_blocks(surface: Surface, level: int) -> list[IndexArray]:
-    """Blocks of a level's vertices, ordered by control face, so that vertices of a block are near each other."""
+    """Blocks of a level's vertices, ordered by control face to be near each other."""
     mesh = surface.hierarchy.levels[level]
     control_face = np.zeros(mesh.n_vertices, dtype=np.int64)
     if mesh.faces is not None:
