@@ -1,4 +1,4 @@
-"""Control meshes: the value, its checks and its subdivision schemes."""
+"""Control meshes: the class, its checks and its subdivision schemes."""
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain, Scheme, SubdivisionOptions

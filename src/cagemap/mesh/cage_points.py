@@ -20,49 +20,49 @@ from cagemap.surface.closest_points import build_tree, closest_points
 AT_VERTEX = 1.0 - 1e-6
 # Largest distance of a position from its mesh, in units of the mesh's bounding-box diagonal.
 MAX_DISTANCE = 0.1
-# Positions whose median distance exceeds this share of their own bounding-box diagonal are in another unit: a body
-# scaled by 0.01 about a point inside it is near to it everywhere.
+# Positions whose median distance exceeds this share of their own bounding-box diagonal are in another unit. Needed as a
+# body scaled by 0.01 about a point inside it is near the mesh everywhere.
 MAX_MEDIAN_DISTANCE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class NamedCurve:
-    """A polyline of one mesh as people keep it."""
+    """A polyline of one mesh as in a file: by vertex numbers or positions."""
 
     name: str
-    vertices: IndexArray  #: (c,) control vertices along it, 0-based; -1 where a place in space is given instead
-    positions: FloatArray  #: (c, 3) places on or near the mesh, in its file's units; NaN where a vertex is given
+    vertices: IndexArray  #: (c,) control vertices along it, 0-based; -1 where a position is given instead
+    positions: FloatArray  #: (c, 3) positions on or near the mesh, in its file's units; NaN where a vertex is given
     closed: bool  #: whether its last point is joined to its first
 
 
 @dataclass(frozen=True, eq=False)
 class NamedPoints:
-    """Points of one mesh as people keep them."""
+    """Points of one mesh as in a file: by vertex numbers or positions."""
 
     names: tuple[str, ...]
-    vertices: IndexArray  #: (q,) control vertices, 0-based; -1 where a place in space is given instead
-    positions: FloatArray  #: (q, 3) places on or near the mesh, in its file's units; NaN where a vertex is given
-    mesh_name: str = ""  #: the mesh that they were made for; '' where unknown
+    vertices: IndexArray  #: (q,) control vertices, 0-based; -1 where a position is given instead
+    positions: FloatArray  #: (q, 3) positions on or near the mesh, in its file's units; NaN where a vertex is given
+    mesh_name: str = ""  #: name of the mesh in their file; '' where unknown
     curves: tuple[NamedCurve, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class CagePoints:
-    """Points of a control mesh: vertices (q, 3) of a triangle of a face's fan, and weights (q, 3) that sum to 1."""
+    """Points of a control mesh: corners (q, 3) of triangles of faces, and weights (q, 3), sum 1."""
 
     corners: IndexArray
     weights: FloatArray
 
     @classmethod
     def of_vertices(cls, vertices: IndexArray) -> Self:
-        """Vertices as points."""
+        """Points at control vertices (q,)."""
         weights = np.zeros((len(vertices), 3))
         weights[:, 0] = 1.0
         return cls(np.repeat(vertices[:, None], 3, axis=1), weights)
 
     @property
     def vertices(self) -> IndexArray:
-        """(q,) vertices that the points are, -1 where they lie between them."""
+        """(q,) control vertex of every point, -1 for points between vertices."""
         heaviest = self.weights.argmax(axis=1)
         rows = np.arange(len(heaviest))
         at_vertex = self.weights[rows, heaviest] >= AT_VERTEX
@@ -70,7 +70,7 @@ class CagePoints:
 
     @property
     def keys(self) -> list[bytes]:
-        """Equal points, equal keys."""
+        """One key per point; equal points have equal keys."""
         vertices = self.vertices
         return [
             vertex.tobytes() if vertex >= 0 else corners.tobytes() + weights.tobytes()
@@ -79,25 +79,25 @@ class CagePoints:
 
     @property
     def nearest_vertices(self) -> IndexArray:
-        """(q,) the vertex of largest weight."""
+        """(q,) corner of largest weight."""
         return np.take_along_axis(self.corners, self.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     def of(self, values: FloatArray) -> FloatArray:
-        """(q, d) values (n, d) of the mesh's vertices at the points."""
+        """Interpolate values (n, d) of the mesh's vertices: (q, d) at the points."""
         return np.einsum("qk,qkd->qd", self.weights, values[self.corners])
 
     def at(self, rows: IndexArray) -> Self:
-        """Some of the points."""
+        """The points in the given rows."""
         return replace(self, corners=self.corners[rows], weights=self.weights[rows])
 
     @classmethod
     def joined(cls, points: Sequence[CagePoints]) -> Self:
-        """All points of several."""
-        return cls(np.concatenate([one.corners for one in points]), np.concatenate([one.weights for one in points]))
+        """Concatenate several sets of points."""
+        return cls(np.concatenate([part.corners for part in points]), np.concatenate([part.weights for part in points]))
 
 
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
-    """Points of a control mesh: vertices given, and nearest points to places; InvalidLandmarksError where far off."""
+    """Place points on a control mesh: at vertices, or nearest to positions; InvalidLandmarksError where far off."""
     outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
     if len(outside):
         listed = first_few(f"{points.names[i]} ({points.vertices[i]})" for i in outside)
@@ -105,8 +105,8 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
             f"expected landmark points of {mesh.name}, whose vertices go from 0 to {mesh.n_vertices - 1}, got {listed}."
             " Numbers are 0-based; check that the points of target and source are not exchanged."
         )
-    found = CagePoints.of_vertices(np.maximum(points.vertices, 0))
-    corners, weights = found.corners.copy(), found.weights.copy()
+    at_vertices = CagePoints.of_vertices(np.maximum(points.vertices, 0))
+    corners, weights = at_vertices.corners.copy(), at_vertices.weights.copy()
     free = np.flatnonzero(points.vertices < 0)
     if len(free):
         triangles, _ = cage_triangles(mesh)
@@ -133,9 +133,9 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
 def shared_names(
     target: Sequence[str], source: Sequence[str], *, what: str, noted: str
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names that both sides have, in the target's order, and notes on those of one side only.
+    """Names on both sides, in the target's order, and notes on names of one side only.
 
-    ``what`` they are names of in the error, and ``noted`` in the notes. InvalidLandmarksError if a name occurs
+    ``what`` is the noun in the error message, ``noted`` the noun in the notes. InvalidLandmarksError if a name occurs
     twice on one side.
     """
     sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
@@ -147,12 +147,12 @@ def shared_names(
             )
     notes = tuple(
         f"{noted} only on the {side}, which were not used: {first_few(only)}"
-        for (side, own, _), (_, _, other) in (sides, sides[::-1])
-        if (only := [name for name in own if name not in other])
+        for (side, own_names, _), (_, _, other_names) in (sides, sides[::-1])
+        if (only := [name for name in own_names if name not in other_names])
     )
     return tuple(name for name in target if name in sides[1][2]), notes
 
 
 def find_repeats(values: NDArray[Any]) -> IndexArray:
-    """Places whose value occurred before."""
+    """Indices of values that occurred before."""
     return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])

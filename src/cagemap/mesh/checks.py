@@ -1,4 +1,4 @@
-"""Check whether the method can take a control mesh; name the elements at fault and the remedy.
+"""Check whether a control mesh can be matched; name the elements at fault and the remedy.
 
 `check_mesh` reports everything it finds, `require_valid` raises. Tolerances are relative to the extent of the mesh or
 of a face, so that the file's unit does not matter. Vertices at the same place and vertices of valence 2 are valid.
@@ -41,7 +41,7 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
-# Problems that subdivision does not have: it needs oriented manifold connectivity, no size, area or inside.
+# Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
 # Problems that `cagemap.mesh.plain.plain_mesh` repairs.
 REPAIRED = frozenset({"degenerate faces", "duplicate faces", "isolated vertices", "non-manifold edges"}) | {
@@ -50,31 +50,31 @@ REPAIRED = frozenset({"degenerate faces", "duplicate faces", "isolated vertices"
     "inside out",
 }
 
-# An edge shorter than this share of those around it is two vertices that should be one.
+# An edge shorter than this share of the longest edges of its faces joins two vertices that should be one.
 TINY_EDGE = 0.01
 # A boundary loop of few edges that encloses less than this share of its length squared is a slit; a square has 1/16.
 SLIT_AREA = 0.004
 MAX_SLIT_EDGES = 8
-# Components that are compared with each other: more cost too much.
+# Number of components that are compared with each other: comparing more costs too much.
 MAX_COMPARED = 16
 # Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
-# Of the extent; third power of rounding away from a line. Real cages are above 1e-2.
+# Least distance of vertices from a line, as a share of the extent. Real cages are above 1e-2.
 RELATIVE_WIDTH = 1e-9
-# Of the extent squared: edges of 3e-8, the resolution of float32 positions. The smallest face of real cages has 1e-9.
+# Least face area as a share of the extent squared: edges of 3e-8, the resolution of float32. Real cages are above 1e-9.
 RELATIVE_FACE_AREA = 1e-15
-# Of the face's extent squared: below it cotangent weights would be 1e9. The thinnest face of real cages has 1e-3.
+# Least face area as a share of its own extent squared: below it cotangents reach 1e9. Real cages are above 1e-3.
 RELATIVE_FACE_WIDTH = 1e-9
-# 36 pi V^2 / A^3: 1 for a ball, 0.08 to 0.28 for real cages; below this an open surface has no inside.
+# Roundness 36 pi V^2 / A^3: 1 for a ball, 0.08 to 0.28 for real cages; below this an open surface has no inside.
 OPEN_ROUNDNESS = 0.02
 
 
 @arrays_accepted
 def check_mesh(mesh: MeshLike) -> MeshReport:
-    """Count the elements of a control mesh and list everything that keeps the method from taking it.
+    """Count the elements of a control mesh and list everything that prevents matching.
 
-    A fault that would only produce others hides them: copies of faces are not named as non-manifold edges too, and
-    connectivity is judged only where no face repeats a vertex.
+    Consequences of a listed problem are not listed: duplicate faces are not reported as non-manifold edges too, and
+    connectivity is checked only if no face repeats a vertex.
     """
     blank = MeshReport(mesh.name, len(mesh.positions), None, max(len(mesh.face_offsets) - 1, 0))
     broken = structure_problems(mesh)
@@ -115,7 +115,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
             _orientation_problem(turned, kept),
         ]
     problems += [_components_problem(mesh, face_components(mesh)), _extent_problem(mesh)]
-    if problems[-1] is None and not isinstance(mesh.scheme, Plain):  # slivers of a scan are points of its surface
+    if problems[-1] is None and not isinstance(mesh.scheme, Plain):  # slivers of a scan do no harm
         problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
     if loops is not None and not any(problems):
         problems.append(inside_out_problem(mesh, loops))
@@ -132,9 +132,9 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
-    """Raise unless the method can take the mesh, but for ``allowed`` kinds of problems.
+    """Raise InvalidMeshError if the mesh cannot be matched; ignore ``allowed`` kinds of problems.
 
-    These are `SEVERAL` where each component was matched for itself, `UNREFINED` where the mesh is only subdivided.
+    Allow `SEVERAL` where each component was matched separately, `UNREFINED` where the mesh is only subdivided.
     """
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
@@ -157,7 +157,7 @@ def _counts(
     valences = np.bincount(topology.edge_vertices.ravel(), minlength=mesh.n_vertices)[used]
     euler = int(used.sum()) - topology.n_edges + mesh.n_faces
     islands = uv_islands(mesh)
-    # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
+    # V - E + F = 2 - 2 g - b for every component. Where one vertex joins two fans there is no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
     is_surface = loops is not None and two_sided and not odd and handles >= 0
     return replace(
@@ -180,14 +180,14 @@ def _counts(
 
 
 def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: IndexArray) -> MeshProblem | None:
-    """Edges of more than two faces, and the remedy for each; ``numbers`` (m,) are those of the file."""
+    """Edges of more than two faces, and their remedies; ``numbers`` (m,) are face numbers in the file."""
     bad = topology.face_counts > 2
     if not bad.any():
         return None
     extra = extra_faces(topology)
-    left = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
-    tiny = left & _tiny_edges(mesh, topology)
-    split = left & ~tiny
+    remaining = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
+    tiny = remaining & _tiny_edges(mesh, topology)
+    split = remaining & ~tiny
     remedies = []
     if extra.any():
         faces = numbers[np.flatnonzero(extra)]
@@ -213,17 +213,20 @@ def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: Index
 
 
 def extra_faces(topology: Topology) -> NDArray[np.bool_]:
-    """(m,) walls inside a surface and fins on it: joined by edges of more than two faces only, and no hole without."""
+    """(m,) faces inside a surface, or fins on it, that can be deleted without opening a hole.
+
+    All their edges have more than two faces, or are boundary edges.
+    """
     counts = topology.face_counts[topology.edges]
     starts = np.flatnonzero(np.diff(topology.faces, prepend=-1))
     extra = np.logical_or.reduceat(counts > 2, starts) & ~np.logical_or.reduceat(counts == 2, starts)
-    # Where too many faces would go, none of them is the culprit for certain.
+    # Where deleting all such faces would open an edge, it is uncertain which one is extra: keep them all.
     opened = (topology.face_counts > 2) & (topology.face_counts - _counts_of(topology, extra) < 2)
     return extra & ~np.logical_or.reduceat(opened[topology.edges], starts)
 
 
 def _counts_of(topology: Topology, faces: NDArray[np.bool_]) -> IndexArray:
-    """(e,) how many of some faces are at every edge."""
+    """(e,) number of the given faces (m,) at every edge."""
     corners = faces[topology.faces]
     return np.bincount(topology.edges[corners], minlength=topology.n_edges).astype(np.int64)
 
@@ -244,7 +247,7 @@ def _pairs(topology: Topology, chosen: NDArray[np.bool_]) -> tuple[tuple[int, in
 
 
 def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> MeshProblem | None:
-    """Vertices of several fans. Edges of too many faces are named elsewhere and count as joined here."""
+    """Vertices of several fans. Edges of more than two faces, reported elsewhere, join fans here."""
     _, first_corners = np.unique(fans, return_index=True)
     bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners]) > 1)
     return problem_at(
@@ -308,7 +311,7 @@ def _has_copied_component(mesh: ControlMesh, labels: IndexArray) -> bool:
 
 
 def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
-    """Whether a boundary loop looks like an accident: a thin slit, or a hole much smaller than faces."""
+    """Whether a boundary loop is a thin slit, or a hole much smaller than faces."""
     with np.errstate(over="ignore", invalid="ignore"):
         points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
         following = np.roll(points, -1, axis=0)
@@ -354,7 +357,7 @@ def _extent_problem(mesh: ControlMesh) -> MeshProblem | None:
 
 
 def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | None:
-    """Faces, of those examined, whose corners are on one line or in one point."""
+    """Examined faces (k,) whose corners are on one line or in one point; None without such faces."""
     unit = _unit_sized(mesh)
     areas, extents = face_areas(unit), face_extents(unit)
     flat = (areas <= RELATIVE_FACE_AREA) | (areas <= RELATIVE_FACE_WIDTH * extents**2)
@@ -368,10 +371,10 @@ def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | 
 
 
 def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshProblem | None:
-    """Faces that look inwards, or a closed mesh that encloses nothing.
+    """Problem of a mesh whose faces look inwards, or of a closed mesh without volume; else None.
 
-    An open mesh is closed with a cone over every loop first, and judged only where that encloses a good part of what
-    a ball of the same area would; a sheet has no inside.
+    An open mesh is first closed with a cone over every loop. It is a problem only if its roundness exceeds
+    `OPEN_ROUNDNESS`; a sheet has no inside.
     """
     unit = with_openings_closed(_unit_sized(mesh), loops)
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
@@ -395,8 +398,8 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshPr
 
 
 def _unit_sized(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with the bounding box of its faces centred at the origin, its longest side 1."""
+    """Centre the bounding box of the faces at the origin and scale its longest side to 1."""
     points = mesh.positions[used_vertices(mesh)]
     low, high = points.min(axis=0), points.max(axis=0)
-    with np.errstate(over="ignore"):  # a loose vertex may lie anywhere
+    with np.errstate(over="ignore"):  # a vertex without faces may be anywhere
         return mesh.with_positions((mesh.positions - 0.5 * (low + high)) / np.max(high - low))

@@ -18,7 +18,7 @@ NO_UV = (0.5, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class UvSet:
-    """Face-varying texture coordinates beside those that a mesh uses."""
+    """Additional face-varying texture coordinates of a mesh, not in use."""
 
     name: str
     uvs: FloatArray  #: (p, 2)
@@ -27,7 +27,7 @@ class UvSet:
 
 @dataclass(frozen=True, eq=False)
 class ControlMesh:
-    """A polygon mesh that a subdivision surface is built on.
+    """Polygon control mesh of a subdivision surface.
 
     Faces are stored concatenated: face ``f`` has the vertices
     ``face_indices[face_offsets[f]:face_offsets[f + 1]]``, counter-clockwise seen from outside.
@@ -37,44 +37,44 @@ class ControlMesh:
     positions : (n, 3) float64
         Vertex positions in the file's own length unit.
     face_offsets : (m + 1,) int64
-        Where each face starts in ``face_indices``; the first entry is 0.
+        Start of each face in ``face_indices``; the first entry is 0, the last is c.
     face_indices : (c,) int64
         Vertex of every face corner.
     uvs : (p, 2) float64 or None
         Face-varying texture coordinates, v up (v = 0 is the bottom image row).
     uv_indices : (c,) int64 or None
-        UV of every face corner. Two faces share a UV edge where they share both indices; anything else is a seam.
+        UV of every face corner. An edge of two faces is a seam unless they share both UV indices.
     uv_name : str
-        Name of these coordinates, where the file has names for them.
+        Name of these coordinates in the file, '' without one.
     uv_sets : tuple of UvSet
-        Further sets of the file; `with_uv_set` puts one of them in use.
+        Other UV sets of the file; `with_uv_set` selects one of them.
     face_materials : (m,) int64 or None
         Index into ``material_names`` for every face.
     material_names : tuple of str
     material_colors : (q, 3) float64 or None
         Linear RGB diffuse colour of every material, NaN where unknown.
     vertex_colors : (n, 3) float64 or None
-        As the file has them, NaN where it has none.
+        Colours in the file, NaN for vertices without one.
     face_objects, face_groups : (m,) int64 or None
         Index into ``object_names`` and ``group_names`` for every face.
     object_names, group_names : tuple of str
-        A face above the first name of a file has the name ''.
+        Faces before the first name in a file have the name ''.
     object_schemes : tuple of Scheme
-        How each object is to be subdivided, where a file's objects differ in it; such a mesh is no surface as a whole.
+        Scheme of each object, where they differ; such a mesh cannot be subdivided as a whole.
     crease_edges, crease_sharpness : (k, 2) int64 and (k,) float64, or None
-        Edges that are creases, by their two vertices; from sharpness 10 on they stay sharp for ever.
+        Vertices of every crease edge, and its sharpness; from 10 on it is infinite.
     corner_vertices, corner_sharpness : (k,) int64 and (k,) float64, or None
-        Vertices that are corners.
+        Sharp vertices, and their sharpness; from 10 on it is infinite.
     hole_faces : (h,) int64 or None
-        Faces that shape the surface but are no part of it.
+        Faces that influence the surface but are no part of it.
     file_vertices, file_faces : (n,) and (m,) int64, or None
-        Number in the file of every vertex and face, where the mesh is a part of it.
+        Number in the file of every vertex and face, if the mesh is a part of a file's mesh.
     file_copies : (k, 2) int64 or None
         Vertex of the mesh and number of a further vertex of the file that was welded into it.
     scheme : CatmullClark, Loop, Bilinear or None
-        How the file says that the mesh is to be subdivided; None where it says nothing.
+        Subdivision scheme in the file; None without one.
     name : str
-        What messages call the mesh; usually its file name.
+        Name of the mesh in messages; usually its file name.
     """
 
     positions: FloatArray
@@ -159,7 +159,7 @@ class ControlMesh:
 
     @property
     def next_corners(self) -> IndexArray:
-        """(c,) the corner that follows every corner around its face."""
+        """(c,) next corner of the same face."""
         following = np.arange(1, len(self.face_indices) + 1)
         following[self.face_offsets[1:] - 1] = self.face_offsets[:-1]
         return following
@@ -173,7 +173,7 @@ class ControlMesh:
 
     @property
     def partitions(self) -> tuple[tuple[str, IndexArray | None, tuple[str, ...]], ...]:
-        """Objects, groups and materials: what they are called, the number (m,) of every face or None, their names."""
+        """For objects, groups and materials: the kind, the index (m,) of every face or None, all names."""
         return (
             ("object", self.face_objects, self.object_names),
             ("group", self.face_groups, self.group_names),
@@ -182,7 +182,7 @@ class ControlMesh:
 
     @property
     def is_triangle_mesh(self) -> bool:
-        """Whether every face is a triangle (what Loop subdivision needs)."""
+        """Whether every face is a triangle, as Loop subdivision requires."""
         return bool(np.all(self.face_sizes == 3))
 
     def face(self, index: int) -> IndexArray:
@@ -203,7 +203,7 @@ class ControlMesh:
         return replace(self, positions=given)
 
     def with_uv_set(self, name: str) -> ControlMesh:
-        """Return the same mesh with the set of that name in use; ParameterError if there is no such set."""
+        """Return the same mesh using the named UV set; ParameterError if there is none."""
         if name == self.uv_name and self.uvs is not None:
             return self
         chosen = next((uv_set for uv_set in self.uv_sets if uv_set.name == name), None)
@@ -212,8 +212,8 @@ class ControlMesh:
             raise ParameterError(
                 f"{self.name}: expected a UV set named {name!r}, got {known or 'none at all'}; name one of those"
             )
-        others = tuple(uv_set for uv_set in self.all_uv_sets if uv_set is not chosen)
-        return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=others)
+        other_sets = tuple(uv_set for uv_set in self.all_uv_sets if uv_set is not chosen)
+        return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=other_sets)
 
     def with_creases(self, edges: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""
@@ -232,12 +232,12 @@ class ControlMesh:
         return replace(self, corner_vertices=corners, corner_sharpness=values)
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
-        """Return the same mesh with other texture coordinates, (p, 2) and one of them for every corner, or with none.
+        """Return the same mesh with other texture coordinates (p, 2) and their index for every corner, or with none.
 
         Raises
         ------
         ParameterError
-            If the arrays are no such coordinates.
+            If the arrays have other shapes, or are no numbers.
         """
         if uvs is None or uv_indices is None:
             return replace(self, uvs=None, uv_indices=None)

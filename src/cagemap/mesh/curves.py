@@ -1,6 +1,6 @@
 """Curves: pairs of polylines on target and source that correspond as a whole (eyelids, lips, hems).
 
-Which point of a curve goes to which point of the other is left open. Ends of open curves correspond, in either order.
+Single points of paired curves need not correspond. Ends of open curves do, in either order.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from cagemap.numerics.arrays import IndexArray, offsets_of, pair_keys
 class CageCurves:
     """Polylines on a control mesh."""
 
-    points: CagePoints  #: of all curves, one curve after the other
+    points: CagePoints  #: points of all curves, one curve after the other
     starts: IndexArray  #: (q + 1,) curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``
     closed: np.ndarray  #: (q,) whether the last point of a curve is joined to its first
 
     @classmethod
     def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
-        """Chains of control vertices as curves."""
+        """Curves from chains of control vertices."""
         vertices = np.concatenate([np.zeros(0, dtype=np.int64), *chains]).astype(np.int64)
         starts = offsets_of([len(chain) for chain in chains])
         return cls(CagePoints.of_vertices(vertices), starts, np.array(closed, dtype=bool))
 
     @classmethod
     def joined(cls, curves: Sequence[CageCurves]) -> CageCurves:
-        """All curves of several."""
+        """Concatenate several sets of curves."""
         curves = (cls.of_vertices((), ()), *curves)
-        points = CagePoints.joined([one.points for one in curves])
-        sizes = np.concatenate([np.diff(one.starts) for one in curves])
-        return cls(points, offsets_of(sizes), np.concatenate([one.closed for one in curves]))
+        points = CagePoints.joined([part.points for part in curves])
+        sizes = np.concatenate([np.diff(part.starts) for part in curves])
+        return cls(points, offsets_of(sizes), np.concatenate([part.closed for part in curves]))
 
     def __len__(self) -> int:
         return len(self.closed)
@@ -53,7 +53,7 @@ class CageCurves:
 
     @property
     def segments(self) -> IndexArray:
-        """(s, 2) numbers of the two points that every segment joins."""
+        """(s, 2) indices of the two end points of every segment."""
         count = len(self.points.corners)
         after = np.arange(1, count + 1)
         last = self.starts[1:] - 1
@@ -62,7 +62,7 @@ class CageCurves:
         return np.column_stack([joined, after[joined]])
 
     def at(self, rows: Sequence[int]) -> CageCurves:
-        """Some of the curves."""
+        """The curves in the given rows."""
         chosen = np.asarray(rows, dtype=np.int64)
         kept = np.concatenate([np.zeros(0, dtype=np.int64), *(np.flatnonzero(self.curve_of == row) for row in rows)])
         return CageCurves(self.points.at(kept), offsets_of(np.diff(self.starts)[chosen]), self.closed[chosen])
@@ -78,22 +78,22 @@ class Curves:
 
     @classmethod
     def none(cls) -> Curves:
-        """No curve at all."""
+        """An empty set of curves."""
         return cls((), CageCurves.of_vertices((), ()), CageCurves.of_vertices((), ()))
 
     def __len__(self) -> int:
         return len(self.names)
 
     def reversed(self) -> Curves:
-        """The same pairs for the map the other way round."""
+        """The same pairs with target and source exchanged."""
         return Curves(self.names, self.source, self.target)
 
     def only(self, rows: Sequence[int]) -> Curves:
-        """Some of the pairs."""
+        """The pairs in the given rows."""
         return Curves(tuple(self.names[row] for row in rows), self.target.at(rows), self.source.at(rows))
 
     def renumbered(self, target: IndexArray, source: IndexArray) -> Curves:
-        """The curves with new vertex numbers (c, 3) of their points' corners; drops curves with -1."""
+        """The curves with new vertex numbers (c, 3) of their points' corners; curves with a -1 are dropped."""
         sides = [
             CageCurves(CagePoints(corners, side.points.weights), side.starts, side.closed)
             for side, corners in ((self.target, target), (self.source, source))
@@ -109,7 +109,7 @@ class Curves:
 
 
 def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
-    """Order edges (e, 2) into a chain or loop, else InvalidLandmarksError: its vertices, and whether it is a loop."""
+    """Order edges (e, 2) into one chain or loop: its vertices, and whether it is a loop; else InvalidLandmarksError."""
     vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
     heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
     graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
@@ -141,8 +141,8 @@ def paired_curves(
         noted="curves",
     )
     sides = [
-        CageCurves.joined([on_cage_curve(own[name], mesh) for name in shared])
-        for own, mesh in zip(by_name, (target, source), strict=True)
+        CageCurves.joined([on_cage_curve(curves_by_name[name], mesh) for name in shared])
+        for curves_by_name, mesh in zip(by_name, (target, source), strict=True)
     ]
     return Curves(shared, sides[0], sides[1]), notes
 
@@ -155,14 +155,14 @@ def on_cage_curve(curve: NamedCurve, mesh: ControlMesh) -> CageCurves:
 
 
 def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> list[str]:
-    """What is wrong with curves on two meshes, a sentence each."""
+    """One sentence for each fault of the curves on two meshes."""
     if not len(curves):
-        return []  # edges of large meshes take long to list
+        return []  # saves listing the edges of large meshes
     faults = []
     names = list(curves.names)
-    again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
-    if again:
-        faults.append(f"expected every name of a curve once, got these again: {first_few(again)}. Rename them.")
+    repeated = [names[i] for i in find_repeats(np.array(names, dtype=object))]
+    if repeated:
+        faults.append(f"expected every name of a curve once, got these again: {first_few(repeated)}. Rename them.")
     for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):
         faults += _side_faults(side, lines, names, mesh)
     halves = [name for name, a, b in zip(names, curves.target.closed, curves.source.closed, strict=True) if a != b]
@@ -196,7 +196,7 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
         listed = first_few(f"{names[of[i]]} ({vertices[i]})" for i in again)
         faults.append(f"expected every {side} vertex once in a curve, got these again: {listed}.")
     segments = curves.segments
-    # A place in space may be that of a vertex; only what was given as vertices has to follow the edges.
+    # A position may coincide with a vertex; only points given as vertices have to follow edges.
     stated = np.where(points.corners[:, 0] == points.corners[:, 1], vertices, -1)
     ends = stated[segments]
     joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices))

@@ -1,4 +1,4 @@
-"""Faces of a control mesh: triangles, areas, some of them alone, and those that are no proper faces."""
+"""Faces of a control mesh: triangles, areas, centres, subsets, and degenerate or duplicate faces."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
 def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return the mesh with only some of its faces; vertices and texture coordinates stay as they are."""
+    """Return the mesh with only the given faces; vertices and texture coordinates are unchanged."""
     return with_corners_of(mesh, faces, *corners_of(mesh.face_offsets, faces, mesh.face_sizes[faces]))
 
 
 def corners_of(starts: IndexArray, faces: IndexArray, sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Offsets (k + 1,) of faces of some sizes (k,), and their corners: those from ``starts[faces]`` on."""
+    """Offsets (k + 1,) of faces of the given sizes (k,), and their corners, which start at ``starts[faces]``."""
     offsets = offsets_of(sizes)
     return offsets, np.repeat(starts[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
 
@@ -27,8 +27,8 @@ def corners_of(starts: IndexArray, faces: IndexArray, sizes: IndexArray) -> tupl
 def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
     """Return the mesh with other faces, made of its own face corners.
 
-    New face i has the corners ``corners[offsets[i]:offsets[i + 1]]`` of the mesh and comes from its face ``faces[i]``;
-    these ascend where there are hole faces.
+    New face i has the corners ``corners[offsets[i]:offsets[i + 1]]`` of the mesh and comes from its face ``faces[i]``.
+    ``faces`` must ascend if the mesh has hole faces.
     """
     indices = mesh.face_indices[corners]
     creases, sharpness = mesh.crease_edges, mesh.crease_sharpness
@@ -42,7 +42,7 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
         face_offsets=offsets,
         face_indices=indices,
         uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
-        uv_sets=tuple(UvSet(one.name, one.uvs, one.uv_indices[corners]) for one in mesh.uv_sets),
+        uv_sets=tuple(UvSet(uv_set.name, uv_set.uvs, uv_set.uv_indices[corners]) for uv_set in mesh.uv_sets),
         **labels_of(mesh, faces),
         file_faces=None if mesh.file_faces is None else mesh.file_faces[faces],
         hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
@@ -60,39 +60,39 @@ def degenerate_faces(mesh: ControlMesh) -> IndexArray:
     """Faces of fewer than three corners, or that visit a vertex twice."""
     faces = mesh.corner_faces
     order = np.lexsort([mesh.face_indices, faces])
-    same = (np.diff(mesh.face_indices[order]) == 0) & (np.diff(faces[order]) == 0)
-    return np.union1d(np.flatnonzero(mesh.face_sizes < 3), faces[order][1:][same])
+    repeated = (np.diff(mesh.face_indices[order]) == 0) & (np.diff(faces[order]) == 0)
+    return np.union1d(np.flatnonzero(mesh.face_sizes < 3), faces[order][1:][repeated])
 
 
 def duplicate_faces(mesh: ControlMesh) -> IndexArray:
-    """Faces that have the same vertices, in whatever order, as a face of a lower number."""
+    """Faces with the same vertices, in any order, as a face of a lower number."""
     copies = []
     for size in np.unique(mesh.face_sizes):
         faces = np.flatnonzero(mesh.face_sizes == size)
         corners = np.sort(mesh.face_indices[mesh.face_offsets[faces][:, None] + np.arange(size)], axis=1)
         order = np.lexsort(corners.T)  # stable: of equal faces the lowest number comes first
-        same = np.all(corners[order][1:] == corners[order][:-1], axis=1)
-        copies.append(faces[order][1:][same])
+        repeated = np.all(corners[order][1:] == corners[order][:-1], axis=1)
+        copies.append(faces[order][1:][repeated])
     return np.sort(np.concatenate(copies))
 
 
 def merged_corners(vertices: IndexArray, values: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Pairs (c, 2) of face corners without those that are equal at the same vertex (c,), and the number of each."""
+    """Merge equal value pairs (c, 2) of face corners at one vertex (c,): merged pairs, and their index (c,)."""
     _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)
     _, first, numbers = np.unique(vertices * len(values) + equal, return_index=True, return_inverse=True)
     return values[first], numbers
 
 
 def cage_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
-    """Triangles (t, 3) of all faces, see `fan_triangles`, and the face (t,) of each."""
+    """Triangles (t, 3) of all faces, and the face (t,) of each; see `fan_triangles`."""
     return fan_triangles(mesh.face_offsets, mesh.face_indices)
 
 
 def face_areas(mesh: ControlMesh) -> FloatArray:
-    """(m,) area of every face as the sum over its fan; in squared file units. A folded face counts both sides."""
+    """(m,) area of every face: the sum over its fan, in squared file units."""
     triangles, faces = cage_triangles(mesh)
     a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
-    areas = 0.5 * row_lengths(np.cross(b - a, c - a))  # without a kernel: cages are small, and are checked first
+    areas = 0.5 * row_lengths(np.cross(b - a, c - a))  # no compiled kernel: cages are small
     return np.bincount(faces, areas, minlength=mesh.n_faces).astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Meshes and landmarks as users have them: arrays, meshes of trimesh or Open3D, pairs of vertices."""
+"""Convert user input to meshes and landmarks: arrays, meshes of trimesh or Open3D, pairs of vertices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cagemap.numerics.kinds import Conversion, kinds_checked
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# Annotations of parameters that `arrays_accepted` converts; the functions themselves get the class.
+# Annotations of parameters that `arrays_accepted` converts; the decorated functions get the class.
 if TYPE_CHECKING:
     MeshLike = ControlMesh | Any
     LandmarksLike = Landmarks | Any
@@ -32,19 +32,19 @@ def arrays_accepted(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def _conversions(function: Callable[..., Any]) -> dict[str, Conversion]:
-    """The conversion of every parameter that has one."""
-    found: dict[str, Conversion] = {}
+    """Conversions of a function's mesh and landmark parameters, by name."""
+    conversions: dict[str, Conversion] = {}
     for name, hint in get_type_hints(function).items():
         kinds = [hint, *get_args(hint)]
         if name != "return" and ControlMesh in kinds:
-            found[name] = lambda value, name: control_mesh(value, name) if is_mesh(value) else value
+            conversions[name] = lambda value, name: control_mesh(value, name) if is_mesh(value) else value
         elif name != "return" and Landmarks in kinds:
-            found[name] = lambda value, name: landmark_pairs(value) if is_pairs(value) else value
-    return found
+            conversions[name] = lambda value, name: landmark_pairs(value) if is_pairs(value) else value
+    return conversions
 
 
 def is_mesh(value: object) -> bool:
-    """Whether `control_mesh` takes a value; cagemap's own values with vertices and faces are no control meshes."""
+    """Whether `control_mesh` accepts a value; other classes of cagemap with vertices and faces are not accepted."""
     if isinstance(value, ControlMesh):
         return True
     if type(value).__module__.startswith("cagemap."):
@@ -54,7 +54,7 @@ def is_mesh(value: object) -> bool:
 
 
 def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
-    """A control mesh from arrays or from a mesh of another library; vertices and faces keep their numbers.
+    """Control mesh from arrays or from a mesh of another library; vertices and faces keep their numbers.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
         Vertices (n, 3); faces (m, 3), (m, 4) or a list of polygons. Meshes of trimesh and Open3D come with their
         texture coordinates. Tensors are copied.
     name : str
-        What messages call a mesh that is no `ControlMesh`.
+        Name of the mesh in messages, unless it is a `ControlMesh`.
 
     Raises
     ------
     ParameterError
-        If it is none of these, or its arrays are no vertices and faces.
+        If the mesh has another type, or its arrays are no vertices and faces.
     """
     if isinstance(mesh, ControlMesh):
         return mesh
@@ -79,20 +79,20 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     if isinstance(mesh, tuple | list):
         return ControlMesh.from_faces(*mesh, name=name)
     if hasattr(mesh, "faces"):  # trimesh: texture coordinates of vertices
-        made = ControlMesh.from_faces(mesh.vertices, mesh.faces, name=name)
+        converted = ControlMesh.from_faces(mesh.vertices, mesh.faces, name=name)
         uvs = getattr(getattr(mesh, "visual", None), "uv", None)
-        return made if uvs is None or not len(uvs) else made.with_uvs(uvs, made.face_indices)
-    # Open3D: texture coordinates of corners; its vectors are arrays only after conversion.
-    made = ControlMesh.from_faces(array_of(mesh.vertices), array_of(mesh.triangles), name=name)
+        return converted if uvs is None or not len(uvs) else converted.with_uvs(uvs, converted.face_indices)
+    # Open3D: texture coordinates of corners; its vectors must be converted to arrays.
+    converted = ControlMesh.from_faces(array_of(mesh.vertices), array_of(mesh.triangles), name=name)
     corner_uvs = array_of(getattr(mesh, "triangle_uvs", ()))
     if not len(corner_uvs):
-        return made
+        return converted
     uvs, uv_indices = np.unique(real_numbers(corner_uvs, f"{name}: uvs"), axis=0, return_inverse=True)
-    return made.with_uvs(uvs, uv_indices.ravel())
+    return converted.with_uvs(uvs, uv_indices.ravel())
 
 
 def is_pairs(value: object) -> bool:
-    """Whether a value is meant for `landmark_pairs`."""
+    """Whether `landmark_pairs` accepts a value."""
     return isinstance(value, tuple | list) or hasattr(value, "__array__")
 
 
@@ -102,7 +102,7 @@ def landmark_pairs(landmarks: Any) -> Landmarks:
     Raises
     ------
     InvalidLandmarksError
-        If it has another shape.
+        If the array has another shape.
     ParameterError
         If the vertices are no whole numbers.
     """

@@ -33,18 +33,18 @@ class Landmarks:
     names : tuple of str
         One per pair, such as ``nose_tip``.
     target, source : (q,) int64
-        Control vertices of the two meshes, 0-based; -1 where the landmark lies between them.
+        Control vertices of the two meshes, 0-based; -1 for a landmark between vertices.
     target_name, source_name : str
-        The meshes that the numbers were made for; '' where unknown.
+        Names of the meshes that the landmarks were placed on; '' where unknown.
     target_points, source_points : CagePoints, optional
-        The landmarks wherever they lie; the control vertices if not given.
+        The landmarks as points of the meshes; default: the control vertices.
     curves : Curves
-        Pairs of polylines: each goes onto the other, whatever point of it onto whatever point.
+        Pairs of polylines that correspond as a whole; their single points need not.
 
     Raises
     ------
     InvalidLandmarksError, ParameterError
-        If names are no texts, or vertices no whole numbers.
+        If names are no strings, or vertices no whole numbers.
     """
 
     names: tuple[str, ...]
@@ -72,12 +72,12 @@ class Landmarks:
     def of_points(
         cls, names: tuple[str, ...], target: CagePoints, source: CagePoints, target_name: str, source_name: str
     ) -> Landmarks:
-        """Pairs of points that may lie anywhere."""
+        """Landmarks from pairs of points anywhere on the meshes."""
         return cls(names, target.vertices, source.vertices, target_name, source_name, target, source)
 
     @classmethod
     def none(cls) -> Landmarks:
-        """No pair at all."""
+        """An empty set of landmarks."""
         return cls((), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
@@ -89,7 +89,7 @@ class Landmarks:
         return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
-        """Return the pairs in new vertex numbers, -1 for vertices that are gone; without pairs that lost one."""
+        """Return the pairs with new vertex numbers; pairs with a removed vertex (-1) are dropped."""
         sides = [
             (CagePoints(number(points.corners), points.weights), number(curves.points.corners))
             for number, points, curves in (
@@ -114,7 +114,7 @@ class Landmarks:
         return replace(joined, curves=self.curves.joined_with(others.curves))
 
     def reversed(self) -> Landmarks:
-        """Return the same pairs for the map the other way round."""
+        """Return the same pairs with target and source exchanged."""
         return replace(
             self,
             target=self.source,
@@ -127,27 +127,27 @@ class Landmarks:
         )
 
     def new_since(self, before: Landmarks) -> IndexArray:
-        """Indices of the pairs that are new or join other points than before."""
+        """Indices of the pairs that are not in ``before``; names are ignored."""
         known = set(before.places)
         return np.array([i for i, pair in enumerate(self.places) if pair not in known], dtype=np.int64)
 
     @property
     def places(self) -> list[tuple[bytes, bytes]]:
-        """A key of the two points of each pair; names do not count."""
+        """Keys of the two points of each pair; names are ignored."""
         return list(zip(self.target_points.keys, self.source_points.keys, strict=True))
 
     def exchanged(self, places: Collection[tuple[int, int]]) -> Landmarks:
-        """Return pairs of target point i and source point j for every (i, j), with the name of i."""
+        """Pair target point i with source point j for every (i, j), under the name of i."""
         target, source = (np.array([place[side] for place in places], dtype=np.int64) for side in (0, 1))
         return self._at(target, source)
 
     def without(self, left_out: Collection[int]) -> Landmarks:
-        """Return the pairs but those of these indices."""
+        """Return all pairs except those at the given indices."""
         kept = np.setdiff1d(np.arange(len(self)), list(left_out))
         return self._at(kept, kept)
 
     def _at(self, target: IndexArray, source: IndexArray) -> Landmarks:
-        """Target points of some pairs with source points of others, under the names of the former."""
+        """Pair the target points of rows ``target`` with the source points of rows ``source``; target names stay."""
         return replace(
             self,
             names=tuple(self.names[i] for i in target.tolist()),
@@ -163,11 +163,13 @@ def pair_by_name(
 ) -> tuple[Landmarks, tuple[str, ...]]:
     """Pair points and curves of two meshes by name; also notes on names of one side only.
 
-    DirectionError if points say that they are the other mesh's; InvalidLandmarksError if no name is on both sides.
+    DirectionError if a file of points names the other mesh; InvalidLandmarksError if no name is on both sides.
     """
-    for points, mesh, other in ((target_points, target, source), (source_points, source, target)):
-        stated, here, there = (PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other.name))
-        if stated == there != here:
+    for points, mesh, other_mesh in ((target_points, target, source), (source_points, source, target)):
+        stated_name, own_name, other_name = (
+            PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other_mesh.name)
+        )
+        if stated_name == other_name != own_name:
             raise DirectionError(
                 f"landmark points: expected those of {mesh.name}, got a file that says it is of {points.mesh_name}, "
                 "the other mesh. Exchange the two files of points, or target and source."
@@ -190,7 +192,7 @@ def pair_by_name(
 
 
 def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMesh) -> None:
-    """Raise InvalidLandmarksError, with all faults by pair, unless the landmarks fit the two meshes."""
+    """Raise InvalidLandmarksError, listing all faults, unless the landmarks fit the two meshes."""
     count = len(landmarks.names)
     if landmarks.target.shape != (count,) or landmarks.source.shape != (count,):
         raise InvalidLandmarksError(
@@ -208,10 +210,10 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
     faults += curve_faults(landmarks.curves, target, source)
     if faults:
         made_for = landmarks.target_name, landmarks.source_name
-        others = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
-        others = "" if made_for == (target.name, source.name) else others
+        intended = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
+        intended = "" if made_for == (target.name, source.name) else intended
         raise InvalidLandmarksError(
-            f"landmarks for target {target.name} and source {source.name}{others}:{list_problems(faults)}"
+            f"landmarks for target {target.name} and source {source.name}{intended}:{list_problems(faults)}"
         )
 
 

@@ -1,4 +1,4 @@
-"""What a check of a control mesh found, as values that print well."""
+"""Report of a control mesh's check: counts, problems and notes, as printable text."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ LISTED = 8
 
 
 def first_few(values: Iterable[object]) -> str:
-    """List the first values, and say how many more there are."""
+    """List the first values, and the number of the remaining ones."""
     items = [str(value) for value in values]
     more = f", ... ({len(items) - LISTED} more)" if len(items) > LISTED else ""
     return ", ".join(items[:LISTED]) + more
 
 
 def count_noun(count: int, what: str) -> str:
-    """Write a count and its noun, which is given in the singular: "1 face", "2 sharp vertices"."""
+    """Text of a count and its noun, given in the singular: "1 face", "2 sharp vertices"."""
     plural = f"{what[:-2]}ices" if what.endswith("vertex") else f"{what}s"
     return f"{count} {what if count == 1 else plural}"
 
@@ -28,10 +28,10 @@ class MeshProblem:
     """One kind of fault in a control mesh."""
 
     kind: str  #: short name, such as ``non-manifold edges``
-    found: str  #: what was expected and what is there instead, in a sentence without the list of elements
+    found: str  #: the expected and the actual state, in a sentence without the list of elements
     #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
     elements: tuple[int, ...] | tuple[tuple[int, int], ...]
-    remedy: str  #: what to do about it
+    remedy: str  #: how to repair it
 
     def __str__(self) -> str:
         where = f": {first_few(self.elements)}" if self.elements else ""
@@ -39,18 +39,18 @@ class MeshProblem:
 
 
 def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> MeshProblem | None:
-    """A problem of some elements (k,); None where there are none."""
+    """A problem of elements (k,); None if k is 0."""
     return MeshProblem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
 
 
 def list_problems(problems: Iterable[object]) -> str:
-    """Problems, each on a line of its own."""
+    """Text of problems, one per line."""
     return "".join(f"\n  - {problem}" for problem in problems)
 
 
 @dataclass(frozen=True)
 class MeshReport:
-    """Counts and problems of a control mesh; ``print`` shows them. None is what a problem kept from being found out."""
+    """Counts and problems of a control mesh, for ``print``. None: not determined, because of a problem."""
 
     name: str
     n_vertices: int
@@ -67,11 +67,11 @@ class MeshReport:
     uv_islands: int | None = None  #: None without texture coordinates
     sharp: tuple[int, int, int] = (0, 0, 0)  #: numbers of creased edges, sharp vertices and hole faces
     problems: tuple[MeshProblem, ...] = ()
-    notes: tuple[str, ...] = ()  #: what is allowed but looks like an accident
+    notes: tuple[str, ...] = ()  #: allowed features that are probably not intended
 
     @property
     def is_valid(self) -> bool:
-        """Whether the method can take the mesh."""
+        """Whether the mesh can be matched."""
         return not self.problems
 
     def __str__(self) -> str:

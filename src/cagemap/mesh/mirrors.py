@@ -1,4 +1,4 @@
-"""Mirror planes of control meshes, found from their positions."""
+"""Find mirror planes of control meshes from vertex positions."""
 
 from __future__ import annotations
 
@@ -10,28 +10,29 @@ from scipy.spatial import cKDTree
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# In fractions of the bounding box diagonal: what most vertices' mirror images may be off by, and what all may.
+# Tolerances, of the bounding box diagonal: distance of most mirror images from vertices, and of all mirror images.
 MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
+# Least share of mirror images within the first tolerance.
 MIN_SHARE = 0.95
-# Vertices that the search for a plane looks at, and how often it moves the plane.
+# Vertices sampled in the search for a plane, and most iterations of it.
 PLANE_SAMPLES, STEPS = 1000, 10
-# A move that leaves this share of the mirror images' median distance leads nowhere, unless most of them lie near
-# vertices already: within so many tolerances.
+# The search stops if an iteration leaves more than this share of the mirror images' median distance, unless the median
+# is already below so many tolerances.
 MAX_RATIO, NEAR_TOLERANCES = 0.9, 10.0
-# Share of these vertices' mirror images that lie on vertices from which all vertices are asked.
+# Least share of sampled mirror images on vertices for which all vertices are tested.
 MIN_SAMPLE_SHARE = 0.8
-# Planes whose normals are closer than this (cosine) are one.
+# Planes whose normals have a larger cosine count as the same plane.
 SAME_PLANE = 0.99
 
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """A mirror plane that a control mesh has, exactly or nearly."""
+    """An exact or approximate mirror plane of a control mesh."""
 
-    image: IndexArray  #: (n,) the vertex nearest to every vertex's mirror image
+    image: IndexArray  #: (n,) nearest vertex of every vertex's mirror image
     normal: FloatArray  #: (3,) unit vector; the plane is ``normal @ x == offset``
     offset: float
-    exact: bool  #: whether the image is a permutation that sends faces to faces and creases to creases as sharp
+    exact: bool  #: whether the image is a symmetry of the mesh, see `is_symmetry`
 
     def reflect(self, points: FloatArray) -> FloatArray:
         """Mirror images of points, (q, 3)."""
@@ -41,9 +42,9 @@ class Mirror:
 def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     """Find the mirror planes of a control mesh, exact ones first.
 
-    A plane starts through the centroid, across a coordinate axis or a principal one, and moves to where the vertices'
-    mirror images lie on vertices. It counts if 95 % of them do, within `MOST_WITHIN`, and none is far off; faces need
-    not mirror, for cages are often triangulated without regard to it.
+    Planes through the centroid, normal to a coordinate axis or a principal axis, are fitted to pairs of vertices and
+    nearest mirror images. A plane is accepted if 95 % of the images are within `MOST_WITHIN` of vertices, and all
+    within `ALL_WITHIN`. Faces need not be symmetric, as cages are often triangulated asymmetrically.
     """
     positions = control.positions
     diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
@@ -51,30 +52,30 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     _, principal = np.linalg.eigh((positions - centre).T @ (positions - centre))
     tree = cKDTree(positions)
     sample = positions[:: max(1, len(positions) // PLANE_SAMPLES)]
-    found: list[Mirror] = []
+    mirrors: list[Mirror] = []
     for start in (*np.eye(3), *principal.T):
         settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
         if settled is None:
             continue
         normal, offset = settled
-        if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in found):
+        if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in mirrors):
             continue
         plane = Mirror(np.zeros(0, np.int64), normal, offset, False)
         if np.mean(_query(tree, plane.reflect(sample))[0] <= MOST_WITHIN * diagonal) < MIN_SAMPLE_SHARE:
             continue
         distances, nearest = _query(tree, plane.reflect(positions))
-        image, own = nearest, np.arange(len(positions))
+        image, numbers = nearest, np.arange(len(positions))
         near = np.mean(distances <= MOST_WITHIN * diagonal) >= MIN_SHARE and distances.max() <= ALL_WITHIN * diagonal
-        # A flat mesh mirrored onto itself says nothing.
-        if near and np.mean(image[image] == own) >= MIN_SHARE and not np.array_equal(image, own):
-            found.append(Mirror(image, normal, offset, is_symmetry(control, image)))
-    return tuple(sorted(found, key=lambda mirror: not mirror.exact))
+        # Reject the plane of a flat mesh: it maps every vertex to itself.
+        if near and np.mean(image[image] == numbers) >= MIN_SHARE and not np.array_equal(image, numbers):
+            mirrors.append(Mirror(image, normal, offset, is_symmetry(control, image)))
+    return tuple(sorted(mirrors, key=lambda mirror: not mirror.exact))
 
 
 def _settled_plane(
     sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float
 ) -> tuple[FloatArray, float] | None:
-    """Fit a plane to the pairs that it makes, repeatedly; None if half of the images are near no vertex."""
+    """Fit a plane to vertices and their nearest mirror images, repeatedly; None if it does not converge."""
     before = np.inf
     for _ in range(STEPS):
         mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
@@ -102,7 +103,7 @@ def _query(tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IndexArray]:
 
 
 def is_symmetry(control: ControlMesh, image: IndexArray) -> bool:
-    """Whether a permutation of the vertices sends faces to faces, and creases and corners to ones as sharp."""
+    """Whether a vertex permutation maps faces to faces, creases and corners to equally sharp ones."""
     if not np.array_equal(np.sort(image), np.arange(control.n_vertices)):
         return False
     elements = []
@@ -115,8 +116,11 @@ def is_symmetry(control: ControlMesh, image: IndexArray) -> bool:
         elements.append((control.corner_vertices[:, None], control.corner_sharpness))
 
     def ordered(vertices: IndexArray, values: FloatArray) -> FloatArray:
-        """Elements above 0, their vertices ascending, with their values in lexicographic order."""
+        """Elements of positive value, vertices ascending in each, in lexicographic order."""
         table = np.column_stack([np.sort(vertices, axis=1), values])[values > 0]
         return np.asarray(table[np.lexsort(table.T[::-1])])
 
-    return all(np.array_equal(ordered(one, values), ordered(image[one], values)) for one, values in elements)
+    return all(
+        np.array_equal(ordered(corner_rows, values), ordered(image[corner_rows], values))
+        for corner_rows, values in elements
+    )

@@ -25,19 +25,19 @@ class Part:
     """Some faces of a mesh."""
 
     kind: str  #: one of `KINDS`
-    #: as in the file; a component has the name of its object, group or material, where all its faces have the same and
-    #: no other component has it, else its number
+    #: as in the file; a component has the name of its object, group or material if all its faces, and no other
+    #: component, have that name; else its number
     name: str
     faces: IndexArray  #: (k,)
 
     @property
     def title(self) -> str:
-        """How to ask for the part where other kinds have the same name."""
+        """Unique name ``KIND:NAME`` of the part."""
         return f"{self.kind}:{self.name}"
 
 
 def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
-    """Objects, groups and materials with a name, then components unless told not to; each in file order."""
+    """Named objects, groups and materials, then components if ``pieces``; each in file order."""
     parts = []
     for kind, numbers, names in mesh.partitions:
         if numbers is not None:
@@ -46,78 +46,80 @@ def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
 
 
 def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
-    """Connected pieces, named by what their faces are named by."""
+    """Connected components, named as described in `Part`."""
     labels = face_components(mesh)
     pieces = _members(labels)
     names = [str(number) for number in range(len(pieces))]
     for _, numbers, words in reversed(mesh.partitions):
         if numbers is None:
             continue
-        own = [words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces]
-        counts = Counter(own)
-        names = [word if word and counts[word] == 1 else name for word, name in zip(own, names, strict=True)]
+        common_names = [
+            words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces
+        ]
+        counts = Counter(common_names)
+        names = [word if word and counts[word] == 1 else name for word, name in zip(common_names, names, strict=True)]
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
 def _members(labels: IndexArray) -> list[IndexArray]:
-    """Indices of every label, from 0 on, ascending."""
+    """Ascending indices of every label from 0 on."""
     if not len(labels):
         return []
     return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
 
 
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
-    """Faces of every named material, split into numbered parts where they are not connected."""
+    """One part per named material, split into numbered parts where not connected."""
     return tuple(
         piece for part in list_parts(mesh) if part.kind == "material" for piece in connected_pieces(mesh, part)
     )
 
 
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
-    """A part, split into numbered parts where it is not connected."""
-    found = [part.faces[piece] for piece in _members(face_components(keep_faces(mesh, part.faces)))]
-    names = [part.name] if len(found) == 1 else [f"{part.name} {number}" for number in range(len(found))]
-    return tuple(Part(part.kind, name, faces) for name, faces in zip(names, found, strict=True))
+    """Split a part into numbered connected parts; a connected part keeps its name."""
+    pieces = [part.faces[piece] for piece in _members(face_components(keep_faces(mesh, part.faces)))]
+    names = [part.name] if len(pieces) == 1 else [f"{part.name} {number}" for number in range(len(pieces))]
+    return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
-    """The part of that name, ``KIND:NAME`` or ``largest``; ParameterError if there is none, or several."""
+    """Part by name, ``KIND:NAME`` or ``largest``; ParameterError unless exactly one matches."""
     parts = list_parts(mesh)
     if name == LARGEST:
         return max(connected_parts(mesh), key=lambda part: len(part.faces))
-    found = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
-    # A USD object is named by its whole path; the end of it will do.
-    found = found or [part for part in parts if part.name.endswith(f"/{name}")]
-    different = {part.faces.tobytes() for part in found}
+    matching = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
+    # A USD object is named by its whole path; its end is accepted too.
+    matching = matching or [part for part in parts if part.name.endswith(f"/{name}")]
+    different = {part.faces.tobytes() for part in matching}
     if len(different) > 1:
-        titles = ", ".join(part.title for part in found)
+        titles = ", ".join(part.title for part in matching)
         raise ParameterError(
             f"{mesh.name}: expected one part named {name!r}, got several: {titles}. Name one of these."
         )
-    if not found:
+    if not matching:
         known = ", ".join(dict.fromkeys(part.title for part in parts[:12]))
         raise ParameterError(
             f"{mesh.name}: expected a part named {name!r}, there is none. It has {known}"
             f"{', ...' if len(parts) > 12 else ''}; `cagemap check` lists all."
         )
-    return found[0]
+    return matching[0]
 
 
 def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
-    """Parts, with all groups of the name as one; OBJ's ``g one two`` is a group of both names."""
+    """Parts, with all groups of the name merged; OBJ's ``g one two`` belongs to both names."""
     wanted = name.removeprefix("group:")
-    meant = [p for p in parts if p.kind == "group" and (p.name == wanted or wanted in p.name.split())]
-    if not meant:
+    groups = [p for p in parts if p.kind == "group" and (p.name == wanted or wanted in p.name.split())]
+    if not groups:
         return list(parts)
-    one = Part("group", wanted, np.unique(np.concatenate([part.faces for part in meant])))
-    kept = [part for part in parts if part not in meant]
-    return [*(part for part in kept if part.kind == "object"), one, *(p for p in kept if p.kind != "object")]
+    merged = Part("group", wanted, np.unique(np.concatenate([part.faces for part in groups])))
+    kept = [part for part in parts if part not in groups]
+    return [*(part for part in kept if part.kind == "object"), merged, *(p for p in kept if p.kind != "object")]
 
 
 def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return some faces as a mesh of their own, without unused vertices and UVs.
+    """Return the given faces as a separate mesh, without unused vertices and UVs.
 
-    ``file_vertices`` and ``file_faces`` of the result say which they were.
+    ``file_vertices`` and ``file_faces`` of the result are their numbers in the file.
     """
     kept = keep_faces(mesh, faces)
     vertices, indices = np.unique(kept.face_indices, return_inverse=True)
@@ -135,7 +137,7 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         face_indices=indices.astype(np.int64),
         uvs=uvs,
         uv_indices=uv_indices,
-        uv_sets=tuple(UvSet(one.name, *_used(one.uvs, one.uv_indices)) for one in kept.uv_sets),
+        uv_sets=tuple(UvSet(uv_set.name, *_used(uv_set.uvs, uv_set.uv_indices)) for uv_set in kept.uv_sets),
         vertex_colors=None if kept.vertex_colors is None else kept.vertex_colors[vertices],
         crease_edges=None if kept.crease_edges is None else number[kept.crease_edges],
         corner_vertices=None if corners is None else number[corners[inside]],
@@ -148,7 +150,7 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
 
 
 def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArray | None:
-    """``file_copies`` in new vertex numbers (n,), -1 for those that are gone; None if none is left."""
+    """``file_copies`` in new vertex numbers (n,), -1 for removed vertices; None if no copy is left."""
     if copies is None:
         return None
     moved = np.column_stack([number[copies[:, 0]], copies[:, 1]])
@@ -157,30 +159,30 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
-    """(n,) number of every vertex of a mesh on a part that `extract_faces` took of it, -1 where there is none."""
+    """(n,) vertex of a part made by `extract_faces` for every vertex of the mesh, or -1."""
     assert part.file_vertices is not None
-    own = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
-    number = np.full(int(own.max()) + 1, -1, dtype=np.int64)
+    file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
+    number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
     number[part.file_vertices] = np.arange(part.n_vertices)
-    return number[own]
+    return number[file_numbers]
 
 
 def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
-    """Those of the parts, which share no face, that are connected."""
+    """The connected ones of disjoint parts."""
     of_face = np.full(mesh.n_faces, len(parts), dtype=np.int64)
     for number, part in enumerate(parts):
         of_face[part.faces] = number
-    # A vertex counts once for every part that it borders on.
+    # One node for every pair of a vertex and a part around it.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces], return_inverse=True)
     labels = face_pieces(mesh, corners, len(nodes))
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
 def _own_scheme(part: ControlMesh) -> dict[str, Any]:
-    """How a part is subdivided, where the objects of its file differ in it."""
+    """Arguments of `ControlMesh` for a part's scheme, if its objects have one of ``object_schemes`` in common."""
     objects = () if part.face_objects is None or not part.object_schemes else np.unique(part.face_objects).tolist()
-    own = {part.object_schemes[number] for number in objects}
-    return {"scheme": own.pop(), "object_schemes": ()} if len(own) == 1 else {}
+    schemes = {part.object_schemes[number] for number in objects}
+    return {"scheme": schemes.pop(), "object_schemes": ()} if len(schemes) == 1 else {}
 
 
 def _used(values: FloatArray, indices: IndexArray) -> tuple[FloatArray, IndexArray]:
@@ -194,43 +196,45 @@ def pair_parts(
     landmarks: IndexArray,
     pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
 ) -> tuple[tuple[tuple[Part, Part], ...], tuple[Part, ...], tuple[Part, ...]]:
-    """Pair the pieces of two meshes: by landmarks on both, then by name, then the last of both.
+    """Pair the pieces of two meshes by shared landmarks, then by name, then the only remaining ones.
 
-    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` what is paired, connected parts by default. Numbers
-    are no names. Returns the pairs, the larger target piece first, and what is left alone of target and source.
+    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. Names that end in a
+    number are ignored. Returns the pairs, larger target pieces first, and the unpaired pieces of target and source.
     """
     of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
-    mine = sorted(of_target, key=lambda part: -len(part.faces))
-    theirs = list(of_source)
-    votes = np.zeros((len(mine), len(theirs)), dtype=np.int64)
-    ends = np.column_stack([_owners(target, mine)[landmarks[:, 0]], _owners(source, theirs)[landmarks[:, 1]]])
+    target_parts = sorted(of_target, key=lambda part: -len(part.faces))
+    source_parts = list(of_source)
+    votes = np.zeros((len(target_parts), len(source_parts)), dtype=np.int64)
+    ends = np.column_stack(
+        [_owners(target, target_parts)[landmarks[:, 0]], _owners(source, source_parts)[landmarks[:, 1]]]
+    )
     np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)
     most_votes = np.argsort(-votes, axis=None, kind="stable")[: np.count_nonzero(votes)]
-    candidates = [divmod(number, len(theirs)) for number in most_votes.tolist()]
+    candidates = [divmod(number, len(source_parts)) for number in most_votes.tolist()]
     candidates += [
         (row, column)
-        for row, part in enumerate(mine)
+        for row, part in enumerate(target_parts)
         if not part.name.rpartition(" ")[2].isdigit()
-        for column, other in enumerate(theirs)
-        if part.name.rpartition("/")[2] == other.name.rpartition("/")[2]
+        for column, source_part in enumerate(source_parts)
+        if part.name.rpartition("/")[2] == source_part.name.rpartition("/")[2]
     ]
     chosen: dict[int, int] = {}
     for row, column in candidates:
         if row not in chosen and column not in chosen.values():
             chosen[row] = column
-    left = [row for row in range(len(mine)) if row not in chosen]
-    right = [column for column in range(len(theirs)) if column not in chosen.values()]
-    if len(left) == len(right) == 1:
-        chosen[left[0]] = right[0]
+    unpaired_target = [row for row in range(len(target_parts)) if row not in chosen]
+    unpaired_source = [column for column in range(len(source_parts)) if column not in chosen.values()]
+    if len(unpaired_target) == len(unpaired_source) == 1:
+        chosen[unpaired_target[0]] = unpaired_source[0]
     return (
-        tuple((mine[row], theirs[chosen[row]]) for row in sorted(chosen)),
-        tuple(part for row, part in enumerate(mine) if row not in chosen),
-        tuple(part for column, part in enumerate(theirs) if column not in chosen.values()),
+        tuple((target_parts[row], source_parts[chosen[row]]) for row in sorted(chosen)),
+        tuple(part for row, part in enumerate(target_parts) if row not in chosen),
+        tuple(part for column, part in enumerate(source_parts) if column not in chosen.values()),
     )
 
 
 def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
-    """(n,) part of every vertex, the last of those that share it; -1 for none."""
+    """(n,) part of every vertex, the last one if several share it; -1 for none."""
     of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
     for number, part in enumerate(parts):
         of_face[part.faces] = number
@@ -240,10 +244,10 @@ def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
 
 
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
-    """One mesh of several pieces; vertices and faces of each in turn.
+    """Join meshes into one, with the vertices and faces of each in turn.
 
-    Names that several meshes have, of materials, objects, groups or UV sets, become one. Where a mesh lacks a UV set,
-    all its corners have `NO_UV`, so that nothing is baked onto it.
+    Materials, objects, groups and UV sets of the same name are merged. Where a mesh lacks a UV set, all its corners
+    get `NO_UV`, so that nothing is baked onto it.
     """
     vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
     faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
@@ -279,24 +283,24 @@ def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:
 
 
 def _known(arrays: Sequence[Values | None], shifts: IndexArray | None = None) -> Values | None:
-    """Those that are there, joined; None if there is none."""
+    """Concatenate the arrays that are not None, with shifts added; None if all are None."""
     shifts = np.zeros(len(arrays), dtype=np.int64) if shifts is None else shifts
     known = [array + shift for array, shift in zip(arrays, shifts, strict=True) if array is not None]
     return np.concatenate(known) if known else None
 
 
 def _file_numbers(numbers: Sequence[IndexArray | None]) -> IndexArray | None:
-    """Numbers in the file, if all meshes are parts of one."""
+    """Concatenated numbers in the file, or None unless all meshes have them."""
     return None if any(array is None for array in numbers) else _known(numbers)
 
 
 def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
-    """All UV sets by name, the one in use first."""
+    """UV sets of the joined mesh, by name; the first mesh's set in use comes first."""
     known = [{uv_set.name: uv_set for uv_set in mesh.all_uv_sets} for mesh in meshes]
     result = []
-    for name in dict.fromkeys(name for own in known for name in own):
+    for name in dict.fromkeys(name for sets_by_name in known for name in sets_by_name):
         bare = [UvSet(name, np.array([NO_UV]), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
-        sets = [own.get(name, other) for own, other in zip(known, bare, strict=True)]
+        sets = [sets_by_name.get(name, blank) for sets_by_name, blank in zip(known, bare, strict=True)]
         starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])[:-1]
         values = np.concatenate([uv_set.uvs for uv_set in sets])
         result.append(UvSet(name, values, _shifted([uv_set.uv_indices for uv_set in sets], starts)))
@@ -304,14 +308,16 @@ def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
 
 
 def _joined_labels(meshes: Sequence[ControlMesh]) -> dict[str, Any]:
-    """Objects, groups and materials by name, as arguments of `ControlMesh`; faces without one get the name ''."""
+    """Objects, groups and materials of the joined mesh, as arguments of `ControlMesh`; missing names are ''."""
     labels: dict[str, Any] = {}
     for parts in zip(*(mesh.partitions for mesh in meshes), strict=True):
         kind, names, numbers = parts[0][0], dict[str, int](), []
-        for mesh, (_, of_face, own) in zip(meshes, parts, strict=True):
+        for mesh, (_, of_face, mesh_names) in zip(meshes, parts, strict=True):
             if of_face is None:
-                of_face, own = np.zeros(mesh.n_faces, dtype=np.int64), ("",)
-            numbers.append(np.array([names.setdefault(name, len(names)) for name in own], dtype=np.int64)[of_face])
+                of_face, mesh_names = np.zeros(mesh.n_faces, dtype=np.int64), ("",)
+            numbers.append(
+                np.array([names.setdefault(name, len(names)) for name in mesh_names], dtype=np.int64)[of_face]
+            )
         known = any(of_face is not None for _, of_face, _ in parts)
         labels[f"face_{kind}s"] = np.concatenate(numbers) if known else None
         labels[f"{kind}_names"] = tuple(names) if known else ()

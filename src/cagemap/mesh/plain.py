@@ -1,7 +1,7 @@
-"""Plain meshes, such as scans and generated meshes: repair them so that they can be matched as they are.
+"""Repair plain meshes, such as scans and generated meshes, so that they can be matched without subdivision.
 
-The method needs an oriented manifold of one piece. Faults are repaired where the repair is certain; other faces and
-vertices are set aside. `Repairs` counts what was done.
+Matching needs a connected, oriented manifold. Faults are repaired where the repair is unambiguous; other faces and
+vertices are removed. `Repairs` counts the changes.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.kinds import Brief
 from cagemap.surface.triangles import fan_triangles
 
-# Rounds in which faces at edges of more than two faces are taken out; two are enough for scans.
+# Most rounds of removing faces at edges of more than two faces; scans need two.
 MAX_FIN_ROUNDS = 20
 
 
 @dataclass(frozen=True, repr=False)
 class Repairs(Brief):
-    """What was done to a mesh before it was matched as it is; zero where nothing was."""
+    """Number of repairs of each kind that `plain_mesh` made."""
 
-    #: vertices at the position of another, on borders (files that repeat vertices face by face) or on edges of length
-    #: zero, which became one with it
+    #: vertices merged with another at the same position: on borders (files that repeat vertices face by face) or on
+    #: edges of length zero
     joined_vertices: int = 0
-    split_faces: int = 0  #: faces of other sizes than the rest, split into triangles with all others
-    dropped_faces: int = 0  #: faces that visit a vertex twice, copies of other faces, and holes of the file
-    fins: int = 0  #: faces taken out at edges of more than two faces
-    cut_vertices: int = 0  #: vertices where parts only touched, in an edge or a point, each with a copy for every part
-    turned_faces: int = 0  #: faces turned round to agree with the others; all of them where the mesh looked inwards
-    pieces: int = 0  #: smaller pieces set aside: nothing is matched or transferred there
+    split_faces: int = 0  #: faces of another size than most, because of which all faces were split into triangles
+    dropped_faces: int = 0  #: removed faces: with a repeated vertex, copies of other faces, and holes of the file
+    fins: int = 0  #: faces removed at edges of more than two faces
+    cut_vertices: int = 0  #: vertices copied for every part, where parts touched only in an edge or a point
+    turned_faces: int = 0  #: faces reversed to agree with their neighbours, or to look outwards
+    pieces: int = 0  #: removed smaller pieces: nothing is matched or transferred there
     pieces_share: float = 0.0  #: their share of the area
     pieces_vertices: int = 0  #: their vertices
-    pieces_weld: float = 0.0  #: tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 where none does
-    loose_vertices: int = 0  #: vertices of no face, set aside
-    slivers: int = 0  #: faces without area, which stay
-    openings: int = 0  #: boundary loops, which stay open
+    pieces_weld: float = 0.0  #: tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 if none does
+    loose_vertices: int = 0  #: removed vertices without faces
+    slivers: int = 0  #: faces without area; they are kept
+    openings: int = 0  #: boundary loops; they stay open
 
     def sentences(self) -> tuple[str, ...]:
-        """What a user is to know."""
-        said = {
+        """One sentence for the user about every kind of repair made."""
+        count_of = {
             f"{count_noun(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
             "faces of different sizes are split into triangles": self.split_faces,
             f"{count_noun(self.dropped_faces, 'face')} left out: copies, holes, or with a repeated vertex": (
@@ -75,10 +75,10 @@ class Repairs(Brief):
             f"{count_noun(self.slivers, 'face')} without area kept": self.slivers,
             f"{count_noun(self.openings, 'opening')} left open": self.openings,
         }
-        return tuple(sentence for sentence, count in said.items() if count)
+        return tuple(sentence for sentence, count in count_of.items() if count)
 
     def sentences_of_body(self) -> tuple[str, ...]:
-        """What a user of `cagemap rig` is to know: it carries smaller pieces along with the body."""
+        """`sentences` for `cagemap rig`, which moves smaller pieces along with the body."""
         if not self.pieces:
             return self.sentences()
         pieces = f"{count_noun(self.pieces, 'smaller piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
@@ -90,21 +90,21 @@ class Repairs(Brief):
         return "`find_part` each matches every piece with its counterpart"
 
     def summary(self) -> dict[str, float]:
-        """Numbers for a manifest, those that are not zero."""
+        """Numbers other than zero by name, for a manifest."""
         return {name: value for name, value in asdict(self).items() if value}
 
 
 @dataclass(frozen=True, eq=False)
 class PlainMesh:
-    """A mesh that is matched as it is, of one piece and manifold.
+    """A connected manifold mesh that is matched without subdivision.
 
     Attributes
     ----------
     mesh : ControlMesh
-        With the scheme `Plain`. Vertices and faces keep their order; where some are gone, ``file_vertices`` and
-        ``file_faces`` say which these were.
+        With the scheme `Plain`. Vertices and faces keep their order; if some were removed, ``file_vertices`` and
+        ``file_faces`` are the numbers of the remaining ones.
     vertex_of : (n_given,) int64
-        Vertex of ``mesh`` that every vertex of the mesh given became, -1 where it was set aside.
+        Vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones.
     repairs : Repairs
     """
 
@@ -114,27 +114,27 @@ class PlainMesh:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done, in sentences that name the mesh."""
+        """Sentences about the repairs, each with the mesh's name."""
         return tuple(f"{self.mesh.name}: {sentence}" for sentence in self.repairs.sentences())
 
 
 @arrays_accepted
 def plain_mesh(mesh: MeshLike) -> PlainMesh:
-    """Repair a triangle or quad mesh so that it can be matched as it is (scheme none).
+    """Repair a mesh so that it can be matched without subdivision (scheme none).
 
-    Joins vertices that a file repeats, takes out faces that are none, separates parts that only touch, turns faces to
-    agree, and sets smaller pieces aside. A mesh that needs none of it keeps its numbers.
+    Joins repeated vertices, removes degenerate and duplicate faces, separates parts that only touch, orients faces
+    consistently and removes smaller pieces. A mesh without these faults keeps its vertex and face numbers.
 
     Raises
     ------
     InvalidMeshError
-        If its arrays are no mesh, it is one-sided, or has no area.
+        If the arrays are no mesh, or the mesh is one-sided or has no area.
     """
     require_structure(mesh)
     work = replace(
         mesh.without_sharpness(),
         scheme=Plain(),
-        file_vertices=np.arange(mesh.n_vertices),  # numbers on the mesh given, until all is done
+        file_vertices=np.arange(mesh.n_vertices),  # numbers on the mesh given; replaced by those in the file below
         file_faces=np.arange(mesh.n_faces),
         file_copies=None,
     )
@@ -183,7 +183,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     assert vertices is not None
     assert own_faces is not None
     vertex_of = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    vertex_of[vertices[::-1]] = np.arange(len(vertices))[::-1]  # of a vertex that was cut, its first copy
+    vertex_of[vertices[::-1]] = np.arange(len(vertices))[::-1]  # the first copy of a split vertex
     vertex_of = vertex_of[representative]
 
     def in_file(numbers: IndexArray | None, kept: IndexArray) -> IndexArray | None:
@@ -199,13 +199,13 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
 
 
 def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
-    """Split into triangles unless all faces are triangles or sound quads; also how many differ."""
+    """Split faces into triangles unless all are triangles, or valid quads; also the number of other faces."""
     sizes = mesh.face_sizes
     size = int(np.bincount(sizes).argmax())
     odd = sizes != size
     odd[degenerate_faces(mesh)] |= size == 4
     if size == 3 and not np.any(sizes > 3):
-        return mesh, 0  # faces of fewer corners are none
+        return mesh, 0  # faces of fewer corners are removed later
     if size == 4 and not odd.any():
         return mesh, 0
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
@@ -224,10 +224,10 @@ def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
         bad = topology.face_counts > 2
         if not bad.any():
             return mesh, n_faces - mesh.n_faces, cut
-        # Faces that run around the cut and meet again: nothing says which of them belong together.
+        # Faces joined around the split vertices: it is ambiguous which of them belong together.
         mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1]))
-        mesh, more = _one_fan_per_vertex(mesh)
-        cut += more
+        mesh, newly_cut = _one_fan_per_vertex(mesh)
+        cut += newly_cut
     raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges")
 
 
@@ -241,19 +241,19 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     """Give every fan of faces its own vertex, copies last; also the number of vertices copied."""
     topology = mesh_topology(mesh)
     many = (topology.face_counts > 2)[topology.edges]  # such edges join no faces
-    apart = topology.edges.copy()
-    apart[many] = topology.n_edges + np.arange(many.sum())
-    fans = corner_fans(replace(topology, edges=apart))
+    edges = topology.edges.copy()
+    edges[many] = topology.n_edges + np.arange(many.sum())
+    fans = corner_fans(replace(topology, edges=edges))
     _, first = np.unique(fans, return_index=True)
-    at = mesh.face_indices[first]
-    order = np.argsort(at, kind="stable")
-    again = np.zeros(len(at), dtype=bool)
-    again[order[1:]] = at[order[1:]] == at[order[:-1]]
-    if not again.any():
+    vertices = mesh.face_indices[first]
+    order = np.argsort(vertices, kind="stable")
+    repeated = np.zeros(len(vertices), dtype=bool)
+    repeated[order[1:]] = vertices[order[1:]] == vertices[order[:-1]]
+    if not repeated.any():
         return mesh, 0
-    number = at.copy()
-    number[again] = mesh.n_vertices + np.arange(again.sum())
-    copied = at[again]
+    number = vertices.copy()
+    number[repeated] = mesh.n_vertices + np.arange(repeated.sum())
+    copied = vertices[repeated]
     source = np.concatenate([np.arange(mesh.n_vertices), copied])
     assert mesh.file_vertices is not None
     return replace(
@@ -266,7 +266,7 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 
 def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
-    """Reverse some faces (m,) of a mesh with one face size; first corners stay, so that quads are split alike."""
+    """Reverse faces (m,) of a mesh with one face size, keeping first corners and quads' diagonals."""
     if not faces.any():
         return mesh
     corners = np.arange(len(mesh.face_indices)).reshape(mesh.n_faces, -1)
@@ -275,7 +275,7 @@ def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
 
 
 def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
-    """Keep the connected piece of most area; also what is set aside."""
+    """Keep the connected piece of largest area; also counts of removed pieces."""
     labels = face_components(mesh)
     count = int(labels.max()) + 1
     if count == 1:

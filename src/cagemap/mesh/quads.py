@@ -1,4 +1,4 @@
-"""Join pairs of triangles into the quads that they were before an exporter split them."""
+"""Join pairs of triangles into quads: undo an exporter's triangulation."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import adjacent_corners, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
-# Degrees: pairs with a larger fold, or with a corner further from 90, are no quad.
+# Degrees: largest fold of a pair, and largest difference of its corners from 90.
 _MOST_FOLDED, _MOST_SKEWED = 90.0, 75.0
-# Degrees that pairs of faces which follow each other in the file may be worse: exporters write quads so.
+# Degrees subtracted from the cost of consecutive faces: exporters write both triangles of a quad in a row.
 _IN_ORDER = 60.0
-# Share of all triangles: where so many pairs begin at even faces, the file holds quads one after the other.
+# Share of triangles in consecutive pairs that begin at even faces, from which the whole file consists of such pairs.
 _MOST_EVEN = 0.9
 
 
 @arrays_accepted
 def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
-    """Join triangles in pairs; also the number of quads made.
+    """Join triangles in pairs; also the number of quads.
 
-    A pair shares an edge that is no crease and no seam of UVs, materials or objects. Where a triangle could be in
-    several quads, faces that follow each other and corners near 90 degrees decide. Vertices keep their numbers.
+    A pair shares an edge that is no crease and no seam of UVs, materials or objects. Of several possible quads,
+    consecutive faces and corners near 90 degrees are preferred. Vertices keep their numbers.
 
     Examples
     --------
@@ -39,8 +39,8 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     quads = _candidates(mesh, following)
     first, second = mesh.corner_faces[quads[:, 0]], mesh.corner_faces[quads[:, 2]]
     places = mesh.positions[mesh.face_indices[quads]]
-    ahead, back = np.roll(places, -1, axis=1) - places, np.roll(places, 1, axis=1) - places
-    cost = np.abs(_angle(ahead, back) - 90.0).max(axis=1, initial=0.0)
+    to_next, to_previous = np.roll(places, -1, axis=1) - places, np.roll(places, 1, axis=1) - places
+    cost = np.abs(_angle(to_next, to_previous) - 90.0).max(axis=1, initial=0.0)
     a, b, c, d = places.transpose(1, 0, 2)
     fold = _angle(np.cross(b - a, c - a), np.cross(c - a, d - a))
     sound = (fold < _MOST_FOLDED) & (cost < _MOST_SKEWED)
@@ -66,23 +66,23 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
 
 
 def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
-    """(q, 4) corners of all quads that two triangles make."""
+    """(q, 4) face corners of all quads that two triangles can form."""
     topology = mesh_topology(mesh)
-    one, other = adjacent_corners(topology)
+    first, second = adjacent_corners(topology)
     faces = mesh.corner_faces
     heads = mesh.face_indices[following]
-    fits = (topology.face_counts[topology.edges[one]] == 2) & (mesh.face_indices[one] == heads[other])
-    fits &= (mesh.face_sizes[faces[one]] == 3) & (mesh.face_sizes[faces[other]] == 3)
+    fits = (topology.face_counts[topology.edges[first]] == 2) & (mesh.face_indices[first] == heads[second])
+    fits &= (mesh.face_sizes[faces[first]] == 3) & (mesh.face_sizes[faces[second]] == 3)
     for _, labels, _ in mesh.partitions:
         if labels is not None:
-            fits &= labels[faces[one]] == labels[faces[other]]
+            fits &= labels[faces[first]] == labels[faces[second]]
     for uvs in (uv_set.uv_indices for uv_set in mesh.all_uv_sets):
-        fits &= (uvs[one] == uvs[following[other]]) & (uvs[following[one]] == uvs[other])
+        fits &= (uvs[first] == uvs[following[second]]) & (uvs[following[first]] == uvs[second])
     if mesh.crease_edges is not None and len(mesh.crease_edges):
-        own = pair_keys(np.column_stack([mesh.face_indices[one], heads[one]]), mesh.n_vertices)
-        fits &= ~np.isin(own, pair_keys(mesh.crease_edges, mesh.n_vertices))
-    one, other = one[fits], other[fits]
-    return np.column_stack([one, following[following[other]], other, following[following[one]]])
+        edge_keys = pair_keys(np.column_stack([mesh.face_indices[first], heads[first]]), mesh.n_vertices)
+        fits &= ~np.isin(edge_keys, pair_keys(mesh.crease_edges, mesh.n_vertices))
+    first, second = first[fits], second[fits]
+    return np.column_stack([first, following[following[second]], second, following[following[first]]])
 
 
 def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -92,17 +92,17 @@ def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _matched(first: IndexArray, second: IndexArray, cost: FloatArray, n_faces: int) -> NDArray[np.bool_]:
-    """(q,) which pairs of faces are joined: in rounds, those that are the best one of both."""
+    """(q,) which pairs of faces to join: in rounds, pairs of least cost for both faces."""
     rank = np.empty(len(cost), dtype=np.int64)
     rank[np.argsort(cost, kind="stable")] = np.arange(len(cost))
     chosen = np.zeros(len(cost), dtype=bool)
     open_pairs = np.arange(len(cost))
-    while len(open_pairs):  # the best of all is always joined
+    while len(open_pairs):  # ends, as the pair of least cost is always joined
         best = np.full(n_faces, len(cost), dtype=np.int64)
         for side in (first, second):
             np.minimum.at(best, side[open_pairs], rank[open_pairs])
-        own = rank[open_pairs]
-        won = open_pairs[(best[first[open_pairs]] == own) & (best[second[open_pairs]] == own)]
+        ranks = rank[open_pairs]
+        won = open_pairs[(best[first[open_pairs]] == ranks) & (best[second[open_pairs]] == ranks)]
         chosen[won] = True
         taken = np.zeros(n_faces, dtype=bool)
         taken[first[won]] = taken[second[won]] = True

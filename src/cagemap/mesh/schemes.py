@@ -1,7 +1,6 @@
-"""Subdivision schemes: the options that change a surface, and the masks of each scheme.
+"""Subdivision schemes: options, and the masks (stencil weights) of each scheme.
 
-The rules are OpenSubdiv's, which is what USD, Blender, Maya and Houdini run; the options are those of its
-``Sdc::Options``.
+Rules and options are those of OpenSubdiv (``Sdc::Options``), used by USD, Blender, Maya and Houdini.
 
 .. [CC78] E. Catmull, J. Clark. Recursively generated B-spline surfaces on arbitrary topological meshes. 1978.
 .. [Loop87] C. Loop. Smooth subdivision surfaces based on triangles. Master's thesis, University of Utah, 1987.
@@ -26,15 +25,15 @@ UvInterpolation = Literal["none", "corners_only", "corners_plus1", "corners_plus
 Creasing = Literal["uniform", "chaikin"]
 TriangleRule = Literal["catmull_clark", "smooth"]
 
-# Sharpness from which on a crease or corner stays sharp for ever; Blender's crease c is 10 c^2.
+# Sharpness from which a crease or corner counts as infinitely sharp; Blender's crease c is 10 c^2.
 INFINITE_SHARPNESS = 10.0
 # Crease curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
 CREASE_VERTEX = (3 / 4, 1 / 8)
 CREASE_LIMIT = (2 / 3, 1 / 6)
-# What a triangle's new face point weighs in the edge points around it under the "smooth" rule.
+# Weight of a triangle's new face point in the edge points around it under the "smooth" rule.
 SMOOTH_TRIANGLE = 0.47
 
-# Values of each option, and what a message adds.
+# Values of each option, and the text that an error message adds.
 _CHOICES = {
     "boundary": (get_args(Boundary), "USD's default is edge_and_corner, Blender's is edge_only"),
     "uv_interpolation": (get_args(UvInterpolation), "USD's default is corners_plus1, Blender's is boundaries"),
@@ -45,19 +44,19 @@ _CHOICES = {
 
 @dataclass(frozen=True)
 class SubdivisionOptions:
-    """Everything beside the control mesh and its scheme that changes the surface.
+    """Options of a subdivision scheme that change the surface.
 
     Attributes
     ----------
     boundary : {"edge_and_corner", "edge_only", "none"}
-        Whether a boundary vertex with a single face stays where it is (``edge_and_corner``, USD's default)
-        or is smoothed along the boundary curve like the others (``edge_only``). Under ``none`` faces that touch the
-        boundary are holes: they shape the surface and are no part of it.
+        Whether a boundary vertex with a single face is fixed (``edge_and_corner``, USD's default) or smoothed along
+        the boundary curve like the others (``edge_only``). Under ``none`` faces at the boundary are holes: they
+        influence the surface but are no part of it.
     uv_interpolation : {"all", "boundaries", "corners_plus2", "corners_plus1", "corners_only", "none"}
-        Where UVs stay linear: everywhere, on all island borders, at island corners and less and less of what is like
-        them, nowhere. USD's default is ``corners_plus1``, Blender's ``boundaries``.
+        Where UVs are interpolated linearly: everywhere, on all island borders, at island corners and (``plus``) at
+        more or fewer similar points, nowhere. USD's default is ``corners_plus1``, Blender's ``boundaries``.
     creasing : {"uniform", "chaikin"}
-        Whether sharpness falls by 1 in every step, or is evened out along the crease at the same time.
+        Whether sharpness only decreases by 1 in every step, or is also averaged along the crease.
     triangles : {"catmull_clark", "smooth"}
         Weights of triangles in edge points under Catmull-Clark.
     """
@@ -81,7 +80,7 @@ def _half_ring_sines(valence: int) -> FloatArray:
 
 
 def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[float, float]:
-    """Weights of a vertex and of its boundary neighbours in a symmetric left eigenvector; ``fed``: the inner ring."""
+    """Weights of a vertex and its boundary neighbours in a symmetric left eigenvector; ``fed``: inner ring's terms."""
     # value centre = 3/4 centre + 2/2 end + fed_centre; value end = 1/8 centre + 1/2 end + fed_end
     determinant = (value - 1) * (value - 1 / 4)
     centre = ((value - 1 / 2) * fed_centre + fed_end) / determinant
@@ -108,7 +107,7 @@ class CatmullClark(SubdivisionOptions):
         return 1 - 7 / (4 * n), 3 / (2 * n**2), 1 / (4 * n**2)
 
     def face_edge_weights(self, sizes: Integers) -> FloatArray:
-        """What a face of each size would have its new face point weigh in an edge point; both sides are averaged."""
+        """Weight of a new face point in an edge point, by face size, averaged over both sides."""
         smooth = (np.asarray(sizes) == 3) & (self.triangles == "smooth")
         return np.where(smooth, SMOOTH_TRIANGLE, 1 / 4)
 
@@ -130,17 +129,21 @@ class CatmullClark(SubdivisionOptions):
     def tangent_weights(valence: Integers, rank: Integers) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Limit tangents among quads [HKD93]_, for the neighbour and the opposite vertex number ``rank`` of the ring.
 
-        Returns the weights ``(neighbour, opposite)`` of the first tangent, then of the second, which is the first
-        turned by a quarter.
+        Returns the weights ``(neighbour, opposite)`` of the first tangent, then of the second, rotated by 90 degrees.
         """
         theta = 2 * np.pi / valence
         a = 1 + np.cos(theta) + np.cos(theta / 2) * np.sqrt(2 * (9 + np.cos(theta)))
-        here, there = theta * rank, theta * (rank + 1)
-        return a * np.cos(here), np.cos(here) + np.cos(there), a * np.sin(here), np.sin(here) + np.sin(there)
+        angle, next_angle = theta * rank, theta * (rank + 1)
+        return (
+            a * np.cos(angle),
+            np.cos(angle) + np.cos(next_angle),
+            a * np.sin(angle),
+            np.sin(angle) + np.sin(next_angle),
+        )
 
     @staticmethod
     def inward_tangent(valence: int) -> tuple[float, FloatArray, FloatArray]:
-        """Limit tangent that leads into the surface from a boundary vertex with ``valence`` >= 2 quads.
+        """Limit tangent pointing into the surface at a boundary vertex with ``valence`` >= 2 quads.
 
         The left eigenvector of the local subdivision matrix that is a sine around the inner ring: with
         ``t = pi/valence``, inner neighbour i has weight ``(16 lambda - 4) sin(i t)`` and opposite vertex i
@@ -193,7 +196,7 @@ class Loop(SubdivisionOptions):
 
     @staticmethod
     def inward_tangent(valence: int) -> tuple[float, FloatArray, FloatArray]:
-        """Limit tangent that leads into the surface from a boundary vertex with ``valence`` >= 2 triangles.
+        """Limit tangent pointing into the surface at a boundary vertex with ``valence`` >= 2 triangles.
 
         As `CatmullClark.inward_tangent`, with weights ``sin(i pi/valence)`` and
         ``lambda = 3/8 + cos(pi/valence)/4``; there are no opposite vertices.
@@ -206,14 +209,14 @@ class Loop(SubdivisionOptions):
 
 
 class Bilinear(SubdivisionOptions):
-    """No smoothing: vertices stay, edges get midpoints, faces centroids; what USD calls ``bilinear``.
+    """Subdivision without smoothing: midpoints on edges, centroids in faces; USD's ``bilinear``.
 
-    The options change nothing here but what is a hole.
+    The options have no effect.
     """
 
 
 class Plain(Bilinear):
-    """A mesh as it is, such as a scan: its faces are the surface, and it is never refined; USD's ``none``."""
+    """No subdivision: the faces of the mesh, such as a scan, are the surface; USD's ``none``."""
 
 
 Scheme = CatmullClark | Loop | Bilinear

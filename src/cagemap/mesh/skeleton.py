@@ -1,4 +1,4 @@
-"""A skeleton: named joints in a hierarchy, as a value."""
+"""A skeleton: named joints in a hierarchy."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Joints with a head and a tail each."""
+    """Named joints, each with a parent, a head and a tail."""
 
     names: tuple[str, ...]
-    parents: tuple[str, ...]  #: '' for none
+    parents: tuple[str, ...]  #: name of every joint's parent, '' for a root
     heads: FloatArray  #: (j, 3)
     tails: FloatArray  #: (j, 3)
-    #: (j, 3, 3) rows are the directions of each joint's own axes, where the file has them
+    #: (j, 3, 3) rows are the axes of each joint; None if the file has none
     axes: FloatArray | None = None
 
 
 def tails_of(heads: FloatArray, parents: IndexArray) -> FloatArray:
-    """Tails (j, 3) of joints with heads (j, 3) and parents (j,), -1 for a root: the middle of a joint's children.
+    """Tails (j, 3) of joints with heads (j, 3) and parents (j,) (root: -1): means of children's heads.
 
-    A joint without children is half as long as the one above it.
+    A joint without children is half as long as its parent, in the same direction.
     """
     tails = heads.copy()
     for number, parent in enumerate(parents):

@@ -1,4 +1,4 @@
-"""Whether the arrays of a control mesh fit together at all: shapes, ranges, finite numbers."""
+"""Check the arrays of a control mesh: shapes, ranges, finite numbers."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
 
 def structure_problems(mesh: ControlMesh) -> tuple[MeshProblem, ...]:
-    """List what keeps the arrays from describing a mesh; other checks need it to be empty."""
-    found = [_positions(mesh), _offsets(mesh)]
-    if not any(found):
-        found += [_indices(mesh), _uvs(mesh), _materials(mesh), _creases(mesh), _corners(mesh), _holes(mesh)]
-    return tuple(problem for problem in found if problem is not None)
+    """Problems of the mesh's arrays; other checks require that there are none."""
+    problems = [_positions(mesh), _offsets(mesh)]
+    if not any(problems):
+        problems += [_indices(mesh), _uvs(mesh), _materials(mesh), _creases(mesh), _corners(mesh), _holes(mesh)]
+    return tuple(problem for problem in problems if problem is not None)
 
 
 def require_structure(mesh: ControlMesh) -> None:
-    """Raise InvalidMeshError where the arrays describe no mesh."""
+    """Raise InvalidMeshError if the arrays have problems."""
     broken = structure_problems(mesh)
     if broken:
         raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {len(broken)} problem(s):{list_problems(broken)}")

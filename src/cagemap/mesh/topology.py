@@ -1,7 +1,7 @@
 """Connectivity of a mesh as arrays: edges, fans around vertices, boundary loops, components, orientation.
 
-A corner is one face's use of one vertex; corner ``c`` also stands for the edge that leaves it towards the next corner
-of its face. Arrays of a `Topology` are int32, as the indices of the matrices made from them.
+A corner is a vertex of a face; corner ``c`` also stands for the half-edge to the next corner of its face. Arrays of a
+`Topology` are int32, as are the indices of the matrices made from them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Topology:
     """Faces, edges and vertices by corner (c,), of a mesh or of its UV layout.
 
     Corners of a face are consecutive. ``edges`` is the edge from a corner to the ``following`` one of its face;
-    ``forward`` tells whether the corner runs in that edge's direction, as one of an inner edge's two corners does.
+    ``forward`` is True where the half-edge has that edge's direction, as one of the two of an inner edge has.
     """
 
     n_vertices: int
@@ -52,12 +52,12 @@ class Topology:
 
     @kept
     def face_counts(self) -> IndexArray:
-        """(e,) number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold."""
+        """(e,) number of faces at every edge: 2 inside, 1 on the boundary, more if non-manifold."""
         return np.bincount(self.edges, minlength=self.n_edges).astype(np.int64)
 
     @kept
     def edge_corners(self) -> IntArray:
-        """(e, 2) forward and backward corner of every edge, -1 where there is none, as on the boundary."""
+        """(e, 2) forward and backward corner of every edge; -1 if missing, as on the boundary."""
         corners = np.full((self.n_edges, 2), -1, dtype=np.int32)
         corners[self.edges, (~self.forward).astype(np.int64)] = np.arange(self.n_corners, dtype=np.int32)
         return corners
@@ -75,17 +75,17 @@ class Topology:
 
     @kept
     def outer_edges(self) -> BoolArray:
-        """(e,) which edges lie on the boundary."""
+        """(e,) whether an edge is on the boundary."""
         return np.asarray(self.face_counts == 1)
 
     @kept
     def boundary_corners(self) -> IndexArray:
-        """(b,) the corner of every boundary edge: it runs from one boundary vertex to the next."""
+        """(b,) the corner of every boundary edge."""
         return np.flatnonzero(self.outer_edges[self.edges])
 
     @kept
     def boundary(self) -> BoolArray:
-        """(n,) which vertices lie on the boundary."""
+        """(n,) whether a vertex is on the boundary."""
         boundary, curve = np.zeros(self.n_vertices, dtype=bool), self.boundary_corners
         boundary[self.vertices[curve]] = True
         boundary[self.vertices[self.following[curve]]] = True
@@ -98,7 +98,7 @@ class Topology:
 
     @kept
     def ranks(self) -> IntArray:
-        """(c,) place of a corner around its vertex, counter-clockwise; at the boundary from the first edge there on.
+        """(c,) index of a corner around its vertex, counter-clockwise, from the boundary if there is one.
 
         Separate fans of faces may touch in a boundary vertex; the corners of all but one then have rank -1.
         """
@@ -107,8 +107,8 @@ class Topology:
         numbers = np.arange(self.n_corners, dtype=np.int32)
         start = np.empty(self.n_vertices, dtype=np.int32)
         start[self.vertices[::-1]] = numbers[::-1]
-        alone = twin < 0
-        start[self.vertices[alone]] = numbers[alone]
+        unpaired = twin < 0
+        start[self.vertices[unpaired]] = numbers[unpaired]
         corners, rank = np.unique(start), 0
         while len(corners):  # around all vertices at once
             ranks[corners] = rank
@@ -122,7 +122,7 @@ class Topology:
 def topology_of(
     vertices: IndexArray | IntArray, n_vertices: int, faces: IntArray, following: IntArray, previous: IntArray
 ) -> Topology:
-    """Topology of faces; edges are numbered by `numbered_edges` and run as their first corner does."""
+    """Topology of faces; edges are numbered by `numbered_edges` and have their first corner's direction."""
     indices = vertices.astype(np.int64)
     first, edges, _ = numbered_edges(indices, indices[following], n_vertices)
     forward = indices == indices[first][edges]
@@ -132,7 +132,7 @@ def topology_of(
 
 
 def mesh_topology(mesh: ControlMesh) -> Topology:
-    """Topology of a mesh, whatever is wrong with it."""
+    """Topology of a mesh, which need not be manifold."""
     return layout_topology(mesh, mesh.face_indices, mesh.n_vertices)
 
 
@@ -146,7 +146,7 @@ def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> 
 
 
 def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """First half-edge (e,) of every edge, edge of every half-edge (c,), and counts (e,); edges ascend by vertices."""
+    """Number edges by ascending vertices: first half-edge (e,), edge of every half-edge (c,), half-edge counts (e,)."""
     keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
     _, *numbers = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     first, edges, counts = (array.astype(np.int64) for array in numbers)
@@ -154,16 +154,16 @@ def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tup
 
 
 def adjacent_corners(topology: Topology) -> tuple[IndexArray, IndexArray]:
-    """Pair the half-edges that share an edge: two for an inner edge, a chain where more faces meet."""
+    """Pairs of half-edges of the same edge: one pair, or a chain at edges of more faces."""
     order = np.argsort(topology.edges, kind="stable")
-    same = np.diff(topology.edges[order]) == 0
-    return order[:-1][same], order[1:][same]
+    adjacent = np.diff(topology.edges[order]) == 0
+    return order[:-1][adjacent], order[1:][adjacent]
 
 
 def corner_fans(topology: Topology) -> IndexArray:
-    """(c,) fan of every corner: corners around one vertex are of one fan where inner edges join their faces.
+    """(c,) fan of every corner: corners of one vertex whose faces are joined by inner edges.
 
-    A vertex is manifold when all its corners are of one fan. Numbered from 0.
+    A vertex is manifold if all its corners are of one fan. Fans are numbered from 0.
     """
     first, second = adjacent_corners(topology)
     following = topology.following
@@ -178,8 +178,8 @@ def corner_fans(topology: Topology) -> IndexArray:
 def boundary_loops(topology: Topology, fans: IndexArray) -> tuple[IndexArray, ...] | None:
     """Vertices along every boundary loop, in the direction of the faces' half-edges (surface on the left).
 
-    None where the faces' orientations, or edges of more than two faces, leave the loops undefined. Loops follow the
-    fans of `corner_fans`, and so a vertex is passed once for each of its fans.
+    None if the faces' orientations, or edges of more than two faces, leave the loops undefined. Loops follow the
+    ``fans`` of `corner_fans`: a vertex appears once for each of its fans.
     """
     if np.any(topology.face_counts > 2):
         return None
@@ -205,7 +205,7 @@ def boundary_loops(topology: Topology, fans: IndexArray) -> tuple[IndexArray, ..
 
 
 def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
-    """Genus g of a mesh, or of what is left after a cut between faces of different labels (m,).
+    """Genus g of a mesh, or of the mesh cut between faces of different labels (m,).
 
     For c manifold pieces with b boundary loops in all: V - E + F = 2 c - 2 g - b.
     """
@@ -223,16 +223,16 @@ def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
 
 
 def label_cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
-    """(m,) labels of faces by the nearest of vertices that lie about so far apart, along edges.
+    """(m,) labels of faces by the nearest seed vertex along edges; seeds are about ``size`` apart.
 
-    The vertices are the first ones in the cubes of a lattice, moved by a share of their side.
+    Seeds are the first vertices in the cubes of a grid, which is shifted by ``offset`` of their side.
     """
     cubes = np.floor(mesh.positions / size + offset)
     seeds = np.unique(cubes, axis=0, return_index=True)[1]
     heads, tails = mesh_topology(mesh).edge_vertices.T
     lengths = np.linalg.norm(mesh.positions[heads] - mesh.positions[tails], axis=1)
-    ways = sparse.csr_array((lengths, (heads, tails)), shape=(mesh.n_vertices, mesh.n_vertices))
-    nearest = dijkstra(ways, directed=False, indices=seeds, return_predecessors=True, min_only=True)[2]
+    graph = sparse.csr_array((lengths, (heads, tails)), shape=(mesh.n_vertices, mesh.n_vertices))
+    nearest = dijkstra(graph, directed=False, indices=seeds, return_predecessors=True, min_only=True)[2]
     return np.asarray(nearest[mesh.face_indices[mesh.face_offsets[:-1]]], dtype=np.int64)
 
 
@@ -244,7 +244,7 @@ def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
 
 
 def face_pieces(mesh: ControlMesh, nodes: IndexArray, count: int) -> IndexArray:
-    """(m,) label of the piece of every face; faces are of one piece where corners have the same node (c,)."""
+    """(m,) piece of every face; faces with a corner of the same node (c,) are of one piece."""
     return label_components(nodes, nodes[mesh.next_corners], count)[nodes[mesh.face_offsets[:-1]]]
 
 
@@ -254,31 +254,30 @@ def face_components(mesh: ControlMesh) -> IndexArray:
 
 
 def uv_islands(mesh: ControlMesh) -> IndexArray | None:
-    """(m,) UV island of every face: faces that share a texture vertex are of one island. None without UVs."""
+    """(m,) UV island of every face, connected by shared texture vertices; None without UVs."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return None
     return _renumber(face_pieces(mesh, mesh.uv_indices, len(mesh.uvs)))
 
 
 def turned_faces(topology: Topology) -> NDArray[np.bool_] | None:
-    """(m,) faces to turn so that neighbours agree, the smaller set of each piece; None for one-sided surfaces.
+    """(m,) faces to reverse so that neighbours agree, the smaller set of each piece; None if one-sided.
 
-    Two faces agree where they run along their edge in opposite ways. Every face appears twice in a graph, as it is and
-    turned round; edges join the copies that agree. Where the two copies of a face are connected, the surface is
-    one-sided.
+    Two faces agree if they pass their edge in opposite directions. Every face is two nodes of a graph, as it is and
+    reversed; edges join the nodes that agree. If both nodes of a face are connected, the surface is one-sided.
     """
     first, second = adjacent_corners(topology)
     manifold = topology.face_counts[topology.edges[first]] == 2
     first, second = first[manifold], second[manifold]
     agree = topology.vertices[first] != topology.vertices[second]
     f, g, m = topology.faces[first], topology.faces[second], topology.n_faces
-    other = np.where(agree, 0, m)
-    labels = label_components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
+    shift = np.where(agree, 0, m)
+    labels = label_components(np.concatenate([f, f + m]), np.concatenate([g + shift, g + m - shift]), 2 * m)
     upright, turned = labels[:m], labels[m:]
     if np.any(upright == turned):
         return None
     counts = np.bincount(upright, minlength=int(labels.max(initial=-1)) + 1)
-    # The larger set stays; of two equal ones that of the lowest face, whose label is the lower one.
+    # The larger set stays; of two equally large ones, the set of the lowest face, which has the lower label.
     smaller, equal = counts[upright] < counts[turned], counts[upright] == counts[turned]
     return np.asarray(smaller | (equal & (upright > turned)))
 

@@ -1,4 +1,4 @@
-"""Tiles of texture coordinates, and their UDIM numbers."""
+"""UDIM tile numbers of texture coordinates, and origins of tiles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# Number of the tile whose texture coordinates lie from 0 to 1, and how many lie beside each other.
+# Number of the tile with texture coordinates from 0 to 1, and tiles in a row.
 FIRST_TILE = 1001
 TILES_PER_ROW = 10
 

@@ -1,4 +1,4 @@
-"""Join vertices that a file repeats at one place, as glTF and FBX exporters do along seams of UVs and normals."""
+"""Join vertices repeated at one position, as in glTF and FBX files along seams of UVs and normals."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, u
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, offsets_of, pair_keys
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
-# to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.
+# to five digits. Not larger, as borders of separate pieces, such as eyelashes, can be 1e-4 apart.
 TOLERANCES = (0.0, 1e-6, 1e-5)
-# Difference of colours that 8 bits show.
+# Least difference of colours that shows in 8 bits.
 COLOR_STEP = 0.5 / 255
 
 
 @dataclass(frozen=True, eq=False)
 class Welded:
-    """A mesh whose coincident border vertices are one.
+    """A mesh with coincident border vertices joined.
 
     Attributes
     ----------
     mesh : ControlMesh
-        ``file_vertices`` and ``file_copies`` say which vertices of the file each of its vertices is; corners keep
-        their UVs.
+        ``file_vertices`` and ``file_copies`` are the vertices of the file that became each of its vertices. Corners
+        keep their UVs.
     vertex_of : (n_given,) int64
-        Vertex of ``mesh`` that every vertex of the mesh given became, -1 for one without a face.
+        Vertex of ``mesh`` for every vertex of the mesh given, -1 for one without a face.
     tolerance : float
         In units of the bounding-box diagonal.
     notes : tuple of str
-        What was done.
+        Sentences about the joined vertices and dropped faces.
     """
 
     mesh: ControlMesh
@@ -48,27 +48,26 @@ class Welded:
 
 
 def keep_unwelded(mesh: ControlMesh) -> Welded:
-    """The mesh as it is."""
+    """The mesh unchanged, as a `Welded`."""
     return Welded(mesh, np.arange(mesh.n_vertices), 0.0, ())
 
 
 @arrays_accepted
 def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatArray | None = None) -> Welded:
-    """Join border vertices at the same place; the first of them stays.
+    """Join border vertices at the same position; the lowest number stays.
 
-    Vertices with faces all around them stay apart, so that surfaces which only touch are not joined. Corners of a face
-    that become one corner are merged, and faces left with fewer than three corners are dropped. Colours of joined
-    vertices are averaged.
+    Inner vertices are not joined, so that surfaces in contact stay separate. Repeated corners of a face are merged, and
+    faces with fewer than three corners are dropped. Colours of joined vertices are averaged.
 
     Parameters
     ----------
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
     tolerance : float, optional
         Largest distance between vertices that are joined, in units of the bounding-box diagonal; 0 joins equal ones
-        only. Default: `weld_tolerance`, or 0 where that finds none.
+        only. Default: `weld_tolerance`, or 0 if that is None.
     offsets : (n, 3 k) float64, optional
-        Offsets in k blend shapes: vertices that are joined are at the same place in each of them too, so that closed
-        lips stay two.
+        Offsets in k blend shapes: only vertices at the same position in all of them are joined, so that closed lips
+        stay separate.
 
     Raises
     ------
@@ -121,19 +120,19 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
-    """``file_copies`` after some vertices (k,) of a mesh were joined with others; None where there are none.
+    """``file_copies`` after vertices (k,) of a mesh were joined with others; None if there are no copies.
 
-    ``vertex_of`` (n,) is the new number of each of its vertices, -1 for those that are gone.
+    ``vertex_of`` (n,) is the new number of every vertex of the mesh, -1 for removed ones.
     """
-    own = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
-    pairs = np.column_stack([vertex_of[joined], own])
+    file_numbers = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
+    pairs = np.column_stack([vertex_of[joined], file_numbers])
     earlier = renumbered_copies(mesh.file_copies, vertex_of)
     pairs = pairs[pairs[:, 0] >= 0] if earlier is None else np.concatenate([pairs[pairs[:, 0] >= 0], earlier])
     return pairs if len(pairs) else None
 
 
 def _relabelled(mesh: ControlMesh, first: IndexArray) -> ControlMesh:
-    """The mesh on the first of its coincident vertices; of two sharpnesses the larger one."""
+    """Replace every vertex by the first coincident one; the larger of two sharpnesses stays."""
     work = replace(mesh, face_indices=first[mesh.face_indices])
     if mesh.crease_edges is not None and mesh.crease_sharpness is not None:
         edges = np.sort(first[mesh.crease_edges], axis=1)
@@ -146,13 +145,13 @@ def _relabelled(mesh: ControlMesh, first: IndexArray) -> ControlMesh:
 
 
 def _largest(values: FloatArray, groups: IndexArray) -> FloatArray:
-    found = np.full(groups.max(initial=-1) + 1, -np.inf)
-    np.maximum.at(found, groups, values)
-    return found
+    largest = np.full(groups.max(initial=-1) + 1, -np.inf)
+    np.maximum.at(largest, groups, values)
+    return largest
 
 
 def _without_repeats(mesh: ControlMesh) -> tuple[ControlMesh, int]:
-    """Drop repeated corners and then faces of fewer than three; also the number of those faces."""
+    """Drop repeated corners, then faces of fewer than three corners; also the number of dropped faces."""
     kept = mesh.face_indices != mesh.face_indices[mesh.next_corners]
     if kept.all():
         return mesh, 0
@@ -164,7 +163,7 @@ def _without_repeats(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 
 def _mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Vertex colours, averaged over joined vertices; a note where they differ."""
+    """Vertex colours averaged over joined vertices, and a note if they differ."""
     colors = mesh.vertex_colors
     if colors is None:
         return None, ()
@@ -189,10 +188,10 @@ def _pieces(mesh: ControlMesh) -> str:
 def coincident_vertices(
     mesh: ControlMesh, tolerance: float = 0.0, *, collapse: bool = False, offsets: FloatArray | None = None
 ) -> IndexArray:
-    """(n,) lowest of the vertices that every vertex coincides with: on borders, and within a tolerance.
+    """(n,) lowest border vertex within the tolerance of every border vertex; other vertices themselves.
 
-    Vertices that have faces all around stay apart: surfaces that touch, such as closed lips, are not joined. With
-    ``collapse`` the ends of edges of length zero are, wherever they are. Tolerance and offsets as in `weld_mesh`.
+    Inner vertices are not joined: surfaces in contact, such as closed lips, stay separate. With ``collapse`` the ends
+    of all edges of length zero are joined too. Tolerance and offsets as in `weld_mesh`.
     """
     topology = mesh_topology(mesh)
     ends = topology.edge_vertices
@@ -211,9 +210,9 @@ def coincident_vertices(
 
 
 def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> float | None:
-    """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None where none leaves fewer than there are.
+    """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None if none reduces their number.
 
-    A tolerance that joins vertices of one face that lie apart is not considered.
+    Tolerances are not considered if they join different positions of one face.
     """
     following = mesh.face_indices[mesh.next_corners]
     best, fewest = None, count_pieces(mesh, np.arange(mesh.n_vertices))
@@ -231,17 +230,17 @@ def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> f
 
 
 def count_pieces(mesh: ControlMesh, labels: IndexArray) -> int:
-    """Number of connected pieces after vertices with equal labels (n,) became one."""
+    """Number of connected pieces after vertices with equal labels (n,) are joined."""
     return len(np.unique(face_pieces(mesh, labels[mesh.face_indices], mesh.n_vertices)))
 
 
 def _close_pairs(points: FloatArray, distance: float) -> IndexArray:
-    """(k, 2) pairs of points to join: equal ones in chains, and first ones of chains within a distance."""
+    """(k, 2) pairs of points to join: chains of equal points, and first points of chains within a distance."""
     places = points + 0.0  # -0.0 becomes 0.0
     order = np.lexsort(places.T)
-    same = np.all(places[order[1:]] == places[order[:-1]], axis=1)
-    equal = np.column_stack([order[:-1][same], order[1:][same]])
+    repeated = np.all(places[order[1:]] == places[order[:-1]], axis=1)
+    equal = np.column_stack([order[:-1][repeated], order[1:][repeated]])
     if not 0.0 < distance < np.inf or len(order) < 2:
         return equal
-    first = order[np.concatenate([[True], ~same])]
+    first = order[np.concatenate([[True], ~repeated])]
     return np.concatenate([equal, first[cKDTree(places[first]).query_pairs(distance, output_type="ndarray")]])

@@ -1,4 +1,4 @@
-"""Array types, conversions of a user's arrays, read-only views, sums by group, connected components, rotations."""
+"""Array types, conversion of user input, read-only views, sums by group, connected components, rotations."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Array = TypeVar("Array", bound=NDArray)  # type: ignore[type-arg]
 
 
 def array_of(values: object) -> NDArray[Any]:
-    """Values as an array; torch tensors with gradients or on a device are copied to memory."""
+    """Convert values to a NumPy array; torch tensors with gradients or on a device are copied."""
     if hasattr(values, "detach"):
         values = values.detach().cpu()
     return np.asarray(values)
 
 
 def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
-    """Values as int64; ParameterError if they are no whole numbers."""
+    """Convert values to an int64 array; ParameterError if they are no whole numbers."""
     given = array_of(values)
     if not given.size:
         return np.zeros(given.shape, dtype=np.int64)
@@ -37,7 +37,7 @@ def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
 
 
 def real_numbers(values: ArrayLike, what: str) -> FloatArray:
-    """Values as float64; ParameterError if they are no real numbers."""
+    """Convert values to a float64 array; ParameterError if they are no real numbers."""
     try:
         given = array_of(values)
         if given.dtype.kind not in "biufO":
@@ -48,30 +48,30 @@ def real_numbers(values: ArrayLike, what: str) -> FloatArray:
 
 
 def shown(value: object) -> str:
-    """A value's text for messages, at most 60 characters."""
+    """Text of a value for messages, at most 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def pair_keys(pairs: IndexArray, count: int) -> IndexArray:
-    """(m,) a number for every unordered pair (m, 2) of numbers below ``count``."""
+    """(m,) unique keys of unordered pairs (m, 2) of numbers below ``count``."""
     return np.asarray(np.sort(pairs, axis=1) @ [count, 1])
 
 
 def offsets_of(sizes: Sequence[int] | NDArray[np.integer]) -> IndexArray:
-    """(m + 1,) where each of m runs of some sizes starts, and the end of the last."""
+    """(m + 1,) starts of m consecutive runs of the given sizes, and the end of the last."""
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """(count, d) sums of rows (m, d) by group (m,)."""
+    """(count, d) sums of rows (m, d) in every group (m,)."""
     return np.column_stack([np.bincount(groups, column, minlength=count) for column in values.T]).astype(np.float64)
 
 
 def read_only(array: Array) -> Array:
-    """A read-only view; the array itself stays writable.
+    """Read-only view of an array; the array itself stays writable.
 
-    Compiled kernels get such views too, so that they are compiled for one kind of argument only.
+    Arguments of compiled kernels are always read-only, so that each kernel is compiled only once.
     """
     if not array.flags.writeable:
         return array
@@ -81,7 +81,7 @@ def read_only(array: Array) -> Array:
 
 
 def label_components(heads: NDArray[np.integer], tails: NDArray[np.integer], count: int) -> IndexArray:
-    """(count,) number of the connected component of every node, in the order of their lowest nodes."""
+    """(count,) connected component of every node, numbered in the order of lowest nodes."""
     edges = sparse.coo_array((np.ones(len(heads), dtype=np.int8), (heads, tails)), shape=(count, count))
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
 
@@ -89,7 +89,7 @@ def label_components(heads: NDArray[np.integer], tails: NDArray[np.integer], cou
 def nearest_rotations(maps: FloatArray) -> FloatArray:
     """(n, 3, 3) rotations nearest to linear maps (n, 3, 3): the orthogonal factors of their polar decompositions.
 
-    Where the factor is a reflection, the axis of least stretch is reversed.
+    If the factor is a reflection, the axis of least stretch is reversed.
     """
     left, _, right = np.linalg.svd(maps)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]

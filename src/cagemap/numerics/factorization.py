@@ -1,6 +1,6 @@
-"""Sparse factorisations: rslab (LDL^T, exact inertia) where it is installed, SciPy's SuperLU elsewhere.
+"""Sparse factorisations: by rslab (LDL^T, exact inertia) if installed, else by SciPy's SuperLU.
 
-SuperLU with diagonal pivots is an LDL^T too: the signs of its diagonal are the inertia.
+SuperLU with diagonal pivots is an LDL^T factorisation too: the signs of its diagonal give the inertia.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ _log = logging.getLogger(__name__)
 Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
-# Rows up to which SuperLU orders by minimum degree: least fill on small meshes, minutes on large ones.
+# Most rows for which SuperLU orders by minimum degree: least fill on small meshes, but minutes on large ones.
 _MAX_MINIMUM_DEGREE_ROWS = 30_000
-# Relative backward error above which diagonal pivots are unstable, and their signs prove nothing.
+# Relative backward error above which diagonal pivots are unstable, so that their signs do not give the inertia.
 _MAX_BACKWARD_ERROR = 1e-10
 _MAX_RSLAB_THREADS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Factorization:
-    """A factored matrix A."""
+    """A factored symmetric matrix A, or a general one without inertia."""
 
     shape: tuple[int, int]
-    #: number of negative eigenvalues of A (Sylvester's law of inertia); None where SuperLU cannot tell: pivots off the
-    #: diagonal, lost digits or single precision
+    #: number of negative eigenvalues of A (Sylvester's law of inertia); None if unknown: a general matrix, or SuperLU
+    #: with pivots off the diagonal, lost digits or single precision
     negative_eigenvalues: int | None
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _symbolic: Any = field(default=None, repr=False)
     dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
-        """Solve A X = B for B (n,) or (n, q), in the precision of the factors; ParameterError for other shapes."""
+        """Solve A X = B for B (n,) or (n, q), in the factors' precision; ParameterError for other shapes."""
         values = np.ascontiguousarray(right_sides, dtype=self.dtype)
         if values.ndim not in (1, 2) or values.shape[0] != self.shape[0]:
             raise ParameterError(
@@ -66,8 +66,8 @@ class Factorization:
 def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Precision = np.float64) -> Factorization:
     """Factor a symmetric, possibly indefinite sparse matrix (n, n); rslab reads its lower triangle only.
 
-    The ordering of ``like``, a matrix with the same pattern, is used again. Factors in single precision take half the
-    memory and two thirds of the time; their inertia proves nothing. ParameterError if the matrix is not square,
+    The ordering of ``like``, the factors of a matrix with the same pattern, is reused. Single precision takes half the
+    memory and two thirds of the time, but its inertia is not reliable. ParameterError if the matrix is not square,
     SolverError if it is singular to working precision.
     """
     if not _rslab_factors(matrix):
@@ -81,9 +81,9 @@ def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Pr
 
 
 def factor_general(matrix: SparseMatrix) -> Factorization:
-    """Factor a sparse matrix (n, n) of symmetric pattern and any values, without inertia; errors as of `factor`.
+    """Factor a sparse matrix (n, n) with symmetric pattern, without inertia; errors as of `factor`.
 
-    Its diagonal serves as pivots, so that it should be diagonally dominant.
+    Pivots are on the diagonal: the matrix should be diagonally dominant.
     """
     if not _rslab_factors(matrix):
         return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
@@ -95,7 +95,7 @@ def factor_general(matrix: SparseMatrix) -> Factorization:
 
 
 def _rslab_factors(matrix: SparseMatrix) -> bool:
-    """Whether rslab is installed; refuses a matrix that is not square."""
+    """Whether rslab is installed; ParameterError if the matrix is not square."""
     if matrix.shape[0] != matrix.shape[1]:
         raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
     if rslab is None:
@@ -104,10 +104,10 @@ def _rslab_factors(matrix: SparseMatrix) -> bool:
     return rslab is not None
 
 
-_WARNING_LOCK = Lock()  # both surfaces of a pair are factored at the same time
+_WARNING_LOCK = Lock()  # threads factor both surfaces of a pair at the same time
 
 
-@cache  # once for each process
+@cache  # log once per process
 def _warn_without_rslab() -> None:
     _log.warning(
         "rslab is not installed: SciPy's SuperLU factors matrices instead, more slowly the larger the surface; "
@@ -116,7 +116,7 @@ def _warn_without_rslab() -> None:
 
 
 def _analyzed(entries: sparse.csc_array, kind: str) -> Any:
-    """Symbolic factors by rslab; they do not depend on the number of threads."""
+    """Symbolic factorisation by rslab; independent of the number of threads."""
     # Approximate minimum degree: on meshes it beats nested dissection once analysis time is counted.
     threads = "auto", min(_MAX_RSLAB_THREADS, core_count())
     return rslab.analyze(entries, kind, ordering="amd", threads=threads)
@@ -131,7 +131,7 @@ def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": small},
         )
-    # With diagonal pivots only, P A P^T = L D L^T with D the diagonal of U, and Sylvester's law counts its signs.
+    # With diagonal pivots, P A P^T = L D L^T with D the diagonal of U: its signs give the inertia (Sylvester).
     diagonal_pivots = np.array_equal(factors.perm_r, factors.perm_c)
     stable = diagonal_pivots and _backward_error(matrix, factors.solve, dtype) < _MAX_BACKWARD_ERROR
     negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if stable else None
@@ -139,8 +139,8 @@ def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
 
 
 def _backward_error(matrix: SparseMatrix, solve: Callable[[NDArray[Any]], NDArray[Any]], dtype: Precision) -> float:
-    """||A x - b|| / (||A|| ||x|| + ||b||) of a solve: the relative change of A that its factors are exact for."""
-    right_side = np.cos(np.arange(matrix.shape[0]))  # any vector that is no eigenvector
+    """Relative backward error ||A x - b|| / (||A|| ||x|| + ||b||) of a solve."""
+    right_side = np.cos(np.arange(matrix.shape[0]))  # arbitrary, but no eigenvector
     solution = np.asarray(solve(right_side.astype(dtype)), dtype=np.float64)
     size = sparse_linalg.norm(matrix, np.inf) * np.abs(solution).max() + np.abs(right_side).max()
     return float(np.abs(matrix @ solution - right_side).max() / size)
@@ -148,7 +148,7 @@ def _backward_error(matrix: SparseMatrix, solve: Callable[[NDArray[Any]], NDArra
 
 @contextmanager
 def _singular_refused(matrix: SparseMatrix) -> Iterator[None]:
-    """Turn the libraries' errors into SolverError."""
+    """Convert the libraries' errors to SolverError."""
     try:
         yield
     except (RuntimeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Runtime argument type checks for the public API, and short texts of its configurations."""
+"""Runtime argument type checks for the public API, and short representations of its configurations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ R = TypeVar("R")
 _NAMES: dict[type, str] = {int: "a whole number", float: "a number", str: "a text", Path: "a path"}
 _NAMES |= {bool: "True or False", NoneType: "None"}
 
-# How a user gets a value of a class.
+# Text for messages: how a user gets a value of a class.
 _SOURCES = {
     "ControlMesh": "read_mesh or ControlMesh.from_faces gives one",
     "HierarchicalBasis": "a Surface has one, as `surface.basis`",
@@ -46,7 +46,7 @@ Conversion: TypeAlias = Callable[[Any, str], object]  # a value and the name of 
 def kinds_checked(
     function: Callable[P, R], conversions: Callable[[Callable[..., Any]], dict[str, Conversion]] = lambda function: {}
 ) -> Callable[P, R]:
-    """Convert arguments, then check cagemap's classes, numbers, texts and paths against the annotations."""
+    """Decorator: convert arguments, then check cagemap's classes, numbers, strings and paths by annotation."""
     parameters = signature(function)
 
     @wraps(function)
@@ -73,7 +73,7 @@ def kinds_checked(
 
 
 def _is(value: object, kind: type) -> bool:
-    """Whether a value is of a type; NumPy's scalars count as Python's, booleans are no numbers."""
+    """Whether a value is of a type; NumPy scalars count as Python's, booleans not as numbers."""
     if kind is int:
         try:
             return operator.index(value) is not None and not isinstance(value, bool)  # type: ignore[arg-type]
@@ -87,21 +87,21 @@ def _is(value: object, kind: type) -> bool:
 
 @cache
 def _expected(function: Callable[..., Any]) -> dict[str, tuple[type, ...]]:
-    """Types of the parameters that are checked; read at the first call, when all modules are imported."""
+    """Types of the checked parameters; read at the first call, when all modules are imported."""
     kinds = {name: _classes(hint) for name, hint in get_type_hints(function).items() if name != "return"}
-    return {name: found for name, found in kinds.items() if found}
+    return {name: classes for name, classes in kinds.items() if classes}
 
 
 def _classes(hint: object) -> tuple[type, ...]:
-    """Classes of an annotation; none if one of them cannot be checked."""
+    """Classes of an annotation; empty if one of them cannot be checked."""
     hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    known = [isinstance(one, type) and (one in _NAMES or one.__module__.startswith("cagemap.")) for one in hints]
-    protocols = [getattr(one, "_is_protocol", False) for one in hints]
+    known = [isinstance(kind, type) and (kind in _NAMES or kind.__module__.startswith("cagemap.")) for kind in hints]
+    protocols = [getattr(kind, "_is_protocol", False) for kind in hints]
     return tuple(hints) if all(known) and not any(protocols) else ()
 
 
 class Brief:
-    """A dataclass (``repr=False``) that shows the fields that differ from their defaults."""
+    """Base of dataclasses (``repr=False``) whose repr shows only fields that differ from their defaults."""
 
     def __repr__(self) -> str:
         shown = []

@@ -1,4 +1,4 @@
-"""Settings of a process that computes, and import of libraries that it may lack."""
+"""Process settings for computing, and import of optional libraries."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any
 
 from cagemap.errors import MissingLibraryError
 
-# New objects after which Python looks for cycles of garbage among all there are: loading makes many that stay.
+# New objects between garbage collections: loading makes many objects that stay.
 GC_THRESHOLD = 100_000
-# Seconds for which a thread that works in Python may keep those waiting that come back from a kernel; 0.005 by default.
+# Seconds that a thread returning from a kernel waits at most for one that runs Python; Python's default is 0.005.
 SWITCH_INTERVAL = 0.0005
-# Of glibc's malloc (see mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, the last at most 32 MB.
+# Parameters of glibc's malloc (mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD (at most 32 MB).
 MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
 
 
 def set_up_process() -> None:
-    """Make this process one that computes; before libraries are loaded."""
+    """Apply the process settings; call it before libraries are loaded."""
     gc.set_threshold(GC_THRESHOLD, *gc.get_threshold()[1:])
     atexit.register(_leave)
     keep_memory()
@@ -30,20 +30,20 @@ def set_up_process() -> None:
 
 
 def keep_memory() -> None:
-    """Have freed memory used again, by any thread: to take a new page costs more than the arithmetic on it."""
+    """Set glibc malloc to reuse freed memory: new pages cost more than the arithmetic on them."""
     mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     for parameter, value in MALLOC.items() if mallopt else ():  # musl has none
         mallopt(parameter, value)
 
 
 def _leave() -> None:
-    """Spare the last look for garbage; OpenImageIO takes what is left then for leaks, and says so."""
+    """Skip the last garbage collection, except with OpenImageIO, which would report leaks."""
     if "OpenImageIO" not in sys.modules:
         gc.freeze()
 
 
 def import_library(module: str, purpose: str) -> Any:
-    """Import a module that has no wheel for every platform; ``purpose`` needs it, such as "pictures"."""
+    """Import an optional module; ``purpose``, such as "pictures", is named in MissingLibraryError."""
     try:
         return import_module(module)
     except ImportError as error:

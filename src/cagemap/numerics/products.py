@@ -1,4 +1,4 @@
-"""Sparse matrix times dense block, in threads."""
+"""Product of a sparse matrix and a dense block, in threads."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from cagemap.numerics.threads import core_count, in_threads
 # The result has the block's type; float32 is enough for nearest neighbours.
 RealArray = TypeVar("RealArray", NDArray[np.float64], NDArray[np.float32], NDArray[Any])
 
-# Multiplications below which starting threads costs more than it saves.
+# Number of multiplications below which threads cost more than they save.
 _MIN_PARALLEL_WORK = 2_000_000
 _MAX_THREADS = 8
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ignore[no-untyped-def]
-    """Rows first..last of A X; X and the result in C order, so that the inner loop is contiguous."""
+    """Fill rows first..last - 1 of A X; C order makes the inner loop contiguous."""
     columns = block.shape[1]
     for row in range(first, last):
         begin, end = indptr[row], indptr[row + 1]
         whole = begin + (end - begin) // 4 * 4
         for j in range(columns):
             out[row, j] = 0.0
-        for entry in range(begin, whole, 4):  # four at a time: the result is read and written a quarter as often
+        for entry in range(begin, whole, 4):  # four at a time, to read and write the result less often
             a, b, c, d = data[entry], data[entry + 1], data[entry + 2], data[entry + 3]
             p, q, r, s = indices[entry], indices[entry + 1], indices[entry + 2], indices[entry + 3]
             for j in range(columns):
@@ -42,7 +42,7 @@ def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ign
 
 
 def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
-    """A X, C-ordered, for CSR A (n, m) and dense X (m, q); faster than ``matrix @ block`` on wide blocks.
+    """Product A X in C order of CSR A (n, m) and dense X (m, q); on wide blocks faster than ``@``.
 
     The result does not depend on the number of threads.
     """

@@ -1,8 +1,8 @@
-"""Python threads over surfaces and row ranges, each with one BLAS thread.
+"""Run Python threads over surfaces and row ranges, each with one BLAS thread.
 
 BLAS threads gain little on tall, narrow blocks, and spin while they wait: four times the processor time on a busy
-machine. The number of threads comes from `thread_limit`, else from the environment variable CAGEMAP_THREADS, else from
-the cores that the process may use.
+machine. The number of threads is set by `thread_limit`, else by the environment variable CAGEMAP_THREADS, else it is
+the number of cores available to the process.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ ROWS = 65_536
 _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)
 
 
-# The limit of the process' BLAS libraries, once for every user: the first sets it, the last one to leave restores it.
-# If each restored what it found, two whose stays overlap could leave the limit for ever.
+# The limit of the process's BLAS libraries, once per block inside `one_blas_thread`: the first block sets it, the last
+# one restores it. If each block restored the previous value, overlapping blocks could leave the limit set.
 _blas_limits: list[threadpool_limits] = []
 _blas_lock = threading.Lock()
 
 
 @contextmanager
 def _controlling_blas() -> Iterator[None]:
-    """Let this thread set the number of OpenBLAS threads, and then any other.
+    """Let this thread, and later any other, set the number of OpenBLAS threads.
 
-    From 3.7 on threadpoolctl ignores all threads but the first that has set it, while that one lives.
+    From 3.7 on threadpoolctl ignores all threads except the first one that set it, while that thread exists.
     """
     release = getattr(OpenBLASController, "clear_controlling_thread", lambda force: None)
     release(force=True)
@@ -51,9 +51,9 @@ def _controlling_blas() -> Iterator[None]:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS and LAPACK to the calling thread inside the block; several threads may be inside at once.
+    """Limit BLAS and LAPACK to the calling thread inside the block; blocks of several threads may overlap.
 
-    The limit belongs to the process: enter the block before threads start. The last to leave restores what was set.
+    The limit is global: enter the block before threads start. The last block to end restores the former limit.
     """
     with _blas_lock, _controlling_blas():
         _blas_limits.append(_blas_limits[0] if _blas_limits else threadpool_limits(limits=1, user_api="blas"))
@@ -70,7 +70,7 @@ def one_blas_thread() -> Iterator[None]:
 def thread_limit(count: int) -> Iterator[None]:
     """Use at most ``count`` threads inside the block, and in the threads that cagemap starts there.
 
-    Other threads of the caller keep their own limit. Nested work may start as many again: only 1 limits the whole.
+    Other threads of the caller keep their own limit. Nested calls may start as many threads again, unless it is 1.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def thread_limit(count: int) -> Iterator[None]:
 
 
 def core_count() -> int:
-    """Number of threads: `thread_limit`, else CAGEMAP_THREADS, else the cores that this process may use."""
+    """Number of threads to use: `thread_limit`, else CAGEMAP_THREADS, else the available cores."""
     limit = _thread_limit.get()
     if limit is not None:
         return limit
@@ -110,39 +110,39 @@ def _checked_count(count: int | str, name: str) -> int:
 
 
 class ThreadPool(ThreadPoolExecutor):
-    """A thread pool that keeps its caller's `thread_limit`; under a limit of 1 the caller does the work at once."""
+    """Thread pool with its caller's `thread_limit`; under a limit of 1, work runs in the caller."""
 
     def submit(
         self, work: Callable[Arguments, Value], /, *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Future[Value]:
-        """Schedule work(*args, **kwargs)."""
+        """Schedule work(*args, **kwargs); returns its future."""
         if core_count() > 1:
             context = copy_context()
             return super().submit(lambda: context.run(work, *args, **kwargs))
         future: Future[Any] = Future()
         try:
             future.set_result(work(*args, **kwargs))
-        except Exception as error:  # raised where the result is asked for, as from a thread
+        except Exception as error:  # raised by ``result()``, as from a thread
             future.set_exception(error)
         return future
 
 
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Value]:
-    """Apply a function to every item, in threads; results in order. The first error is raised once all have ended.
+    """Apply a function to all items in threads; results in order. Raises the first item's error at the end.
 
-    Every thread, the caller among them, takes the next item when it is done: submitting small items costs too much.
+    Threads, including the caller, take items from one iterator: submitting small items one by one costs too much.
     """
     threads = min(len(items), core_count())
     if threads <= 1:
         return [work(item) for item in items]
-    waiting = iter(enumerate(items))  # one for all: under the interpreter's lock none gets an item twice
-    made: dict[int, Value] = {}
+    waiting = iter(enumerate(items))  # shared: under the interpreter's lock no item is taken twice
+    results: dict[int, Value] = {}
     failed: dict[int, Exception] = {}
 
     def share() -> None:
         for place, item in waiting:
             try:
-                made[place] = work(item)
+                results[place] = work(item)
             except Exception as error:
                 failed[place] = error
 
@@ -152,13 +152,13 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Val
             share()
             for ended in shares:
                 ended.result()
-        except BaseException:  # stopped: no thread takes another item
+        except BaseException:  # interrupted: leave no items for the threads
             for _ in waiting:
                 pass
             raise
     if failed:
         raise failed[min(failed)]
-    return [made[place] for place in range(len(items))]
+    return [results[place] for place in range(len(items))]
 
 
 if TYPE_CHECKING:
@@ -166,10 +166,10 @@ if TYPE_CHECKING:
 else:
 
     class kept(cached_property):  # noqa: N801, a decorator
-        """A cached property: computed once, when first read; other threads wait.
+        """Cached property: computed once, when first read; other threads wait.
 
-        `functools.cached_property` has one lock for all values of a class, and none from Python 3.12 on. Here every
-        value has its own lock while it is computed.
+        `functools.cached_property` has one lock for all instances of a class, and none from Python 3.12 on. Here every
+        instance has its own lock during the computation.
         """
 
         def __get__(self, instance, owner=None):
@@ -187,5 +187,5 @@ else:
 
 
 def row_slices(count: int, size: int) -> list[slice]:
-    """Slices of ``size`` that cover ``count`` rows, for threads or for a core's cache."""
+    """Consecutive slices of at most ``size`` rows that cover ``count`` rows."""
     return [slice(start, min(count, start + size)) for start in range(0, count, size)]

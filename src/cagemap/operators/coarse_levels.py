@@ -1,8 +1,8 @@
-"""Coarse levels below a plain mesh, so that the method finds the hierarchy that subdivision gives a cage.
+"""Build coarse levels of a plain mesh, in place of the hierarchy that subdivision gives a cage.
 
 A dense mesh is simplified step by step (quadric error metrics, Garland and Heckbert 1997, by `fast_simplification`).
-Coarse vertices are vertices of the finer mesh. A row of S^l holds the barycentric coordinates of a finer vertex in a
-coarse triangle, so that S^l prolongs functions as a subdivision matrix does.
+Coarse vertices are vertices of the finer mesh. S^l prolongs functions as a subdivision matrix does: its rows are
+smoothed barycentric coordinates of the finer vertices in coarse triangles.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ SIZES = (1500, 6000, 24_000)
 MAX_SHARE = 0.7
 # Fewest vertices of a level.
 MIN_LEVEL_VERTICES = 100
-# `agg` of fast_simplification: how fast its threshold grows; slower makes better triangles.
+# `agg` of fast_simplification: growth rate of its threshold; slower makes better triangles.
 AGGRESSIVENESS = 3
 # omega of the Jacobi step that smooths prolonged functions.
 DAMPING = 2 / 3
-# Vertices that a thread locates on the coarser mesh at once.
+# Number of vertices that a thread locates on the coarser mesh at once.
 LOCATE_BLOCK = 65_536
-# Rounds of flips; each flips at most one edge of a triangle.
+# Most rounds of edge flips; each round flips at most one edge of a triangle.
 MAX_FLIP_ROUNDS = 20
-# Least cosine between the normals beside an edge that is flipped; sharper edges are features.
+# Least cosine between the normals on both sides of a flipped edge; sharper edges are features.
 MIN_NORMAL_COSINE = 0.8
 # Least doubled area of a triangle, as a share of a squared edge: keeps cotangents finite.
 MIN_DOUBLED_AREA = 1e-12
 # Largest sum of the cotangents opposite to an edge that is flipped: below 0 by rounding.
 MAX_COTANGENT_SUM = -1e-9
-# The library keeps its mesh in globals: two threads would simplify each other's.
+# The library keeps its mesh in global variables: threads must take turns.
 _SIMPLIFICATION_LOCK = threading.Lock()
 
 
 class Simplified(NamedTuple):
-    """A coarser mesh: its vertices in the finer mesh (k,), the coarse vertex of every finer one (n,), its triangles."""
+    """A coarser mesh: finer vertex of every coarse one (k,), coarse vertex of every finer one (n,), triangles."""
 
     kept: IndexArray
     cluster: IndexArray
@@ -58,7 +58,7 @@ class Simplified(NamedTuple):
 
 
 def build_levels(control: ControlMesh, level: int, scheme: Scheme | None = None) -> Refinement:
-    """Levels of a mesh by ``level`` steps of subdivision, or coarse levels of a plain mesh (``level`` 0)."""
+    """Levels by ``level`` steps of subdivision, or coarse levels of a plain mesh (``level`` 0)."""
     scheme = default_scheme(control) if scheme is None else scheme
     return (
         build_coarse_levels(refine(control, level, scheme))
@@ -68,7 +68,7 @@ def build_levels(control: ControlMesh, level: int, scheme: Scheme | None = None)
 
 
 def build_coarse_levels(plain: Refinement) -> Refinement:
-    """Coarse levels of a plain mesh (a Refinement without steps), which becomes the finest level.
+    """Add coarse levels to a plain mesh (a Refinement without steps), which stays the finest level.
 
     The mesh keeps its numbers. Vertex i of a coarse level is vertex i of every finer coarse level, and vertex
     ``coarse_vertices[i]`` of the mesh. Time and memory are linear in the mesh's size.
@@ -88,7 +88,7 @@ def build_coarse_levels(plain: Refinement) -> Refinement:
         surfaces.append((surfaces[-1][0][step.kept], step.triangles))
     if not steps:
         return plain
-    # From the coarsest level up; `order` holds the vertices of a step's mesh in the order of its level.
+    # From the coarsest level up; `order` are the vertices of a step's mesh in the order of its level.
     positions, faces = surfaces[-1]
     order, levels, matrices = np.arange(len(positions)), [Level(positions, faces, np.arange(len(faces)))], []
     for step, (positions, faces) in zip(reversed(steps), reversed(surfaces[:-1]), strict=True):
@@ -103,10 +103,10 @@ def build_coarse_levels(plain: Refinement) -> Refinement:
 
 
 def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
-    """A mesh of about ``count`` vertices by edge collapses of least quadric error.
+    """Simplify a mesh to about ``count`` vertices by edge collapses of least quadric error.
 
     A coarse vertex is moved to the nearest vertex of its cluster, so that it is a vertex of all finer levels. Edges are
-    then flipped: on the thin triangles that collapses leave, elastic maps were a quarter worse.
+    then flipped: with the thin triangles that collapses leave, elastic maps were 25 % worse.
     """
     low = positions.min(axis=0)
     unit = (positions - low) / np.max(positions.max(axis=0) - low)  # the library's thresholds are absolute
@@ -117,21 +117,21 @@ def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> S
         )
         places, coarse, cluster = fast_simplification.replay_simplification(unit, faces, collapses)
     used = np.isin(cluster, coarse)
-    if not used.all():  # vertices of a cluster without triangles join the nearest other cluster
+    if not used.all():  # vertices of clusters without triangles join the nearest other cluster
         cluster[~used] = cluster[used][cKDTree(unit[used]).query(unit[~used])[1]]
     distance = np.linalg.norm(unit - places[cluster], axis=1)
     by_cluster = np.lexsort((distance, cluster))
-    found, first = np.unique(cluster[by_cluster], return_index=True)
+    clusters, first = np.unique(cluster[by_cluster], return_index=True)
     kept = by_cluster[first]
-    flipped = flip_to_delaunay(positions[kept], np.searchsorted(found, coarse))
-    return Simplified(kept, np.searchsorted(found, cluster), flipped)
+    flipped = flip_to_delaunay(positions[kept], np.searchsorted(clusters, coarse))
+    return Simplified(kept, np.searchsorted(clusters, cluster), flipped)
 
 
 def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified) -> sparse.csr_array:
-    """(n, k) smoothed barycentric coordinates of every vertex of a mesh on the coarser one, rows sum to 1.
+    """(n, k) smoothed barycentric coordinates of every vertex on the coarser mesh; rows sum to 1.
 
-    The closest point is sought among the triangles around the coarse vertex of its cluster only, so that it never lies
-    on another part of the surface that is near in space.
+    Closest points are searched only among triangles around the vertex's own coarse vertex, so that they are never on
+    another part of the surface that is near in space.
     """
     around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
     counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))
@@ -141,11 +141,11 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
     vertices, weights = np.empty((len(positions), 3), dtype=np.int64), np.empty((len(positions), 3))
 
     def locate(part: slice) -> None:
-        found, weights[part] = closest_among(corners, ranges[step.cluster[part]], around, positions[part])
-        vertices[part] = step.triangles[found]
+        triangle, weights[part] = closest_among(corners, ranges[step.cluster[part]], around, positions[part])
+        vertices[part] = step.triangles[triangle]
 
     in_threads(locate, row_slices(len(positions), LOCATE_BLOCK))
-    # Vertices of both meshes: exact.
+    # Vertices of both meshes have exact coordinates.
     vertices[step.kept], weights[step.kept] = np.arange(len(step.kept))[:, None], [1.0, 0.0, 0.0]
     rows = 3 * np.arange(len(positions) + 1)
     matrix = sparse.csr_array((weights.ravel(), vertices.ravel(), rows), shape=(len(positions), len(step.kept)))
@@ -156,8 +156,8 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
 def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
     """(n, n) damped Jacobi step ``1 - omega D^-1 W`` without negative weights.
 
-    Smoothed aggregation (Vanek et al. 1996): prolonged functions have less energy after it, and eigenvalues of coarse
-    levels come several times closer to those of the mesh.
+    Smoothed aggregation (Vanek et al. 1996): it reduces the energy of prolonged functions, and the error of coarse
+    levels' eigenvalues several times.
     """
     upper = sparse.triu(stiffness(positions, triangles), 1).tocoo()
     rows, columns = (upper.coords[i].astype(np.int64) for i in (0, 1))
@@ -169,33 +169,33 @@ def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr
 
 
 def flip_to_delaunay(positions: FloatArray, triangles: IndexArray) -> IndexArray:
-    """Triangles (t, 3) after flips of edges with negative cotangent weights, where the surface is nearly flat.
+    """Flip edges with negative cotangent weights where the surface is nearly flat; returns triangles (t, 3).
 
-    Vertices (n, 3) and the boundary stay. A graph's energy needs positive weights.
+    Vertices (n, 3) and the boundary are unchanged. The elastic graph's energy needs positive weights.
     """
     triangles = triangles.copy()
     for _ in range(MAX_FLIP_ROUNDS):
-        first, corner, second, other = _to_flip(positions, triangles)
+        first, corner, second, second_corner = _to_flip(positions, triangles)
         if not len(first):
             break
-        # Edge (a, b) between the apexes p and q becomes (p, q); directions stay.
+        # Edge (a, b) between the apexes p and q becomes (p, q); orientations are unchanged.
         p, a = triangles[first, corner], triangles[first, (corner + 1) % 3]
-        q, b = triangles[second, other], triangles[second, (other + 1) % 3]
+        q, b = triangles[second, second_corner], triangles[second, (second_corner + 1) % 3]
         triangles[first] = np.column_stack([p, a, q])
         triangles[second] = np.column_stack([q, b, p])
     return triangles
 
 
 def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray, IndexArray]:
-    """Edges to flip at once, one of a triangle: both triangles, and their corners opposite to the edge."""
+    """Edges to flip together, at most one per triangle: both triangles, and their corners opposite the edge."""
     neighbors = triangle_neighbors(triangles).astype(np.int64)
     first, corner = np.nonzero(neighbors > np.arange(len(triangles))[:, None])
     second = neighbors[first, corner]
-    other = np.argmax(neighbors[second] == first[:, None], axis=1)
+    second_corner = np.argmax(neighbors[second] == first[:, None], axis=1)
     apex, left = triangles[first, corner], triangles[first, (corner + 1) % 3]
-    right, top = triangles[first, (corner + 2) % 3], triangles[second, other]
+    right, top = triangles[first, (corner + 2) % 3], triangles[second, second_corner]
     # Both triangles have the same orientation.
-    oriented = triangles[second, (other + 1) % 3] == right
+    oriented = triangles[second, (second_corner + 1) % 3] == right
     cotangents = _cotangent(positions, apex, left, right) + _cotangent(positions, top, left, right)
     normals = normalize_rows(triangle_normals(positions, triangles))
     flat = np.einsum("ed,ed->e", normals[first], normals[second]) > MIN_NORMAL_COSINE
@@ -209,16 +209,16 @@ def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, 
     worst = np.full(len(triangles), np.inf)
     for side in (first, second):
         np.minimum.at(worst, side[wanted], cotangents[wanted])
-    alone = wanted[(cotangents[wanted] == worst[first[wanted]]) & (cotangents[wanted] == worst[second[wanted]])]
-    # New edges that would coincide, or ties in one triangle, wait for the next round.
-    alone = alone[np.unique(keys[alone], return_index=True)[1]]
-    taken = np.bincount(np.concatenate([first[alone], second[alone]]), minlength=len(triangles))
-    alone = alone[(taken[first[alone]] == 1) & (taken[second[alone]] == 1)]
-    return first[alone], corner[alone], second[alone], other[alone]
+    chosen = wanted[(cotangents[wanted] == worst[first[wanted]]) & (cotangents[wanted] == worst[second[wanted]])]
+    # Coinciding new edges, and ties in one triangle, are left to the next round.
+    chosen = chosen[np.unique(keys[chosen], return_index=True)[1]]
+    taken = np.bincount(np.concatenate([first[chosen], second[chosen]]), minlength=len(triangles))
+    chosen = chosen[(taken[first[chosen]] == 1) & (taken[second[chosen]] == 1)]
+    return first[chosen], corner[chosen], second[chosen], second_corner[chosen]
 
 
 def _cotangent(positions: FloatArray, apex: IndexArray, left: IndexArray, right: IndexArray) -> FloatArray:
-    """(e,) cotangents of the angles at apexes, towards the ends of edges."""
+    """(e,) cotangents of the angles at the apexes opposite edges."""
     u, v = positions[left] - positions[apex], positions[right] - positions[apex]
     area = np.linalg.norm(np.cross(u, v), axis=1)
     return np.einsum("ed,ed->e", u, v) / np.maximum(area, MIN_DOUBLED_AREA * np.einsum("ed,ed->e", u, u) + 1e-300)

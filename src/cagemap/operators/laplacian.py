@@ -1,7 +1,7 @@
-"""Integrated Laplacians and vertex areas of one polygon surface (paper, section 2.1.1).
+"""Integrated Laplacians and vertex areas of a polygon surface (paper, section 2.1.1).
 
-Each Laplacian of polygons is given by the terms of one face. On triangles all three are the cotangent Laplacian. They
-are exact on linear functions of flat polygons and differ by some per cent on coarse, bent quads.
+Each Laplacian is given by the terms of one face. On triangles all three are the cotangent Laplacian. They are exact for
+linear functions on flat polygons and differ by some per cent on coarse, bent quads.
 
 Sign convention: the stiffness matrix W is positive semi-definite, W 1 = 0, and the eigenproblem reads
 W phi = lambda M phi.
@@ -19,13 +19,13 @@ from scipy import sparse
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 
-# Least doubled area of a triangle, as a share of its longest squared edge: smaller ones get this area, so that
-# cotangents stay finite. Their energy only shrinks, so that W stays positive semi-definite.
+# Least doubled area of a triangle, as a share of its longest squared edge. Smaller triangles get this area in
+# cotangents, which stay finite; it only reduces their energy, so that W stays positive semi-definite.
 SLIVER = 1e-5
 
 
 def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
-    """Integrated Laplacian W (n, n): cotangents, mean of both triangulations of each quad (m, 4).
+    """Integrated cotangent Laplacian W (n, n); on quads (m, 4) the mean over both triangulations.
 
     Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
     """
@@ -35,20 +35,20 @@ def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
     """(n,) diagonal of the mass matrix: a third of the areas of the triangles around each vertex.
 
-    Sums to the area of faces (m, 4) or (m, 3), for quads the mean over both triangulations. Unit length squared.
+    Sums to the area of faces (m, 4) or (m, 3), for quads the mean over both triangulations. Unit: length squared.
     """
     return face_terms(positions, faces)[1]
 
 
 def assemble_stiffness(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
-    """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`)."""
+    """Stiffness matrix (n, n) from the weights of every face's corner pairs (`face_terms`)."""
     size = faces.shape[1]
     pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS
     rows, columns = (faces[:, side].ravel().astype(np.int32) for side in np.transpose(pairs))
     of_corner = [[k for j in range(size) for k, pair in enumerate(pairs) if {i, j} == {*pair}] for i in range(size)]
     diagonal = np.bincount(np.repeat(faces.ravel(), size - 1), weights[:, of_corner].ravel(), minlength=n)
     every = np.arange(n, dtype=np.int32)
-    # Summed entry by entry: sums of matrices drop edges with cotangents of 0, and graphs take their edges from here.
+    # Summed by entries, as sums of matrices drop entries of 0: graphs take their edges from this pattern.
     values = np.concatenate([-weights.ravel(), -weights.ravel(), diagonal])
     places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
     return sparse.csr_array(sparse.coo_array((values, places), shape=(n, n)))
@@ -62,7 +62,7 @@ QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
 def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Half cotangent sums of every face's corner pairs, (m, 6) or (m, 3), and `vertex_areas`.
 
-    Pairs stand in the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`; weights are means of both triangulations of a quad.
+    Pairs are in the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`; weights of quads are means over both triangulations.
     """
     quads = faces.shape[1] == 4
     weights, areas = np.zeros((len(faces), 6 if quads else 3)), np.zeros(len(positions))
@@ -72,14 +72,14 @@ def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, Fl
     return weights, areas
 
 
-# Of every triangle of a face's triangulations: its corners a, b, c, and the columns of the pairs bc, ca, ab.
+# For every triangle of a face's triangulations: its corners a, b, c, and the columns of the pairs bc, ca, ab.
 TRIANGLE_TABLE = np.array([[0, 1, 2, 0, 1, 2]])
 QUAD_TABLE = np.array([[0, 1, 2, 1, 4, 0], [0, 2, 3, 2, 3, 4], [0, 1, 3, 5, 3, 0], [1, 2, 3, 2, 5, 1]])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore[no-untyped-def]
-    """Add the half cotangents of every triangle to the pairs facing its corners, its area to the corners."""
+    """Add every triangle's half cotangents to its opposite corner pairs, and its area to its corners."""
     for m in range(len(faces)):
         for t in range(len(table)):
             a, b, c = faces[m, table[t, 0]], faces[m, table[t, 1]], faces[m, table[t, 2]]
@@ -107,16 +107,16 @@ def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore
 
 
 class Laplacian(Protocol):
-    """Terms of the faces of a mesh of quads, or of triangles, in W and M."""
+    """Interface of Laplacians: the terms of quads or triangles in W and M."""
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Weights of every face's pairs of corners, and vertex areas, as `cagemap.operators.laplacian.face_terms`."""
+        """Weights of every face's corner pairs, and vertex areas, as `cagemap.operators.laplacian.face_terms`."""
         ...
 
 
 @dataclass(frozen=True)
 class MeanTriangulation:
-    """The mean of both triangulations of every quad, with cotangents: no parameter, and the fastest. The default."""
+    """Mean of the cotangent Laplacians of both triangulations of every quad; the fastest, and the default."""
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""
@@ -125,7 +125,7 @@ class MeanTriangulation:
 
 @dataclass(frozen=True)
 class _Stabilised:
-    """A Laplacian with a weight of the functions that no gradient in the polygon's plane sees; above 0, no unit."""
+    """A Laplacian with a weight (above 0, no unit) of functions without gradient in the polygon's plane."""
 
     stabilisation: float = 1.0
 
@@ -138,7 +138,7 @@ class _Stabilised:
 
 
 class AlexaWardetzky(_Stabilised):
-    """The paper's: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
+    """The paper's Laplacian: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
 
     W_f = d^T (B B^T / ``|f|`` + lambda C C^T) d, with d the differences along the edges, B their midpoints, ``|f|`` the
     size of the vector area, and C an orthonormal basis of the complement of the edges projected to the polygon's plane;
@@ -150,15 +150,15 @@ class AlexaWardetzky(_Stabilised):
         edges, midpoints, areas, normals, sizes = _polygons(positions, faces)
         inner = np.einsum("fid,fjd->fij", midpoints, midpoints) / areas[:, None, None]
         flat = edges - np.einsum("fid,fd,fe->fie", edges, normals, normals)
-        # The projection to the span of the flat edges; their third singular value is 0.
+        # Axes of the span of the projected edges; their third singular value is 0.
         axes, spans, _ = np.linalg.svd(flat, full_matrices=False)
         axes = axes[:, :, :2] * (spans[:, None, :2] > SLIVER * spans[:, None, :1])
-        others = np.eye(faces.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
-        return _polygon_terms(inner + self.stabilisation * others, faces, sizes, len(positions))
+        complement = np.eye(faces.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
+        return _polygon_terms(inner + self.stabilisation * complement, faces, sizes, len(positions))
 
 
 class DeGoesButtsDesbrun(_Stabilised):
-    """De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
+    """Laplacian of De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
 
     W_f = d^T (``|f|`` U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat
     one and P = 1 - V U; lambda is ``stabilisation``.
@@ -179,26 +179,26 @@ LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
 
 
 def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
-    """A Laplacian by its name, one of `LAPLACIANS`; ParameterError for other names and stabilisations not above 0."""
+    """Laplacian by name (`LAPLACIANS`); ParameterError for other names, or stabilisation not above 0."""
     if name not in LAPLACIANS:
         raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
     if name == "de-goes-butts-desbrun":
         return DeGoesButtsDesbrun(stabilisation)
-    paper = AlexaWardetzky(stabilisation)  # checks the value also where it is not used
+    paper = AlexaWardetzky(stabilisation)  # checks the value even if it is not used
     return paper if name == "alexa-wardetzky" else MeanTriangulation()
 
 
 def _polygons(
     positions: FloatArray, faces: IndexArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Edges and their midpoints about the centre (m, k, 3), bounded areas, normals, and areas of polygons (m, k)."""
+    """Edges and centred midpoints (m, k, 3), bounded areas, unit normals, and areas of polygons (m, k)."""
     corners = positions[faces]
     corners = corners - corners.mean(axis=1, keepdims=True)
     following = np.roll(corners, -1, axis=1)
     vectors = 0.5 * np.cross(corners, following).sum(axis=1)
     sizes = np.linalg.norm(vectors, axis=1)
     edges = following - corners
-    # Energies stay finite, as for triangles (`SLIVER`). A polygon of one point has none.
+    # Bounded so that energies stay finite (`SLIVER`). A polygon of one point gets area 1, and has no energy.
     areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
     areas = np.where(areas == 0.0, 1.0, areas)
     normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
@@ -210,7 +210,7 @@ def _polygon_terms(
 ) -> tuple[FloatArray, FloatArray]:
     """Weights -(d^T M d)_ij and areas from inner products M (m, k, k) of functions on edges."""
     k = faces.shape[1]
-    # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, edge i leading from corner i to corner i + 1.
+    # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, with edge i from corner i to corner i + 1.
     rows = np.roll(inner, 1, axis=1) - inner
     energy = np.roll(rows, 1, axis=2) - rows
     pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)

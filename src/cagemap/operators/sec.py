@@ -1,4 +1,4 @@
-"""Subdivision exterior calculus operators of every level (paper, section 2.2.2).
+"""Mass and stiffness of every level by subdivision exterior calculus (SEC; paper, section 2.2.2).
 
 All levels take their geometry from the finest one: W^l = (S^{f,l})^T W_f S^{f,l}, and M^l likewise.
 """
@@ -20,7 +20,7 @@ from cagemap.subdivision import Refinement
 
 @dataclass(frozen=True, eq=False)
 class Operators:
-    """Mass and stiffness of every level of one refinement, for unit surface area.
+    """Mass and stiffness matrices of every level of a refinement, at unit surface area.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Operators:
     stiffness : tuple of (n_l, n_l) CSR arrays
         W^l, symmetric positive semi-definite, W^l 1 = 0.
     scale : float
-        Factor from the mesh's own lengths to those of unit area.
+        Factor from the mesh's lengths to lengths at unit area.
     """
 
     mass: tuple[sparse.csr_array, ...]
@@ -45,32 +45,32 @@ class Operators:
         return len(self.mass) - 1
 
     def areas(self, level: int) -> FloatArray:
-        """(n_l,) row sums of the mass matrix of a level, M^l 1: the area that each vertex stands for."""
+        """(n_l,) vertex areas of a level: the row sums M^l 1 of its mass matrix."""
         return lumped_areas(self.mass[level])
 
 
 def lumped_areas(mass: sparse.csr_array) -> FloatArray:
-    """(n,) row sums M 1 of a mass matrix: the area that each vertex stands for."""
+    """(n,) vertex areas: the row sums M 1 of a mass matrix."""
     return np.asarray(mass.sum(axis=1), dtype=np.float64).ravel()
 
 
 @kinds_checked
 def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangulation()) -> Operators:
-    """Operators of every level of a refinement, normalised to unit area of the finest level (2.2.2, Lemma 5).
+    """Operators of every level of a refinement, at unit area of the finest level (2.2.2, Lemma 5).
 
-    O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50 further
-    down.
+    O(n_f) time and memory. Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on
+    coarser levels.
 
     Parameters
     ----------
     refinement : Refinement
     laplacian : Laplacian
-        Of the finest level's polygons: `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
+        Laplacian of the finest level: `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
 
     Raises
     ------
     ParameterError
-        If the laplacian is none.
+        If ``laplacian`` is no Laplacian.
     """
     if not callable(getattr(laplacian, "face_terms", None)):
         raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")
@@ -78,7 +78,7 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     faces = cage_triangles(refinement.control)[0] if finest.faces is None else finest.faces
     weights, areas = laplacian.face_terms(finest.positions, faces)
     area = float(areas.sum())
-    # W + i M: one product restricts both, so that they keep one pattern.
+    # One complex matrix W + i M: one product restricts both, and they keep the same pattern.
     both = sparse.csr_array(
         assemble_stiffness(weights, faces, len(finest.positions)) + sparse.diags_array(1j * areas / area)
     )
@@ -92,6 +92,6 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
 
 
 def _with_values(matrix: sparse.csr_array, values: FloatArray) -> sparse.csr_array:
-    """Other values in the pattern of a matrix."""
+    """A matrix with the same pattern and other values."""
     arrays = np.ascontiguousarray(values), matrix.indices, matrix.indptr
     return sparse.csr_array(arrays, shape=matrix.shape)

@@ -1,1 +1,1 @@
-"""The paper's method: descriptors, functional maps level by level, point maps (sections 5.1 - 5.4); and `hfm`."""
+"""The paper's method: descriptors, functional maps, point maps (sections 5.1 - 5.4); and the improved `hfm`."""

@@ -18,18 +18,18 @@ from cagemap.paper.descriptors import Filters, choose_filters, landmark_descript
 from cagemap.paper.operators import check_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral.surface import Surface
 
-# Mean distance of neighbouring eigenvalues of a surface of unit area (Weyl's law). With eigenvalues in this unit,
-# Lambda~ counts places in the spectrum, and one weight serves all k and all surfaces.
+# Mean distance of neighbouring eigenvalues at unit area (Weyl's law). In this unit, eigenvalues are approximately their
+# indices in the spectrum, so that one weight suits all k and all surfaces.
 SPACING = 4.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpectralData:
-    """Descriptors and operators of one surface; the leading blocks are those of the coarser levels (eq. 15)."""
+    """Descriptors and operators of one surface; leading blocks belong to coarser levels (eq. 15)."""
 
     eigenvalues: FloatArray  #: (k,) Lambda~, in the order of the basis: bands of level 0, 1, ... Unit area.
-    descriptors: FloatArray  #: (k, q) F~, the same q descriptors on both surfaces, weighted
-    #: (k, k) each: O~ beside the Laplacian, such as self-symmetries (paper, 5.2); both surfaces' in the same order
+    descriptors: FloatArray  #: (k, q) F~, weighted coefficients of the same q descriptors as on the other surface
+    #: (k, k) each: O~ other than the Laplacian, such as self-symmetries (paper, 5.2); same order on both surfaces
     operators: tuple[FloatArray, ...] = ()
 
     def __repr__(self) -> str:
@@ -42,19 +42,19 @@ class SpectralData:
         return len(self.eigenvalues)
 
     def leading(self, count: int) -> SpectralData:
-        """Keep the first basis functions only."""
+        """The data of the first ``count`` basis functions."""
         operators = tuple(operator[:count, :count] for operator in self.operators)
         return SpectralData(self.eigenvalues[:count], self.descriptors[:count], operators)
 
 
 @dataclass(frozen=True)
 class MapWeights:
-    """Weights of eq. 13, one number each for the whole hierarchy, beside descriptors of unit norm."""
+    """Weights of eq. 13, the same for all levels, relative to descriptors of unit norm."""
 
-    laplacian: float = 0.001  #: alpha(Lambda~), for eigenvalues counted in their mean spacing (see `SPACING`)
+    laplacian: float = 0.001  #: alpha(Lambda~), for eigenvalues in units of their mean spacing (see `SPACING`)
     operators: float = 1.0  #: alpha(O) of every other operator
-    #: weight of ||C||^2. Rows of C that no descriptor speaks about then vanish, and so have no say in a nearest
-    #: neighbour, where eq. 13 leaves noise. 0 is eq. 13 as printed.
+    #: weight of ||C||^2. Rows of C that no descriptor determines then vanish and do not influence nearest neighbours;
+    #: eq. 13 leaves noise in them. 0: eq. 13 as printed.
     decay: float = 3.0
 
     def __post_init__(self) -> None:
@@ -66,13 +66,13 @@ class MapWeights:
 
 @dataclass(frozen=True)
 class Constraints:
-    """What both surfaces bring to eq. 13: the same descriptors and operators on either side."""
+    """Data of eq. 13: corresponding descriptors and operators of both surfaces."""
 
     target: SpectralData
     source: SpectralData
 
     def __post_init__(self) -> None:
-        """Refuse data that cannot be compared."""
+        """Check that numbers and sizes of descriptors and operators match."""
         target, source = self.target, self.source
         if target.descriptors.shape[1] != source.descriptors.shape[1]:
             raise ParameterError(
@@ -97,18 +97,18 @@ class Constraints:
         return self.target.count, self.source.count
 
     def leading(self, k1: int, k2: int) -> Constraints:
-        """Those of a coarser level: the leading basis functions of both sides."""
+        """Constraints of the leading basis functions of both sides, as on a coarser level."""
         return Constraints(self.target.leading(k1), self.source.leading(k2))
 
     def with_descriptors(self, target: FloatArray, source: FloatArray, weight: float = 1.0) -> Constraints:
-        """Add descriptors of one's own.
+        """Add pairs of user-defined descriptors.
 
         Parameters
         ----------
         target, source : (k1, q), (k2, q) arrays
-            Coefficients of corresponding functions; each column is scaled to norm ``weight`` on either side.
+            Coefficients of corresponding functions; every column is scaled to norm ``weight``.
         weight : float
-            A landmark kernel weighs 1.
+            Norm of every descriptor; a landmark kernel has 1.
         """
         sides = []
         for data, given in ((self.target, target), (self.source, source)):
@@ -117,7 +117,7 @@ class Constraints:
         return Constraints(*sides)
 
     def with_operators(self, target: FloatArray, source: FloatArray) -> Constraints:
-        """Add a pair of operators that the map shall commute with, (k1, k1) and (k2, k2); of norms of about 1."""
+        """Add a pair of operators (k1, k1), (k2, k2) of norm about 1 that C shall commute with."""
         sides = ((self.target, target), (self.source, source))
         return Constraints(
             *(replace(data, operators=(*data.operators, real_numbers(given, "operators"))) for data, given in sides)
@@ -126,11 +126,11 @@ class Constraints:
 
 @dataclass(frozen=True, repr=False)
 class DescriptorConfig(Brief):
-    """Which descriptors are asked for; the defaults are the measured ones."""
+    """Numbers and weights of descriptors; the defaults were found by measurement."""
 
-    heat: int = 10  #: filters of this kind, for landmarks and signatures alike
-    wave: int = 20  #: the same
-    signature_weight: float = 3.0  #: norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out
+    heat: int = 10  #: number of heat kernel filters, for landmarks and signatures
+    wave: int = 20  #: number of wave kernel filters, for landmarks and signatures
+    signature_weight: float = 3.0  #: norm of a signature, relative to 1 of a landmark kernel; 0: no signatures
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -139,23 +139,23 @@ class DescriptorConfig(Brief):
 
 
 def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()) -> Constraints:
-    """F~ and O~ of both surfaces on their whole bases.
+    """Descriptors F~ and operators O~ of both surfaces on their whole bases.
 
-    Filters are chosen and columns scaled here, once: the descriptors F~^l of a coarser level are the leading rows, and
-    one weight of an operator means the same on all levels (eqs. 13-16).
+    Filters are chosen and columns scaled once, for all levels: descriptors F~^l of a coarser level are the leading
+    rows, and weights of operators have the same meaning on all levels (eqs. 13-16).
     """
     filters = choose_filters(pair.target.basis.eigenvalues, pair.source.basis.eigenvalues, config.heat, config.wave)
-    curves = [one.target for one in pair.landmarks.curves], [one.source for one in pair.landmarks.curves]
+    curves = [curve.target for curve in pair.landmarks.curves], [curve.source for curve in pair.landmarks.curves]
     sides = [
         (pair.target, pair.target_landmarks, curves[0], tuple(target for target, _ in pair.symmetries)),
         (pair.source, pair.source_landmarks, curves[1], tuple(source for _, source in pair.symmetries)),
     ]
-    made = in_threads(lambda side: _spectral_data(*side, filters, config), sides)
-    return Constraints(*made)
+    data = in_threads(lambda side: _spectral_data(*side, filters, config), sides)
+    return Constraints(*data)
 
 
 def signature_functions(surface: Surface, filters: Filters, level: int) -> FloatArray:
-    """Signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3); (n_level, q)."""
+    """(n_level, q) signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3)."""
     at_eigenvalues = filters.at(surface.basis.eigenvalues[: surface.basis.size(level)])
     values = np.empty((surface.hierarchy.levels[level].n_vertices, at_eigenvalues.shape[1]))
     for part, block in surface.basis.row_blocks(level):
@@ -164,16 +164,16 @@ def signature_functions(surface: Surface, filters: Filters, level: int) -> Float
 
 
 def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
-    """Basis rows of whole curves, (q, k): the mean of Phi~(v, :) along each, by length.
+    """(q, k) basis rows of whole curves: length-weighted means of Phi~(v, :) along each.
 
-    With them a landmark descriptor becomes the heat or wave that starts from all of the curve at once, whatever its
-    points are called.
+    A landmark descriptor of such a row is the heat or wave that starts from the whole curve at once; points of the
+    curves need not correspond.
     """
     corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
     rows = surface.basis.rows(surface.finest, corners)
     weights = np.vstack([curve.shares[:, None] * curve.points.barycentric for curve in curves])
-    of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
-    gather = sparse.csr_array((weights.ravel(), (of, places.ravel())), shape=(len(curves), len(corners)))
+    curve_of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
+    gather = sparse.csr_array((weights.ravel(), (curve_of, places.ravel())), shape=(len(curves), len(corners)))
     return np.asarray(gather @ rows)
 
 

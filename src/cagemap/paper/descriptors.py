@@ -1,7 +1,7 @@
-"""Spectral descriptors from eigenvalues and basis rows (paper, section 5.1), never an n x n matrix.
+"""Spectral descriptors from eigenvalues and basis rows (paper, section 5.1), without n x n matrices.
 
-A filter rho_t turns an eigenvalue into a weight. A landmark descriptor is rho_t(Lambda~) Phi~(v, :)^T, directly in
-coefficients; a signature is the diagonal of Phi~ rho_t(Lambda~) Phi~^T, a function that has still to be projected.
+A filter rho_t maps an eigenvalue to a weight. A landmark descriptor is rho_t(Lambda~) Phi~(v, :)^T, already in
+coefficients. A signature is the diagonal of Phi~ rho_t(Lambda~) Phi~^T, a function to be projected to the basis.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 
-# [SOG09]: the diffusion times that the spectrum can tell apart.
+# [SOG09]: diffusion times are from HEAT_RANGE / lambda_k to HEAT_RANGE / lambda_1.
 HEAT_RANGE = 4.0 * np.log(10.0)
 # [ASC11]: width of a wave kernel filter, in steps between neighbouring energies.
 WAVE_WIDTH = 7.0
-# Filters of both kinds together; every landmark has a descriptor of each.
+# Most filters of both kinds together; every landmark has one descriptor per filter.
 _MOST_FILTERS = 1000
 
 
@@ -25,19 +25,19 @@ _MOST_FILTERS = 1000
 class Filters:
     """Parameters of the filters rho_t, chosen once for both surfaces and all levels."""
 
-    times: FloatArray  #: (h,) of the heat kernels
-    energies: FloatArray  #: (w,) of the wave kernels, log eigenvalues
-    width: float  #: of the wave kernels, in log eigenvalue
+    times: FloatArray  #: (h,) diffusion times of the heat kernels
+    energies: FloatArray  #: (w,) energies of the wave kernels, log eigenvalues
+    width: float  #: width of the wave kernels, in log eigenvalue
 
     def at(self, eigenvalues: FloatArray) -> FloatArray:
-        """rho_t of every eigenvalue, (k, h + w); row by row, so that a leading part of the spectrum has the same."""
+        """(k, h + w) rho_t of every eigenvalue; rows do not depend on larger eigenvalues."""
         return np.hstack([heat_filters(eigenvalues, self.times), wave_filters(eigenvalues, self.energies, self.width)])
 
 
 def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, heat: int, wave: int) -> Filters:
-    """Filters of both kinds for two surfaces of unit area, from the geometric mean of their whole spectra.
+    """Filters of both kinds for two surfaces of unit area, from their spectra's geometric mean.
 
-    The eigenvalues (k1,), (k2,) may come in any order. Too few of them, or no filters, raise a ParameterError.
+    The eigenvalues (k1,), (k2,) may be in any order. ParameterError for too few eigenvalues or no filters.
     """
     if min(heat, wave) < 0 or not 0 < heat + wave <= _MOST_FILTERS:
         raise ParameterError(f"expected 1 to {_MOST_FILTERS} filters, got {heat} heat and {wave} wave kernels")
@@ -56,7 +56,7 @@ def heat_times(eigenvalues: FloatArray, count: int) -> FloatArray:
 
 
 def heat_filters(eigenvalues: FloatArray, times: FloatArray) -> FloatArray:
-    """Heat kernel filters rho_t(lambda) = exp(-lambda t), one column a time; (k, q)."""
+    """(k, q) heat kernel filters rho_t(lambda) = exp(-lambda t), one column for each time."""
     return np.exp(-np.outer(eigenvalues, times))
 
 
@@ -71,7 +71,7 @@ def wave_energies(eigenvalues: FloatArray, count: int) -> tuple[FloatArray, floa
 
 
 def wave_filters(eigenvalues: FloatArray, energies: FloatArray, width: float) -> FloatArray:
-    """Wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)), 0 for the constant function; (k, q)."""
+    """(k, q) wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)), 0 for the constant function."""
     logs = np.log(np.maximum(eigenvalues, np.finfo(float).tiny))
     filters = np.exp(-((energies[None, :] - logs[:, None]) ** 2) / (2.0 * width**2))
     filters[eigenvalues <= _zero(eigenvalues)] = 0.0
@@ -102,7 +102,7 @@ def normalise_columns(columns: FloatArray) -> FloatArray:
 
 
 def _zero(eigenvalues: FloatArray) -> float:
-    """Below this an eigenvalue is that of the constant function."""
+    """Largest eigenvalue that counts as 0, that of the constant function."""
     return 1e-8 * float(np.max(eigenvalues, initial=0.0))
 
 

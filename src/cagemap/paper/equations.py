@@ -1,4 +1,4 @@
-"""Functional maps from constraints: eq. 13 at level 0, eqs. 14-16 for the bands of each further level (5.3)."""
+"""Functional maps from constraints: eq. 13 at level 0, eqs. 14-16 for bands of finer levels (5.3)."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ MOST_ITERATIONS = 5000
 def solve_functional_map(
     constraints: Constraints, weights: MapWeights, *, known: FloatArray | None = None
 ) -> FloatArray:
-    """C12 (k1, k2) of least ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
+    """C12 (k1, k2) minimising ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 
-    A ``known`` leading block C_l (a, b) stays as it is (eq. 14); the three blocks beside it are found together.
-    Operators without entries between low and high functions let them fall apart into eq. 16 and its companion.
+    A ``known`` leading block C_l (a, b) is kept (eq. 14); the three other blocks are solved for together. If operators
+    have no entries between low and high functions, the system separates into eq. 16 and one for the high rows.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def solve_functional_map(
     gram = source.descriptors @ source.descriptors.T
     right = target.descriptors @ source.descriptors.T
     diagonal = laplacian_penalties(target.eigenvalues, source.eigenvalues, weights.laplacian)
-    # Systems stay definite where neither a descriptor nor an operator says anything.
+    # Keeps the systems definite where neither descriptors nor operators determine C.
     diagonal += 1e-10 * np.trace(gram) / max(k2, 1) + np.finfo(float).tiny + weights.decay
     pairs = [] if weights.operators == 0.0 else list(zip(target.operators, source.operators, strict=True))
 
@@ -68,8 +68,8 @@ def solve_functional_map(
 def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights: MapWeights) -> FloatArray:
     """Extend C_l (k1_l, k2_l) by the bands of the next level, eq. 14: [[C_l, C_lh], [C_hl, C_h]], (k1, k2).
 
-    C_l stays as it is. Tridiagonal operators are cut to their diagonal blocks (eq. 15), so the low rows give C_lh alone
-    (eq. 16) and the high rows C_hl and C_h; denser ones keep their entries and couple all three (end of 5.3.2).
+    C_l is kept. Tridiagonal operators are cut to their diagonal blocks (eq. 15): low rows then determine C_lh alone
+    (eq. 16), high rows C_hl and C_h. Denser operators keep their entries and couple all three (end of 5.3.2).
     """
     low1, low2 = coarse.shape
     split = Constraints(split_operators(constraints.target, low1), split_operators(constraints.source, low2))
@@ -77,7 +77,7 @@ def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights:
 
 
 def split_operators(data: SpectralData, low: int) -> SpectralData:
-    """Cut tridiagonal operators between low and high functions (eq. 15); denser ones stay whole."""
+    """Cut tridiagonal operators between low and high functions (eq. 15); denser ones are unchanged."""
     operators = tuple(_block_diagonal(operator, low) for operator in data.operators)
     return SpectralData(data.eigenvalues, data.descriptors, operators)
 
@@ -89,13 +89,13 @@ def _block_diagonal(operator: FloatArray, low: int) -> FloatArray:
 
 
 def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, weight: float) -> FloatArray:
-    """Weights of C_ij^2 that stand for alpha ||C Lambda2 - Lambda1 C||^2; (k1, k2)."""
+    """(k1, k2) weights of C_ij^2 in alpha ||C Lambda2 - Lambda1 C||^2."""
     differences = (source_eigenvalues[None, :] - target_eigenvalues[:, None]) / SPACING
     return np.asarray(weight * differences**2)
 
 
 def _solve_rows(gram: FloatArray, diagonal: FloatArray, right: FloatArray, unknown: Mask) -> FloatArray:
-    """Diagonal operators only: each row of C is a positive definite system of its own."""
+    """Solve for unknown entries without coupling operators: one positive definite system per row of C."""
     solution = np.zeros_like(right)
     for i, free in enumerate(unknown):
         if free.any():
@@ -111,10 +111,8 @@ def _solve_coupled(
     right: FloatArray,
     unknown: Mask,
 ) -> FloatArray:
-    """Operators with entries beside the diagonal couple rows: conjugate gradients over the unknown entries.
-
-    Preconditioned by (G + d_i)^{-1} for row i, d_i the mean of its penalties: one eigendecomposition serves all rows.
-    """
+    """Solve for unknown entries with operators that couple rows, by preconditioned conjugate gradients."""
+    # Preconditioner of row i: (G + d_i)^{-1}, d_i the mean of its penalties; one eigendecomposition for all rows.
     values, vectors = linalg.eigh(gram)
     shifted = np.maximum(values, 0.0) + diagonal.mean(axis=1, keepdims=True)
 

@@ -1,12 +1,12 @@
 """The paper's method with four named improvements (`hfm`).
 
-1. ZoomOut on one level finds the bands, in place of eqs. 14-16 [Melzi et al. 2019].
-2. The target, displaced onto the source by few basis functions, and its normals stand beside the functions in every
-   search [Eisenberger, Lahner, Cremers 2020, Smooth Shells].
-3. C and the displacement are fitted to matches in both directions, so that no limb of the source is left out.
-4. On every level the displaced target's closest points of the source are the map, in place of Fig. 9.
+1. ZoomOut on one level extends C to all bands, instead of eqs. 14-16 [Melzi et al. 2019].
+2. Every search uses, in addition to the basis functions, positions and normals of the target displaced onto the source
+   by few basis functions [Eisenberger, Lahner, Cremers 2020, Smooth Shells].
+3. C and the displacement are fitted to matches in both directions, so that all limbs of the source are matched.
+4. On every level the map is given by the source's closest points to the displaced target, instead of Fig. 9.
 
-What each is worth: docs/paper/index.md.
+Effect of each: docs/paper/index.md.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ from cagemap.spectral.zoomout import (
 )
 from cagemap.surface.triangles import vertex_normals
 
-# Vertices of either surface that the bands are found with.
+# Number of vertices of each surface in ZoomOut.
 ZOOMOUT_SAMPLES = 3000
-# Weights of normals beside positions in closest points: of the first search, and where sides of a thin part differ.
+# Weights of normals in closest points: of the first search, and where the sides of a thin part differ.
 FACING_WEIGHTS = (0.03, 0.1)
 
 
 @dataclass(frozen=True, repr=False)
 class HfmConfig(Brief):
-    """Parameters of `hfm`; the defaults are the measured ones."""
+    """Parameters of `hfm`; the defaults were found by measurement."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()  #: of eq. 13
+    weights: MapWeights = MapWeights()  #: weights of eq. 13
     zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: eq. 13 is solved for the first number of functions
-    position_weight: float = 10.0  #: of displaced positions beside the basis functions, per sqrt(k)
-    normal_weight: float = 1.0  #: of the normals there, per sqrt(k)
-    displacement_share: float = 0.5  #: functions of the displacement, as a share of those of C
+    position_weight: float = 10.0  #: weight of displaced positions relative to basis functions, times sqrt(k)
+    normal_weight: float = 1.0  #: weight of the displaced normals, times sqrt(k)
+    displacement_share: float = 0.5  #: number of functions of the displacement, as a share of C's
     search_vertices: int = 2000  #: ZoomOut runs on each side's coarsest level with at least this many vertices
-    source_search_vertices: int = 0  #: the same of the source alone; 0: as the target's
+    source_search_vertices: int = 0  #: the same number for the source, if it differs; 0: as for the target
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -69,7 +69,7 @@ class HfmConfig(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Where target points go: x R + Phi~1 tau, with a rotation (3, 3) and coefficients tau (k, 3)."""
+    """Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)."""
 
     rotation: FloatArray
     coefficients: FloatArray
@@ -89,7 +89,7 @@ def hfm_map(
     constraints: Constraints | None = None,
     start: MapLike | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
-    """Maps of the search levels and of all finer ones, and the point map T12 of the finest ones.
+    """Maps of the search levels and all finer ones, and the finest point map T12.
 
     The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions.
 
@@ -122,7 +122,7 @@ def hfm_map(
 def zoomout_all_bands(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, config: HfmConfig
 ) -> tuple[FloatArray, Displacement]:
-    """C12 of all bands and the displacement of the target: ZoomOut from C12 of the first ones, in both directions."""
+    """C12 of all bands and the displacement, by ZoomOut in both directions from an initial C12."""
     target = LevelSamples.of(pair.target, levels[0])
     source = LevelSamples.of(pair.source, levels[1])
     counts = target.rows.shape[1], source.rows.shape[1]
@@ -146,7 +146,7 @@ def zoomout_all_bands(
 
 @dataclass(frozen=True, eq=False)
 class LevelSamples:
-    """Some vertices (b,) of a level: rows Phi~(x, :), and areas that sum to 1."""
+    """Sampled vertices (b,) of a level, with rows Phi~(x, :) and areas that sum to 1."""
 
     surface: Surface
     level: int
@@ -164,25 +164,25 @@ class LevelSamples:
 
     @property
     def positions(self) -> FloatArray:
-        """(b, 3), at unit area."""
+        """(b, 3) positions of the samples, at unit area."""
         return self.surface.triangles(self.level).positions[self.vertices]
 
     def embedding(self, spectral: FloatArray, places: FloatArray | None, config: HfmConfig) -> Embedding:
-        """Spectral rows (b, k), and the places (n, 3) of all vertices and their normals, if given.
+        """Spectral rows (b, k), extended by weighted positions (n, 3) and normals at the samples, if given.
 
-        What stands beside the functions counts in proportion to sqrt(k), so that its share does not fade.
+        The extension is scaled by sqrt(k), so that its share does not decrease with k.
         """
         if places is None:
             return spectral.astype(np.float32)
         normals = vertex_normals(places, self.surface.triangles(self.level).triangles)
-        beside = np.hstack([config.position_weight * places, config.normal_weight * normals])[self.vertices]
-        return np.hstack([spectral, np.sqrt(spectral.shape[1]) * beside]).astype(np.float32)
+        extension = np.hstack([config.position_weight * places, config.normal_weight * normals])[self.vertices]
+        return np.hstack([spectral, np.sqrt(spectral.shape[1]) * extension]).astype(np.float32)
 
 
 def both_directions(
     target: LevelSamples, source: LevelSamples, matches: tuple[IndexArray, IndexArray]
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Pairs (target sample, source sample) of the matches of both directions, and their areas: both surfaces alike."""
+    """Target samples, source samples and areas of the pairs matched in both directions."""
     forward, backward = matches
     of_target = np.concatenate([np.arange(len(forward)), backward])
     of_source = np.concatenate([forward, np.arange(len(backward))])
@@ -190,14 +190,16 @@ def both_directions(
 
 
 def fit_displacement(samples: Samples, positions: FloatArray, images: FloatArray, functions: int) -> Displacement:
-    """Rotation and tau = Phi~1^+ (P12 X2 - X1 R) of matched points (b, 3)."""
-    to, of = (points - samples.areas @ points / samples.areas.sum() for points in (images, positions))
-    rotation = Rotation.align_vectors(to, of, weights=samples.areas)[0].as_matrix().T
+    """Fit the rotation R and tau = Phi~1^+ (P12 X2 - X1 R) to matched points (b, 3)."""
+    centred_images, centred_positions = (
+        points - samples.areas @ points / samples.areas.sum() for points in (images, positions)
+    )
+    rotation = Rotation.align_vectors(centred_images, centred_positions, weights=samples.areas)[0].as_matrix().T
     return Displacement(rotation, fit_functional_map(samples, images - positions @ rotation, functions))
 
 
 def closest_map(pair: Pair, levels: LevelPair, functional_map: FloatArray, displacement: Displacement) -> LevelMap:
-    """Map of two levels: closest points of the source, in position and normal, to the displaced target."""
+    """Map of two levels: the source's closest points, by position and normal, to the displaced target."""
     target, source = pair.target.triangles(levels[0]), pair.source.triangles(levels[1])
     places = displacement.at(pair.target, levels[0])
     points = facing_points(source, places, vertex_normals(places, target.triangles), FACING_WEIGHTS)

@@ -1,4 +1,4 @@
-"""From level to level: the search of Fig. 9, refits of C, vertex to point (paper, section 5.4)."""
+"""Steps on each level: the search of Fig. 9, refits of C, vertex-to-point maps (paper, section 5.4)."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from cagemap.paper.search import (
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Samples, evenly_spaced_vertices, fit_functional_map, nearest_rows
 
-# The search levels have this many functions on both sides, where the bases do.
+# Least number of basis functions of search levels on both sides, if the bases have so many.
 ENOUGH_FUNCTIONS = 50
-# Two levels are walked down together while neither has this many times the other's vertices.
+# Both sides are refined in the same step while neither has so many times the other's vertices.
 COMPARABLE = 2.5
-# Of a basis: fewer say nothing about three coordinates.
+# Least number of basis functions: fewer cannot represent three coordinates.
 FEWEST_FUNCTIONS = 3
-# Levels up to this size serve the refits of C; of larger ones as many vertices do.
+# Most vertices used to refit C; of larger levels so many are sampled.
 SAMPLE_VERTICES = 30_000
 
 
 def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:
-    """(k~1, k~2), the basis functions that a pair of levels has."""
+    """Numbers (k~1, k~2) of basis functions of a pair of levels."""
     return pair.target.basis.size(levels[0]), pair.source.basis.size(levels[1])
 
 
 def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> IndexArray:
-    """Nearest source vertex of every target vertex of a level, among all (paper, 5.4)."""
+    """(n1,) nearest of all source vertices to every target vertex of a level (paper, 5.4)."""
     target, source = _both_rows(pair, functional_map, levels)
     return nearest_rows(
         target(np.arange(_size(pair.target, levels[0]))), source(np.arange(_size(pair.source, levels[1])))
@@ -45,9 +45,9 @@ def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> In
 
 
 def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
-    """Nearest candidates of all target vertices of a level (paper, Fig. 9).
+    """(n1,) nearest candidate source vertex of every target vertex of a level (paper, Fig. 9).
 
-    Where a side's level stays, a vertex is its own parent, and its neighbours are its children.
+    If a side keeps its level, target vertices are their own parents, source vertices' neighbours their children.
     """
     stays = [fine == before for fine, before in zip(levels, coarse.levels, strict=True)]
     if stays[0]:
@@ -63,9 +63,9 @@ def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coar
 
 
 def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, int] | None = None) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 of a match (n,) of two levels, on a sample of its vertices (paper, 2.1.2).
+    """Refit C12 = Phi~1^+ P12 Phi~2 to a match (n,) of two levels, on a sample of vertices (paper, 2.1.2).
 
-    ``sizes`` are basis functions (k1, k2) of both sides; default: those of the levels.
+    ``sizes`` are the numbers of basis functions (k1, k2); default: those of the levels.
     """
     k1, k2 = basis_sizes(pair, levels) if sizes is None else sizes
     chosen = evenly_spaced_vertices(len(match), SAMPLE_VERTICES)
@@ -78,9 +78,9 @@ def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int
 
 
 def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
-    """Functional map to start from: one that is given, or what a point map or a vertex map says.
+    """Functional map to start from: as given, or fitted to a point or vertex map.
 
-    A vertex map is read with ``sizes`` basis functions; other maps may have any size.
+    A vertex map is fitted with ``sizes`` basis functions; other maps may have any size.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
     given = check_map(pair, start)
     if isinstance(given, PointMap) or given.ndim == 2:
         return functional_map_from(pair, given)
-    level = [len(one.positions) for one in pair.target.hierarchy.levels].index(len(given))
+    level = [len(level_mesh.positions) for level_mesh in pair.target.hierarchy.levels].index(len(given))
     return refit_map(pair, (level, pair.source.finest), given.astype(np.int64), sizes)
 
 
@@ -98,8 +98,8 @@ def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
     rows = _both_rows(pair, matched.functional_map, matched.levels)
     target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
-    found = vertex_to_point(*rows, vertex_blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
-    return PointMap.from_arrays(target, source, *found)
+    projected = vertex_to_point(*rows, vertex_blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
+    return PointMap.from_arrays(target, source, *projected)
 
 
 def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[Rows, Rows]:
@@ -110,11 +110,13 @@ def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tup
 
 
 def _neighbours(surface: Surface, level: int) -> sparse.csr_array:
-    """Which vertices of a level share a face."""
+    """Sparse (n, n) matrix with entries where two vertices of a level share a face."""
     faces = surface.hierarchy.levels[level].faces
     corners = surface.triangles(level).triangles if faces is None else faces
-    of = np.repeat(np.arange(len(corners)), corners.shape[1])
-    on = sparse.csr_array((np.ones(corners.size), (of, corners.ravel())), shape=(len(corners), _size(surface, level)))
+    faces_of = np.repeat(np.arange(len(corners)), corners.shape[1])
+    on = sparse.csr_array(
+        (np.ones(corners.size), (faces_of, corners.ravel())), shape=(len(corners), _size(surface, level))
+    )
     return sparse.csr_array(on.T @ on)
 
 
@@ -123,9 +125,9 @@ def _size(surface: Surface, level: int) -> int:
 
 
 def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
-    """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions.
+    """Coarsest levels with enough vertices and basis functions, for the full search.
 
-    ``source_vertices`` are those of the source, if not 0.
+    ``source_vertices`` is the number for the source; 0: as for the target.
     """
 
     def first(surface: Surface, wanted: int) -> int:
@@ -141,9 +143,9 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
 
 
 def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
-    """Pairs of levels from just above `start` to the finest ones, each side at most one level a step.
+    """Pairs of levels from ``start`` (excluded) to the finest, each side at most one level per step.
 
-    Both sides go together while their sizes are comparable; otherwise the coarser one catches up first.
+    Both sides are refined together while their sizes are comparable; otherwise only the coarser one.
     """
     steps = []
     l1, l2 = start

@@ -1,4 +1,4 @@
-"""The paper's own method, level by level (section 5): nothing from later papers is in it."""
+"""The paper's method, level by level (section 5), without additions from later papers."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from cagemap.paper.levels import (
 
 @dataclass(frozen=True, repr=False)
 class PaperConfig(Brief):
-    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6."""
+    """Parameters of the paper's method; the paper gives no values, as its section 6 is missing."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
-    rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: C of eqs. 13-16
+    rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: keep C of eqs. 13-16
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -50,7 +50,7 @@ def paper_map(
     constraints: Constraints | None = None,
     start: MapLike | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
-    """Maps of all levels, vertex to point on each, and the point map of the finest ones.
+    """Vertex-to-point maps of all levels, and the point map of the finest ones.
 
     Parameters
     ----------
@@ -58,10 +58,10 @@ def paper_map(
     config : PaperConfig
     progress : callable
     constraints : Constraints, optional
-        One's own, instead of `gather_constraints`.
+        Used instead of `gather_constraints`.
     start : map, optional
-        A functional map from elsewhere, instead of the solution of eq. 13, a source vertex for every target vertex of a
-        level, or a point map. Of another size than level 0, its leading block is used and extended by eqs. 14-16.
+        Used instead of the solution of eq. 13: a functional map, a source vertex for every target vertex of a level, or
+        a point map. If its size is not that of level 0, its leading block is used and extended by eqs. 14-16.
 
     Raises
     ------
@@ -75,13 +75,13 @@ def paper_map(
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
         maps.append(_next_level(pair, constraints, maps[-1], levels, config))
     progress("point map")
-    maps = [replace(found, points=recover_points(pair, found)) for found in maps]
+    maps = [replace(level_map, points=recover_points(pair, level_map)) for level_map in maps]
     assert maps[-1].points is not None
     return tuple(maps), maps[-1].points
 
 
 def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: MapLike | None) -> LevelMap:
-    """Level 0: eq. 13, and the full search (5.3.1, 5.4)."""
+    """Map of level 0: eq. 13, and the full search (5.3.1, 5.4)."""
     sizes = basis_sizes(pair, (0, 0))
     if min(sizes) < FEWEST_FUNCTIONS:
         raise ParameterError(
@@ -101,7 +101,7 @@ def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, star
 def _next_level(
     pair: Pair, constraints: Constraints, coarse: LevelMap, levels: LevelPair, config: PaperConfig
 ) -> LevelMap:
-    """Level l + 1: eqs. 14-16, and the search among the children of the parents' matches (5.3.2, Fig. 9)."""
+    """Map of level l + 1: eqs. 14-16, and search among children of the parents' matches (5.3.2, Fig. 9)."""
     functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
     if sizes != functional_map.shape:
         functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
@@ -111,7 +111,7 @@ def _next_level(
 def _alternate(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, rounds: int, search: Callable[[FloatArray], IndexArray]
 ) -> LevelMap:
-    """P and orthonormal C in turn, from C (2.1.4)."""
+    """Alternate the point map P and orthonormal C, starting from C (2.1.4)."""
     match = search(functional_map)
     for _ in range(rounds):
         functional_map = nearest_orthonormal(refit_map(pair, levels, match))
@@ -120,6 +120,6 @@ def _alternate(
 
 
 def nearest_orthonormal(functional_map: FloatArray) -> FloatArray:
-    """The matrix with orthonormal rows or columns that is nearest to C (2.1.4), from its singular vectors."""
+    """Nearest matrix to C with orthonormal rows or columns, by singular vectors (2.1.4)."""
     left, _, right = np.linalg.svd(functional_map, full_matrices=False)
     return np.asarray(left @ right)

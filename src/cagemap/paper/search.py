@@ -1,7 +1,7 @@
 """Nearest rows of two embeddings on fine levels, block by block (paper, section 5.4).
 
-A fine row of a basis is a short combination of coarse rows, made when its block's turn comes: the dense n x k embedding
-never exists.
+A fine basis row is a sparse combination of coarse rows and is computed block by block: the dense n x k embedding is
+never stored.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
 
-# Target vertices of a block: some 40 candidates of 150 functions each take 25 MB.
+# Target vertices per block: about 40 candidates of 150 functions each take 25 MB.
 TARGET_BLOCK = 1024
-# Weight of S_1^l from which a coarse vertex counts as a parent of a refined one, relative to the row's largest.
+# Least weight of S_1^l, relative to the row's largest, at which a coarse vertex is a parent of a refined one.
 PARENT_SHARE = 0.5
 # Triangles with a squared area below this share of their squared sides are degenerate.
 MIN_DETERMINANT = 1e-12
 
-# Rows (q, k) of an embedding at some vertices (q,).
+# Function that returns rows (q, k) of an embedding at vertices (q,).
 Rows = Callable[[IndexArray], Embedding]
 
 
 def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArray | None = None) -> Rows:
-    """Rows of a level: Phi~(x, :) of the leading functions, times ``mixing`` (such as C12^T) if given."""
+    """Function for rows of a level: Phi~(x, :) of leading functions, times ``mixing`` (such as C12^T)."""
     base = min(level, surface.basis.last_level)
     values = functions_at(surface, base, functions)
     values = np.ascontiguousarray(values if mixing is None else values @ mixing)
@@ -40,7 +40,7 @@ def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArr
 
 
 def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
-    """(n_level, functions) Phi~ at all vertices of a level; those of finer bands are taken where these are."""
+    """(n_level, functions) Phi~ at all vertices of a level; functions of finer bands are sampled there."""
     basis = surface.basis
     if functions <= basis.size(level):
         return basis.at(level)[:, :functions]
@@ -48,7 +48,7 @@ def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
 
 
 def vertex_blocks(surface: Surface, level: int) -> list[IndexArray]:
-    """Vertices of a level in blocks that are coherent on the surface: ordered by control face."""
+    """Blocks of a level's vertices, ordered by control face to be near each other."""
     mesh = surface.hierarchy.levels[level]
     control_face = np.zeros(mesh.n_vertices, dtype=np.int64)
     if mesh.faces is not None:
@@ -58,7 +58,7 @@ def vertex_blocks(surface: Surface, level: int) -> list[IndexArray]:
 
 
 def strongest_parents(subdivision: sparse.csr_array) -> sparse.csr_array:
-    """(n_{l+1}, n_l) entries of S_1^l that are at least `PARENT_SHARE` of their row's largest."""
+    """(n_{l+1}, n_l) entries of S_1^l of at least `PARENT_SHARE` of their row's largest."""
     largest = subdivision.max(axis=1).toarray().ravel()
     rows = np.repeat(np.arange(subdivision.shape[0]), np.diff(subdivision.indptr))
     kept = subdivision.data >= PARENT_SHARE * largest[rows]
@@ -74,10 +74,10 @@ def nearest_candidates(
     children: sparse.csr_array,
     coarse_match: IndexArray,
 ) -> IndexArray:
-    """(n1,) nearest source vertex among every target vertex' candidates (paper, Fig. 9).
+    """(n1,) nearest of every target vertex's candidate source vertices (paper, Fig. 9).
 
-    Candidates are the source vertices that the matches (n1_l,) of the vertex' parents influence: the nonzeros of their
-    columns in ``children`` (n2, n2_l), which is S_2^l. ``parents`` (n1, n1_l) are `strongest_parents`.
+    Candidates are the source vertices influenced by the matches (n1_l,) of the vertex's parents: the nonzeros of their
+    columns in ``children`` (n2, n2_l), usually S_2^l. ``parents`` (n1, n1_l) are `strongest_parents`.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def nearest_candidates(
 def vertex_to_point(
     target: Rows, source: Rows, in_blocks: Sequence[IndexArray], triangles: IndexArray, match: IndexArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Nearest point of the embedded source triangles (t2, 3) around every target vertex' match (n1,).
+    """Nearest point of the embedded source triangles (t2, 3) around every target vertex's match (n1,).
 
     Returns
     -------
@@ -126,25 +126,27 @@ def vertex_to_point(
         first, counts = starts[match[block]], np.diff(starts)[match[block]]
         ends = np.concatenate([[0], np.cumsum(counts)])
         row = np.repeat(np.arange(len(block)), counts)
-        corner = order[np.repeat(first - ends[:-1], counts) + np.arange(ends[-1])]  # the match's own, of each triangle
+        corner = order[
+            np.repeat(first - ends[:-1], counts) + np.arange(ends[-1])
+        ]  # corner of each triangle at the match
         turned = (corner[:, None] + np.arange(3)) % 3
         vertices, local = np.unique(np.take_along_axis(triangles[corner // 3], turned, 1), return_inverse=True)
         embedded = source(vertices)[local.reshape(-1, 3)]
         weights, value = _closest_in_triangles(embedded[:, 1:] - embedded[:, :1], target(block)[row] - embedded[:, 0])
         chosen = _least(value, ends)
         triangle[block] = corner[chosen] // 3
-        found = np.empty((len(block), 3))
-        np.put_along_axis(found, turned[chosen], weights[chosen], axis=1)
-        barycentric[block] = found
+        coordinates = np.empty((len(block), 3))
+        np.put_along_axis(coordinates, turned[chosen], weights[chosen], axis=1)
+        barycentric[block] = coordinates
 
     in_threads(project, in_blocks)
     return triangle, barycentric
 
 
 def _closest_in_triangles(edges: Embedding, point: Embedding) -> tuple[FloatArray, FloatArray]:
-    """Barycentric coordinates (c, 3) of the points of triangles nearest to points (c, k), and what is left of |p|^2.
+    """Barycentric coordinates (c, 3) of closest points of triangles, and squared distances minus |p|^2.
 
-    Edges (c, 2, k) and points start at the first corner.
+    Edges (c, 2, k) and points p (c, k) are relative to the first corner.
     """
     (aa, ab), (_, bb) = np.einsum("cik,cjk->ijc", edges, edges, dtype=np.float64)
     pa, pb = np.einsum("cik,ck->ic", edges, point, dtype=np.float64)
@@ -166,7 +168,7 @@ def _closest_in_triangles(edges: Embedding, point: Embedding) -> tuple[FloatArra
 
 
 def _least(values: FloatArray, starts: IndexArray) -> IndexArray:
-    """(q,) place of the least of every run of values, from ``starts`` (q + 1,); the first of equal ones."""
+    """(q,) index of the least value of every run, given by ``starts`` (q + 1,); the first of equal ones."""
     row = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     order = np.lexsort((values, row))  # NaN comes last
     if np.any(np.diff(starts) == 0) or not np.isfinite(values[order[starts[:-1]]]).all():
@@ -178,5 +180,5 @@ def _least(values: FloatArray, starts: IndexArray) -> IndexArray:
 
 
 def _pattern(matrix: sparse.csr_array) -> sparse.csr_array:
-    """The matrix with ones for entries."""
+    """The matrix with all entries 1."""
     return sparse.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)

@@ -1,4 +1,4 @@
-"""Eigenfunctions of a surface, functional maps of point matches, and ZoomOut (paper, sections 2.1 and 4)."""
+"""Eigenfunctions of a surface, functional maps from point matches, and ZoomOut (paper, sections 2.1 and 4)."""
 
 from cagemap.spectral.basis import HierarchicalBasis, hierarchical_basis
 from cagemap.spectral.config import MAP_BASIS, BasisConfig

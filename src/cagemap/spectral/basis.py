@@ -1,4 +1,4 @@
-"""A basis: functions of one level, or the paper's bands of several levels (Definition 2, sections 4.3 and 4.4)."""
+"""Spectral basis: functions of one level, or the paper's bands of several levels (Definition 2, 4.3, 4.4)."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HierarchicalBasis:
-    """Eigenfunctions of several levels as one basis, Phi~^{l+1} = [S^l Phi~^l, band^{l+1}] (eqs. 7, 8).
+    """Basis of eigenfunctions of several levels, Phi~^{l+1} = [S^l Phi~^l, band^{l+1}] (eqs. 7, 8).
 
-    The dense matrix of the finest level is never stored: `at`, `rows` and `row_blocks` make what is asked of it.
+    The dense matrix of the finest level is not stored: `at`, `rows` and `row_blocks` compute parts of it.
 
     Attributes
     ----------
     refinement : Refinement
     operators : Operators
-        Of the surface that the functions live on: of all its levels, or of the first ones.
+        Mass and stiffness of all levels, or of the first ones.
     bands : tuple of (n_l, k_l) arrays
         New eigenvectors of every level from 0 to the last that has any, each M^l-orthonormal.
     eigenvalues : (k,) array
-        Lambda~, band after band, each pair's at its own level. Unit area.
+        Lambda~, band after band, computed at each pair's own level. Unit area.
     residuals : (k,) array
         Relative residual of every pair at its own level, see `cagemap.spectral.residual_norms`.
     indices : (k,) int64 array
-        Place of every pair in the whole spectrum of its own level, from 0.
+        Index of every pair in the whole spectrum of its own level, from 0.
     gram : (k, k) array
         Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5).
     """
@@ -53,7 +53,7 @@ class HierarchicalBasis:
     gram: FloatArray
 
     def __post_init__(self) -> None:
-        """Check that the bands are functions of these levels; nobody changes them from here on."""
+        """Check that the bands match the levels; make all arrays read-only."""
         sizes = [level.n_vertices for level in self.refinement.levels]
         found = [band.shape[0] for band in self.bands]
         known = [mass.shape[0] for mass in self.operators.mass]
@@ -68,7 +68,7 @@ class HierarchicalBasis:
 
     @property
     def schedule(self) -> tuple[int, ...]:
-        """k_l, number of functions that each level adds."""
+        """Number k_l of functions that each level adds."""
         return tuple(band.shape[1] for band in self.bands)
 
     @property
@@ -78,26 +78,26 @@ class HierarchicalBasis:
 
     @property
     def band_levels(self) -> IndexArray:
-        """(k,) level that each function was computed at."""
+        """(k,) level of each function's band."""
         return np.repeat(np.arange(len(self.bands)), self.schedule)
 
     @property
     def last_level(self) -> int:
-        """The finest level that adds functions; from there on the whole basis can be evaluated."""
+        """Finest level that adds functions; the whole basis can be evaluated from this level on."""
         return len(self.bands) - 1
 
     @property
     def condition(self) -> float:
-        """Condition number of the Gram matrix; near 1 where every band is orthogonal to the ones below it."""
+        """Condition number of the Gram matrix; near 1 if bands are nearly orthogonal."""
         squares = linalg.eigvalsh(self.gram)
         return float(squares[-1] / max(squares[0], np.finfo(float).tiny))
 
     def size(self, level: int) -> int:
-        """Number of functions k~_l of the basis at a level: those of the bands up to it."""
+        """Number k~_l of functions in the bands up to a level."""
         return sum(self.schedule[: level + 1])
 
     def at(self, level: int) -> FloatArray:
-        """Phi~^level (n_level, k~_level) as a dense matrix (eq. 8), without bands of finer levels.
+        """Dense matrix Phi~^level (n_level, k~_level) of the bands up to a level (eq. 8).
 
         Raises
         ------
@@ -127,7 +127,7 @@ class HierarchicalBasis:
         return np.hstack([np.zeros((len(vertices), 0)), *rows])
 
     def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
-        """Vertices and rows of Phi~^level, some at a time, for levels whose dense matrix would be too large."""
+        """Yield blocks of vertices and rows of Phi~^level, for levels with too many rows for memory."""
         self._check_level(level)
         for part in row_slices(self.refinement.levels[level].n_vertices, ROWS):
             yield part, self.rows(level, np.arange(part.start, part.stop))
@@ -138,10 +138,10 @@ class HierarchicalBasis:
         Parameters
         ----------
         values : (n_level,) or (n_level, q) array
-            Functions of a level; refined first where the basis has finer bands.
+            Functions of a level; refined first if the basis has finer bands.
         level : int
         count : int, optional
-            Use the leading functions of the basis only.
+            Use only so many leading functions of the basis.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class HierarchicalBasis:
 def products_with_bands(
     bands: tuple[FloatArray, ...], refinement: Refinement, dual: FloatArray, level: int
 ) -> FloatArray:
-    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q) of a level, restricted down the levels (Lemma 5)."""
+    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q), restricted level by level (Lemma 5)."""
     products: list[FloatArray] = []
     for coarser in reversed(range(level + 1)):
         if coarser < len(bands):
@@ -199,9 +199,9 @@ def products_with_bands(
 def hierarchical_basis(
     refinement: Refinement, operators: Operators, config: BasisConfig = BasisConfig()
 ) -> HierarchicalBasis:
-    """Basis of a surface: ``config.count`` functions of one level, or ``config.schedule[l]`` of each level.
+    """Compute a basis: ``config.count`` functions of one level, or ``config.schedule[l]`` of each level.
 
-    Warns where functions of different levels nearly repeat each other (``condition``).
+    Logs a warning if functions of different levels are nearly dependent (``condition``).
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def hierarchical_basis(
 
 
 def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisConfig) -> tuple[FloatArray, IndexArray]:
-    """The eigenvectors (n_l, k_l) of a level that follow those of the basis so far (Definition 2), and their places."""
+    """Next eigenvectors (n_l, k_l) of a level after those in the basis (Definition 2), and their indices."""
     stiffness, mass = basis.operators.stiffness[level], basis.operators.mass[level]
     if not count:
         return np.zeros((mass.shape[0], 0)), np.zeros(0, dtype=np.int64)
@@ -267,7 +267,7 @@ def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisCon
 
 
 def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: IndexArray) -> HierarchicalBasis:
-    """The basis with the band of one more level; its Gram matrix is [[G, E], [E^T, I]] (eqs. 8, 9)."""
+    """Append the band of the next level; the Gram matrix becomes [[G, E], [E^T, I]] (eqs. 8, 9)."""
     mass, stiffness = basis.operators.mass[level], basis.operators.stiffness[level]
     dual, energy = multiply(mass, band), multiply(stiffness, band)
     values = np.einsum("ij,ij->j", band, energy)
@@ -285,7 +285,7 @@ def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: 
 
 
 def label_clusters(values: FloatArray) -> IndexArray:
-    """(m,) number of the cluster of nearly equal eigenvalues that each of an ascending list belongs to."""
+    """(m,) cluster number of every eigenvalue of an ascending list; nearly equal ones form a cluster."""
     steps = np.diff(values) > SOLVER.cluster * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
     return np.concatenate([[0], np.cumsum(steps)])
 
@@ -293,16 +293,15 @@ def label_clusters(values: FloatArray) -> IndexArray:
 def new_directions(
     values: FloatArray, overlap: FloatArray, gram: FloatArray, present: int
 ) -> tuple[FloatArray, IndexArray]:
-    """Rotate eigenvectors inside repeated eigenvalues; leave out those that the refined basis spans.
+    """Directions in a window of eigenvectors (m, m - present) that the refined basis lacks, and their indices.
 
-    A repeated eigenvalue may be cut by the end of a band: its eigenvectors are rotated so that each is in the refined
-    span as far as possible or out of it. ``present`` directions are there already: those with the largest overlap.
-    Given are the window's eigenvalues (m,), ascending, of M-orthonormal vectors, and inner products of the refined
-    basis with the window (k, m) and with itself (k, k). Returned are the new directions in the window (m, m - present),
-    and the place of each.
+    ``values`` (m,) are the window's ascending eigenvalues of M-orthonormal vectors, ``overlap`` (k, m) and ``gram``
+    (k, k) inner products of the refined basis with the window and with itself. The ``present`` directions of largest
+    overlap are left out. If a band's end splits a repeated eigenvalue, its eigenvectors are first rotated, so that each
+    is as far as possible inside the span of the refined basis or outside.
     """
     m = len(values)
-    # In an orthonormal basis of the refined span a squared column norm is the share of a vector inside that span.
+    # In an orthonormal basis of the refined span, squared column norms are the shares of vectors inside that span.
     inside = linalg.solve_triangular(linalg.cholesky(gram, lower=True), overlap, lower=True)
     rotation = np.eye(m)
     share = np.sum(inside**2, axis=0)
@@ -310,9 +309,9 @@ def new_directions(
     for label in np.flatnonzero(np.bincount(labels) > 1):
         members = np.flatnonzero(labels == label)
         squares, axes = linalg.eigh(inside[:, members].T @ inside[:, members])
-        if squares[0] > 0.5 or squares[-1] < 0.5:  # not cut: its vectors stay as they are
+        if squares[0] > 0.5 or squares[-1] < 0.5:  # not split by the band's end
             continue
-        # Descending shares: the missing directions come last, next to the following pairs.
+        # Descending shares: missing directions come last, next to the following pairs.
         share[members] = squares[::-1]
         rotation[np.ix_(members, members)] = axes[:, ::-1]
     positions = np.sort(np.argsort(-share, kind="stable")[present:])
@@ -320,7 +319,7 @@ def new_directions(
 
 
 def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
-    """Eigenvectors that may come in single precision, M-orthonormal in double."""
+    """M-orthonormalise eigenvectors in double precision; they may be in single."""
     band = np.array(vectors, dtype=np.float64)
     factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)

@@ -13,30 +13,30 @@ from cagemap.subdivision import Refinement
 
 @dataclass(frozen=True)
 class BasisConfig:
-    """Parameters of a basis: ``count`` functions of one level, or the paper's bands of several levels.
+    """Parameters of a spectral basis: ``count`` functions of one level, or bands of several levels.
 
     Attributes
     ----------
     count : int
-        Number of functions k, the default at most the vertices. They are computed at the coarsest level with at least
-        ``MIN_VERTICES`` vertices and ``VERTICES_PER_FUNCTION`` times ``count``; eigenvalues there are 0.1 to 4 % above
+        Number of functions k; the default is reduced on smaller meshes. They are computed at the coarsest level with at
+        least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above
         the finest level's.
     schedule : tuple of int, optional
         Instead of ``count``: number of functions k_l that each level adds, level 0 first (paper, Definition 2).
     accuracy : float
         Convergence of the eigensolver, relative to the eigenvalues of the inverted problem.
     literal : bool
-        With a schedule: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2). Refined
-        eigenvalues are lower, so it starts a few indices too high. Default: it continues by index, and directions that
-        the refined bands span already are left out.
+        Only with a schedule. True: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2);
+        it starts a few indices too high, as eigenvalues of finer levels are lower. False: bands continue by index,
+        without directions that the refined bands already span.
     vertices : int, optional
-        Operators are those of the coarsest level with at least so many vertices, as if it were the finest. Default: the
-        finest level's, as in the paper.
+        Build operators at the coarsest level with at least so many vertices, as if it were the finest. Default: at the
+        finest level, as in the paper.
     laplacian : str
-        Of the finest level's quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
+        Laplacian of quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
         "de-goes-butts-desbrun"; see `cagemap.operators.laplacian`.
     stabilisation : float
-        lambda of the last two.
+        Stabilisation weight lambda of the last two Laplacians.
     """
 
     count: int = 100
@@ -79,24 +79,24 @@ class BasisConfig:
         return self.count if self.schedule is None else sum(self.schedule)
 
     def bands(self, refinement: Refinement, finest: int) -> tuple[int, ...]:
-        """Number of functions that each level up to ``finest`` adds: the schedule, or all of them at one level."""
+        """Number of functions that each level adds: the schedule, or all at one level up to ``finest``."""
         if self.schedule is not None:
             return self.schedule
         level = min(refinement.coarsest_level(max(MIN_VERTICES, VERTICES_PER_FUNCTION * self.count)), finest)
         return (*(0 for _ in range(level)), self.count)
 
 
-# Smallest level that a basis of one level is computed at, in vertices, and in vertices for each function. With them the
-# maps of six human pairs are those of a basis within 5 % of the finest eigenvalues (docs/lab/accuracy.md).
+# Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs
+# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/accuracy.md).
 MIN_VERTICES = 3000
 VERTICES_PER_FUNCTION = 20
 
-# The basis of the default method. Operators of 20 000 vertices, and this accuracy, change eigenvalues by less than 1 %;
-# more functions make maps no better (docs/lab/accuracy.md).
+# Basis of the default method. Operators of 20 000 vertices and this accuracy change eigenvalues by less than 1 %; more
+# functions do not improve maps (docs/lab/accuracy.md).
 MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
-# Functions of the method "hfm".
+# Number of functions of the method "hfm".
 HFM_FUNCTIONS = 150
-# Functions per level of "paper": after 100 on level 0, as in Table 1, eqs. 14-16 carry nothing (docs/paper/blocks.md).
+# Functions per level of "paper". With 100 on level 0, as in Table 1, eqs. 14-16 have no effect (docs/paper/blocks.md).
 PAPER_SCHEDULE = (40, 110)
 
 
@@ -104,19 +104,19 @@ PAPER_SCHEDULE = (40, 110)
 class SolverConfig:
     """Numbers of the eigensolver."""
 
-    dense_rows: int = 800  #: up to so many rows a dense solve is faster than Lanczos
-    largest_dense_rows: int = 5_000  #: the same where more than a fifth of the spectrum is wanted
-    rank: float = 1e-13  #: relative eigenvalue of a coarse mass matrix of a direction that subdivision maps to zero
-    single_accuracy: float = 1e-5  #: from it on the Krylov space is in single precision: eigenvalues change by less
-    shifts: int = 3  #: shifts tried where a factorisation reports no inertia
+    dense_rows: int = 800  #: most rows for which a dense solve is faster than Lanczos
+    largest_dense_rows: int = 5_000  #: most rows for a dense solve if more than a fifth of the spectrum is wanted
+    rank: float = 1e-13  #: relative eigenvalue of a coarse mass matrix below which subdivision maps a direction to zero
+    single_accuracy: float = 1e-5  #: from this accuracy on the Krylov space is in single precision, which changes less
+    shifts: int = 3  #: number of shifts tried if a factorisation reports no inertia
     extra_pairs: int = 8  #: pairs computed on both sides of a band, to count eigenvalues below a gap among them
-    loose: float = 1e-2  #: residual that is enough for the extra pairs
-    well_conditioned: float = 1e-6  #: inverse squared condition of a block that one Cholesky QR leaves orthonormal
-    dependent: float = 1e-14  #: inverse squared condition of a block that has lost a direction
-    overlap: int = 12  #: pairs computed below the start of a band, to see which the refined bands span
+    loose: float = 1e-2  #: largest residual of the extra pairs
+    well_conditioned: float = 1e-6  #: inverse squared condition of a block above which one Cholesky QR suffices
+    dependent: float = 1e-14  #: inverse squared condition of a block below which a direction is lost
+    overlap: int = 12  #: pairs computed below the start of a band, to determine which the refined bands span
     cluster: float = 1e-4  #: relative gap below which eigenvalues count as one repeated eigenvalue
-    ill_conditioned: float = 100.0  #: condition of the Gram matrix above which functions of levels nearly repeat
-    seed: int = 20190708  #: of the first block
+    ill_conditioned: float = 100.0  #: condition of the Gram matrix above which functions are nearly dependent
+    seed: int = 20190708  #: random seed of the first block
 
 
 SOLVER = SolverConfig()

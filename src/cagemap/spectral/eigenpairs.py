@@ -1,4 +1,4 @@
-"""Eigenpairs W x = lambda M x of one level: the lowest ones, or a band of them."""
+"""Compute eigenpairs W x = lambda M x of one level: the lowest ones, or a band."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class EigenPairs:
     """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
     values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
-    #: (n, m) M-orthonormal; in single precision where the accuracy that they were computed with left no more
+    #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
     vectors: NDArray[Any]
-    first_index: int  #: true index of the first pair in the level's whole spectrum, counted from 0
+    first_index: int  #: index of the first pair in the level's whole spectrum, from 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", read_only(self.values))
@@ -46,8 +46,8 @@ def residual_norms(
 ) -> FloatArray:
     """(m,) relative residuals, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area), of M-orthonormal X (n, m).
 
-    W X and M X are given, and areas D = M 1 (n,): D lumps the mass matrix (at the finest level it is M), so that the
-    norm is that of a function. 4 pi / area, the mean distance between eigenvalues (Weyl's law), stands in for 0.
+    ``stiffness_vectors`` is W X, ``mass_vectors`` M X, ``areas`` the lumped mass matrix D = M 1 (n,), equal to M at the
+    finest level. The lower bound 4 pi / area, for eigenvalues near 0, is the mean distance of eigenvalues (Weyl's law).
     """
     squares = (1.0 / areas) @ (stiffness_vectors - mass_vectors * values) ** 2
     return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
@@ -61,13 +61,13 @@ def band_pairs(
     *,
     accuracy: float = 1e-9,
 ) -> EigenPairs:
-    """Eigenpairs first..last-1 of the spectrum of W (n, n) and M, complete whatever their multiplicity.
+    """Eigenpairs first..last-1 of W (n, n) and M, complete for any multiplicity.
 
-    Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W -
-    sigma M says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was
-    missed. ``accuracy`` of the iteration is relative to each eigenvalue of the inverted operator. ParameterError if
-    the range is empty or not within the spectrum; SolverError if the iteration does not converge or misses
-    eigenvalues.
+    Small problems are solved densely, others by block shift-invert Lanczos around a shift sigma inside the band. The
+    inertia of W - sigma M gives the pairs' indices. The inertia of W - tau M, with tau in gaps at both ends of the
+    band, proves that none was missed. ``accuracy`` of the iteration is relative to each eigenvalue of the inverted
+    operator. ParameterError if the range is empty or not within the spectrum; SolverError if the iteration does not
+    converge or misses eigenvalues.
     """
     n = stiffness.shape[0]
     if not 0 <= first < last <= n:
@@ -83,7 +83,7 @@ def band_pairs(
                 f"functions, got {first} to {last}; start at a finer level"
             )
         return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
-    # Factors in double precision: on a body with slivers single precision lost every digit (docs/lab/performance.md).
+    # Factors in double precision: with slivers, single precision lost all digits (docs/lab/performance.md).
     low, high = max(0, first - SOLVER.extra_pairs), min(n, last + SOLVER.extra_pairs)
     shifted, sigma = _shift_inside(stiffness, mass, low, high)
     below = shifted.negative_eigenvalues
@@ -112,7 +112,7 @@ def band_pairs(
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
-    """Lowest eigenpairs of one level, computed there (paper, eq. 1): what the hierarchical basis approximates.
+    """Exact lowest eigenpairs of one level (paper, eq. 1); the hierarchical basis approximates them.
 
     Raises
     ------
@@ -125,9 +125,9 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
 
 
 def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """All eigenpairs of a small problem, but for functions that subdivision maps to zero.
+    """All eigenpairs of a small problem, except for functions that subdivision maps to zero.
 
-    There is such a function on the cube: +1 and -1 in turn. W and M both vanish on it, and it is no function at all.
+    Example: the function alternating between +1 and -1 on the cube; W and M both vanish on it.
     """
     squares, axes = linalg.eigh(mass, driver="evd")
     seen = squares > SOLVER.rank * squares[-1]
@@ -139,12 +139,12 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 def _shift_inside(
     stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int
 ) -> tuple[Factorization, float]:
-    """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
+    """Factor W - shift M, with a shift inside low..high, or below the spectrum without inertia."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
     spacing = 4.0 * np.pi / float(mass.sum())
     middle = 0.6 * high if low == 0 else 0.5 * (low + high)
     shift = middle * spacing
-    untold = 0
+    unknown = 0
     for _ in range(8):
         try:
             shifted = factor(shifted_matrix(stiffness, mass, shift))
@@ -153,8 +153,8 @@ def _shift_inside(
             continue
         below = shifted.negative_eigenvalues
         if below is None:
-            untold += 1
-            if untold == SOLVER.shifts:
+            unknown += 1
+            if unknown == SOLVER.shifts:
                 return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
             shift *= 1.0 + 1e-3
             continue
@@ -174,9 +174,9 @@ def missed_pairs(
     like: Factorization | None,
     end: int,
 ) -> int:
-    """How many eigenvalues below a gap near index ``end`` a list lacks (Sylvester's law of inertia).
+    """Number of eigenvalues missing from a list below a gap near index ``end`` (Sylvester's law of inertia).
 
-    0 where the factorisation tells at no place in the gap, and a warning.
+    0, and a logged warning, if no factorisation in the gap reports an inertia.
     """
     if end == 0:
         return 0
@@ -199,7 +199,7 @@ def missed_pairs(
 
 
 def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: float) -> int:
-    """Number of eigenvalues below a value, by Sylvester's law of inertia; SolverError where it cannot be told."""
+    """Number of eigenvalues below a value by Sylvester's law of inertia; SolverError if unknown."""
     for nudge in (0.0, 1e-9, -1e-9, 1e-7):  # the value may be an eigenvalue itself
         try:
             counted = factor(shifted_matrix(stiffness, mass, value * (1.0 + nudge))).negative_eigenvalues
@@ -213,16 +213,16 @@ def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: floa
 
 
 def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
-    """W - shift M."""
+    """The matrix W - shift M."""
     return sparse.csr_array(stiffness - shift * mass)
 
 
 def orthonormal_block(
     block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: Block, mass_against: Block
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """M-orthonormalise a block that is already M-orthogonal to ``against``, by Cholesky QR, twice where needed.
+    """M-orthonormalise a block that is M-orthogonal to ``against``, by Cholesky QR, repeated if needed.
 
-    Directions that are lost (the Krylov space became invariant) are replaced by random ones, with a zero row in R.
+    Lost directions (when the Krylov space became invariant) are replaced by random ones, with a zero row in R.
     Returns the new block (n, b), M times it, and R (b, b) with old block = new block @ R.
     """
     width = block.shape[1]
@@ -262,14 +262,14 @@ def shift_invert_lanczos(
     loose: tuple[int, int] = (0, 0),
     dtype: Precision = np.float64,
 ) -> tuple[FloatArray, Block]:
-    """Eigenvalues (below + above,), ascending, on both sides of a shift, and their M-orthonormal eigenvectors.
+    """Ascending eigenvalues (below + above,) on both sides of a shift, and their M-orthonormal eigenvectors.
 
     Block Lanczos iteration on (W - sigma M)^{-1} M, given the factors of W - sigma M. ``block_size`` is the highest
-    multiplicity that is found for certain; narrow blocks need fewer columns. ``accuracy`` is the residual of a pair of
-    the inverted operator relative to its eigenvalue 1 / (lambda - sigma); the ``loose`` outermost pairs below and above
-    need no more than `SolverConfig.loose`. The Krylov space is stored and orthogonalised in ``dtype``; solves are in
+    multiplicity that is certainly found; narrow blocks need fewer columns. ``accuracy`` is the largest residual of a
+    pair of the inverted operator relative to its eigenvalue 1 / (lambda - sigma); it is `SolverConfig.loose` for the
+    ``loose`` outermost pairs below and above. The Krylov space is stored and orthogonalised in ``dtype``; solves are in
     double. Full reorthogonalisation costs O(n m^2), m about 1.6 times the number of wanted pairs. SolverError if the
-    space is exhausted without converging.
+    Krylov space reaches its largest size without convergence.
     """
     n = mass.shape[0]
     rng = np.random.default_rng(SOLVER.seed)
@@ -284,13 +284,13 @@ def shift_invert_lanczos(
     basis[:, :width], mass_basis[:, :width] = block, mass_block
     size = width
     next_check = int(1.7 * wanted)
-    # Ascending 1 / (lambda - shift): outermost below and outermost above stand side by side.
+    # In ascending order of 1 / (lambda - shift) the outermost pairs below and above are adjacent.
     allowed = np.full(wanted, accuracy)
     allowed[below - min(loose[0], below) : below + min(loose[1], above)] = max(SOLVER.loose, accuracy)
     while True:
         used, mass_used = basis[:, :size], mass_basis[:, :size]
         image: Block = np.asarray(shifted.solve(mass_block), dtype=dtype)
-        # The recurrence couples a block to itself and the one before; what rounding leaves along older ones goes last.
+        # The recurrence couples a block to itself and the previous one; the rest removes rounding along older blocks.
         recent = slice(max(0, size - 2 * width), size)
         coefficients = np.zeros((size, width), dtype)
         coefficients[recent] = _products(mass_used[:, recent], image)
@@ -322,13 +322,13 @@ def shift_invert_lanczos(
 
 
 def _products(basis: Block, block: Block) -> Block:
-    """(m, b) Q^T X of blocks with the same rows, some rows in each thread; one sum, whatever the threads."""
+    """(m, b) product Q^T X, in threads; independent of their number."""
     shares = in_threads(lambda part: basis[part].T @ block[part], row_slices(len(block), ROWS))
     return np.asarray(sum(shares[1:], shares[0]))
 
 
 def _subtract(block: Block, basis: Block, coefficients: Block) -> None:
-    """X - Q C in place, some rows in each thread."""
+    """Subtract Q C from X in place, in threads."""
 
     def subtract(part: slice) -> None:
         block[part] -= basis[part] @ coefficients
@@ -337,5 +337,5 @@ def _subtract(block: Block, basis: Block, coefficients: Block) -> None:
 
 
 def _combined(basis: Block, coefficients: Block) -> Block:
-    """(n, b) Q C, some rows in each thread."""
+    """(n, b) product Q C, in threads."""
     return np.vstack(in_threads(lambda part: basis[part] @ coefficients, row_slices(len(basis), ROWS)))

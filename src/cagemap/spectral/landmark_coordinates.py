@@ -1,7 +1,7 @@
-"""Coordinates that landmarks and curves give to every point of a surface: harmonic and biharmonic interpolants.
+"""Landmark coordinates: harmonic and biharmonic interpolants of landmarks and curves.
 
-Both surfaces have the same coordinates at corresponding landmarks, so that a nearest neighbour in them is exact there.
-Both kinds come from Green's functions of the Laplacian, one factorisation for all landmarks.
+Both surfaces have the same coordinates at corresponding landmarks, where nearest neighbours are therefore exact. Both
+kinds are computed from Green's functions of the Laplacian, with one factorisation for all landmarks.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import lumped_areas
 
-# Weight of the harmonic coordinates beside biharmonic and spectral ones (measured, docs/lab/accuracy.md).
+# Weight of harmonic coordinates relative to biharmonic and spectral ones (measured, docs/lab/accuracy.md).
 HARMONIC_WEIGHT = 3.0
 
 
 def landmark_coordinates(
     stiffness: sparse.csr_array, mass: sparse.csr_array, landmarks: IndexArray, curves: Sequence[IndexArray] = ()
 ) -> FloatArray:
-    """Weighted harmonic and biharmonic coordinates (n, 2 (p + c)) of every vertex, to stand beside spectral ones.
+    """Weighted harmonic and biharmonic coordinates (n, 2 (p + c)) of every vertex, to extend spectral ones.
 
-    They are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i: both are 1 on
-    it and 0 on the others. InvalidLandmarksError if there are fewer than two landmarks or one repeats.
+    Columns are 3 h_i of every landmark (p,) and curve (c arrays of vertices, none a landmark), then b_i. Both h_i and
+    b_i are 1 on landmark i and 0 on the others. InvalidLandmarksError for fewer than two or repeated landmarks.
     """
     unique = np.unique(landmarks)
     if len(landmarks) < 2 or len(unique) != len(landmarks):
@@ -43,18 +43,18 @@ def landmark_coordinates(
 def interpolants(
     stiffness: sparse.csr_array, mass: sparse.csr_array, vertices: IndexArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Harmonic and biharmonic interpolants (n, c) of values (q, c) at some vertices (q,).
+    """Harmonic and biharmonic interpolants (n, c) of values (q, c) at vertices (q,).
 
-    ``W h = 0`` and ``W D^{-1} W b = 0`` at all other vertices, D being the row sums of M. With G = W^+ (W^+ D W^+ for
-    the second kind), the solution is ``G[:, vertices] c + const`` where c sums to zero and the values fit.
+    They solve ``W h = 0`` and ``W D^{-1} W b = 0`` at all other vertices, with D the row sums of M. The solution is
+    ``G[:, vertices] c + const`` with G = W^+, or W^+ D W^+ for b; c sums to zero and is chosen to fit the values.
     """
     n, q = stiffness.shape[0], len(vertices)
     areas = lumped_areas(mass)
-    grounded = np.arange(n) != vertices[0]  # W is singular by constants only: ground one vertex
+    grounded = np.arange(n) != vertices[0]  # W is singular on constants only: fix the value at one vertex
     factors = factor(sparse.csc_array(stiffness[grounded][:, grounded]))
 
     def green(charges: FloatArray) -> FloatArray:
-        """W^+ applied to charges that sum to zero, up to a constant."""
+        """W^+ applied to charges that sum to zero, with mean 0."""
         potential = np.zeros((n, charges.shape[1]))
         potential[grounded] = factors.solve(np.ascontiguousarray(charges[grounded]))
         return potential - areas @ potential / areas.sum()
@@ -68,7 +68,7 @@ def interpolants(
 
 
 def _interpolate(kernels: FloatArray, vertices: IndexArray, values: FloatArray) -> FloatArray:
-    """Combine kernel columns and a constant to values at some vertices, the coefficients summing to zero."""
+    """Interpolate values by kernel columns and a constant, with coefficients that sum to zero."""
     q = len(vertices)
     system = np.ones((q + 1, q + 1))
     system[:q, :q], system[q, q] = kernels[vertices], 0.0

@@ -1,4 +1,4 @@
-"""Lowest eigenpairs of a mesh's Laplacian to a given residual, and the operators that DiffusionNet takes."""
+"""Lowest eigenpairs of a mesh's Laplacian to a given residual, and operators for DiffusionNet."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, 
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Columns that are solved and multiplied at a time.
+# Number of columns that are solved and multiplied at a time.
 COLUMNS = 64
-# Inverse iterations after the Krylov space; one is enough unless the accuracy is near rounding.
+# Most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding.
 MAX_ITERATIONS = 4
-# Of DiffusionNet's operators: residual of eigenpairs, share added to norms, largest cosine of normal and first axis.
+# For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.
 DIFFUSION_NET_ACCURACY = 1e-7
 EPSILON = 1e-6
 MAX_COSINE = 0.9
@@ -31,7 +31,7 @@ MAX_COSINE = 0.9
 
 @arrays_accepted
 def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
-    """The k lowest eigenpairs W x = lambda M x of a mesh as it is, not subdivided.
+    """The k lowest eigenpairs W x = lambda M x of a mesh, without subdivision.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     Returns
     -------
     EigenPairs
-        ``values`` (k,), ascending, and ``vectors`` (n, k) float64, M-orthonormal, in the mesh's own unit of length.
+        ``values`` (k,), ascending, and ``vectors`` (n, k) float64, M-orthonormal, in the mesh's unit of length.
 
     Raises
     ------
@@ -60,8 +60,8 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     -----
     W is the cotangent matrix `cagemap.operators.stiffness`, M = diag `cagemap.operators.vertex_areas`. Every pair has
     ``||W x - lambda M x||_{M^-1} <= accuracy max(lambda, 4 pi / area)`` with ``||x||_M = 1``, so that an eigenvalue of
-    (W, M) is within that bound of lambda, and within its square over the gap to the next ones (Kato and Temple). The
-    inertia of W - tau M proves that none below the last was missed.
+    (W, M) is within that bound of lambda, and within its square divided by the gap to the next eigenvalue (Kato and
+    Temple). The inertia of W - tau M proves that none below the last was missed.
     """
     if not 1e-12 <= accuracy <= 1e-2:
         raise ParameterError(f"accuracy: expected a residual from 1e-12 to 1e-2, got {accuracy:g}")
@@ -74,7 +74,7 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
 
 
 def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float) -> EigenPairs:
-    """`eigenpairs` of a stiffness matrix (n, n) and vertex areas (n,)."""
+    """`eigenpairs` from a stiffness matrix (n, n) and vertex areas (n,)."""
     empty = np.flatnonzero(~(areas > 0))
     if len(empty):
         raise InvalidMeshError(
@@ -84,13 +84,13 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     if not 1 <= k <= len(areas):
         raise ParameterError(f"k: expected 1 to {len(areas)} pairs, the mesh's vertices, got {k}")
     mass = sparse.csr_array(sparse.diags_array(areas))
-    # The iteration may be in single precision; the polishing below takes its rounding away.
-    found = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
-    values, vectors = np.array(found.values), np.array(found.vectors, dtype=np.float64, order="C")
+    # Lanczos may be in single precision; the inverse iterations below remove its rounding error.
+    initial = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
+    values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     shift = -4.0 * np.pi / float(areas.sum())
     shifted, worst = None, np.inf
     for iteration in range(MAX_ITERATIONS + 1):
-        if shifted is not None or found.vectors.dtype == np.float64:
+        if shifted is not None or initial.vectors.dtype == np.float64:
             worst = _worst_residual(weights, areas, values, vectors)
         if worst <= accuracy:
             return EigenPairs(values, vectors, 0)
@@ -101,18 +101,15 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
         _orthonormalise(vectors, areas)
         for part in row_slices(k, COLUMNS):
-            some = vectors[:, part]
-            values[part] = np.einsum("ij,ij->j", some, multiply(weights, some))
+            columns = vectors[:, part]
+            values[part] = np.einsum("ij,ij->j", columns, multiply(weights, columns))
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
     )
 
 
 def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
-    """M-orthonormal vectors (n, k) in place: in order, each loses what it has of those before it.
-
-    Inverse iteration has amplified the lower ones in each.
-    """
+    """M-orthonormalise vectors (n, k) in place, in order, as inverse iteration amplifies the lower ones in each."""
     rows = row_slices(len(vectors), ROWS)
     shares = in_threads(lambda part: vectors[part].T @ (areas[part, None] * vectors[part]), rows)
     turn = linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0]))))
@@ -127,8 +124,8 @@ def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatA
     """The largest of `residual_norms`."""
 
     def worst(part: slice) -> float:
-        some = vectors[:, part]
-        return float(residual_norms(values[part], multiply(weights, some), areas[:, None] * some, areas).max())
+        columns = vectors[:, part]
+        return float(residual_norms(values[part], multiply(weights, columns), areas[:, None] * columns, areas).max())
 
     return max(worst(part) for part in row_slices(len(values), COLUMNS))
 
@@ -137,20 +134,20 @@ def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatA
 def operators_for_diffusion_net(
     surface: Surface, level: int | None = None, count: int = 128, regularisation: float = 1e-5
 ) -> tuple[FloatArray, sparse.csr_array, FloatArray, FloatArray, sparse.csr_array, sparse.csr_array]:
-    """Mass, L, evals, evecs, gradX, gradY of the triangles of a level, as DiffusionNet defines them.
+    """DiffusionNet's operators of a level's triangles: mass, L, evals, evecs, gradX, gradY.
 
-    Its network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022).
+    The network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022).
 
     Parameters
     ----------
     surface : Surface
     level : int, optional
-        Of ``surface.hierarchy``; default: the finest.
+        Level of ``surface.hierarchy``; default: the finest.
     count : int
         Number of eigenpairs.
     regularisation : float
         Added to the 2 x 2 least-squares matrix of every gradient, in squared lengths at unit area. The default is
-        DiffusionNet's; it shrinks gradients where edges are shorter than some 0.005.
+        DiffusionNet's; it reduces gradients where edges are shorter than about 0.005.
 
     Returns
     -------
@@ -203,7 +200,7 @@ def _edge_gradients(triangles: TriangleSurface, regularisation: float) -> tuple[
 
 
 def _tangent_axes(triangles: TriangleSurface) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) X and Y axes of the tangent planes; normals are means of the unit normals of the faces around."""
+    """(n, 3) X and Y axes of tangent planes, normal to the mean of adjacent faces' normals."""
     doubled = 2.0 * triangles.areas[:, None]
     of_faces = triangles.normals * doubled / (doubled + EPSILON)
     normals = sum(grouped_sums(corner, of_faces, triangles.n) for corner in triangles.triangles.T)

@@ -1,4 +1,4 @@
-"""The central value `Surface`: everything that depends on one control mesh only; and how it is prepared."""
+"""The class `Surface`: levels, operators, basis and triangles of one control mesh, and its preparation."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from cagemap.surface.triangles import load_kernels, surface_area
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
-    """One surface with what follows from it: its levels, their operators, basis and triangles.
+    """One surface: its levels, their operators, its basis and its triangles.
 
-    They are made when they are first asked for, and kept. `cagemap.prepare_surface` makes operators and basis at once.
+    All are computed when first read, and cached. `cagemap.prepare_surface` computes operators and basis at once.
 
     Attributes
     ----------
     refinement : Refinement
-        As asked for: of a plain mesh the mesh alone. `hierarchy` has the levels that maps are found on.
+        Subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
     config : BasisConfig
-        Of the basis.
+        Parameters of the basis.
     """
 
     refinement: Refinement
@@ -49,7 +49,7 @@ class Surface:
     def of(
         cls, hierarchy: Refinement, operators: Operators, basis: HierarchicalBasis, config: BasisConfig | None = None
     ) -> Surface:
-        """A surface whose operators and basis are there already, on its `hierarchy`."""
+        """A surface from existing operators and basis on its `hierarchy`."""
         config = BasisConfig(schedule=basis.schedule) if config is None else config
         surface = cls(hierarchy.without_coarse_levels(), config)
         vars(surface).update(hierarchy=hierarchy, operators=operators, basis=basis)  # where cached properties look
@@ -57,15 +57,15 @@ class Surface:
 
     @kept
     def hierarchy(self) -> Refinement:
-        """All levels: those of the refinement, or the coarse levels of a plain mesh and the mesh, which is the finest.
+        """All levels: the refinement's, or a plain mesh as the finest level and its coarse levels.
 
-        Everything below that takes the number of a level counts these.
+        Level numbers of all methods refer to these.
         """
         return build_coarse_levels(self.refinement) if self.refinement.is_plain else self.refinement
 
     @kept
     def operators(self) -> Operators:
-        """Mass and stiffness of every level (paper, section 4.1), up to the one that ``config.vertices`` says."""
+        """Mass and stiffness of every level up to the one chosen by ``config.vertices`` (paper, section 4.1)."""
         config, levels = self.config, self.hierarchy
         laplacian = named_laplacian(config.laplacian, config.stabilisation)
         if config.vertices is None:
@@ -83,12 +83,12 @@ class Surface:
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the basis has been made."""
+        """Whether the basis has been computed."""
         return "basis" in vars(self)
 
     @kept
     def scale(self) -> float:
-        """Factor from the file's lengths to those at unit area; that of the operators if they are the finest ones."""
+        """Factor from the file's lengths to lengths at unit area; if possible the operators' scale."""
         operators: Operators | None = vars(self).get("operators")
         if operators is not None and operators.finest == self.finest:
             return operators.scale
@@ -111,14 +111,14 @@ class Surface:
 
     @property
     def faces(self) -> IndexArray:
-        """(m, 4) or (m, 3) faces of the finest level; triangles where the mesh is not refined and has others."""
+        """(m, 4) or (m, 3) faces of the finest level; mixed faces of an unrefined mesh are triangulated."""
         faces = self.refinement.finest.faces
         return read_only(cage_triangles(self.control)[0] if faces is None else faces)
 
     def triangles(self, level: int) -> TriangleSurface:
-        """The triangles of a level between its vertices' places on the finest surface, at unit area.
+        """Triangles of a level, with its vertices at their finest positions, at unit area.
 
-        n-gons of the control mesh are fans, quads split by the one rule of `cagemap.subdivision.triangles`.
+        n-gons of the control mesh are split into fans, quads by `cagemap.subdivision.triangles`.
 
         Raises
         ------
@@ -131,7 +131,7 @@ class Surface:
 
     @kept
     def finest_triangles(self) -> TriangleSurface:
-        """The triangles of the finest level, see `triangles`; asks for no coarse levels."""
+        """Triangles of the finest level, see `triangles`; does not compute coarse levels."""
         triangles = level_triangles(self.refinement, self.refinement.n_levels)
         return TriangleSurface(self.scale * self.vertices, triangles, self.scale)
 
@@ -144,11 +144,11 @@ class Surface:
         )
 
     def with_control(self, control: ControlMesh) -> Surface:
-        """The same surface from a control mesh with another layout or other materials."""
+        """The same surface from a control mesh with other UVs or materials."""
         return replace(self, refinement=refine(control, self.refinement.n_levels, self.refinement.scheme))
 
     def require_operators(self, level: int, method: str) -> None:
-        """ParameterError if the operators end below a level whose operators a method needs."""
+        """Raise ParameterError unless there are operators up to ``level``."""
         if self.operators.finest < level:
             raise ParameterError(
                 f"{self.control.name}: the method {method} needs operators up to level {level}, got a basis whose "
@@ -163,22 +163,22 @@ class Surface:
 
 Progress = Callable[[str], None]
 
-# A level counts as having the vertices asked for from this share on; the next one has four times as many.
+# Least share of the requested vertices that a level must have; the next level has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
-# About as many vertices as a match has on each side, unless told otherwise.
+# Default number of vertices of a match, on each side, approximately.
 DEFAULT_VERTICES = 200_000
 # Names of the methods that find a map.
 METHODS = ("elastic", "hfm", "paper")
 
 
 def no_progress(stage: str) -> None:
-    """Report no progress."""
+    """Ignore progress reports."""
 
 
 @arrays_accepted
 def choose_level(control: MeshLike, vertices: int) -> int:
-    """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
+    """Coarsest level, at least 1, with at least three quarters of the requested vertices.
 
     A plain mesh (scheme none) has level 0 only.
 
@@ -202,7 +202,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 
 @kinds_checked
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
-    """The basis of a method: functions of one level; for "paper" a schedule of no more levels than the surface has.
+    """Default basis of a method: functions of one level, for "paper" a schedule up to ``level``.
 
     Raises
     ------
@@ -224,16 +224,15 @@ def prepare_surface(
     *,
     progress: Progress = no_progress,
 ) -> Surface:
-    """Refine a control mesh and compute its operators and its basis (paper, sections 2.2 and 4).
+    """Refine a control mesh and compute its operators and basis (paper, sections 2.2 and 4).
 
-    It is subdivided as the mesh says (``control.scheme``); else by Loop where all faces are triangles, by Catmull-Clark
-    where they are not.
+    The subdivision scheme is ``control.scheme``; without one, Loop for triangle meshes and Catmull-Clark for others.
 
     Parameters
     ----------
     control : mesh, see `cagemap.mesh.inputs.control_mesh`
     level : int
-        Number of the finest level, at least 1; 0 of a plain mesh (scheme none), which is not refined.
+        Number of the finest level, at least 1; 0 for a plain mesh (scheme none), which is not refined.
     config : BasisConfig
     progress : callable
         Called with the name of each stage.
@@ -256,7 +255,7 @@ def prepare_checked(
     *,
     progress: Progress = no_progress,
 ) -> Surface:
-    """`prepare_surface` of a control mesh that was found valid already."""
+    """`prepare_surface` of a control mesh that is known to be valid."""
     scheme = default_scheme(control)
     if isinstance(scheme, Plain) and level:
         raise ParameterError(f"level: expected 0 of a plain mesh (scheme none), got {level}; bilinear refines it")
@@ -270,7 +269,7 @@ def prepare_checked(
         surface = Surface(refine(control, level, scheme), config)
         for part in ("operators", "basis"):
             progress(f"{part} of {control.name}")
-            getattr(surface, part)  # computed, and kept
+            getattr(surface, part)  # computes and caches it
         return surface
 
 
@@ -284,18 +283,18 @@ def prepare_surfaces(
     prepare: Callable[..., Surface] = prepare_surface,
     progress: Progress = no_progress,
 ) -> tuple[Surface, Surface]:
-    """Prepare both surfaces at the same time, each in a thread of its own.
+    """Prepare both surfaces at the same time, in two threads.
 
     Parameters
     ----------
     target, source : mesh, see `cagemap.mesh.inputs.control_mesh`
     levels : (int, int)
-        Finest level of each.
-    config : BasisConfig or two
+        Finest levels of target and source.
+    config : BasisConfig or pair of them
     prepare : callable
-        What makes one surface from a control mesh, a level and a configuration.
+        Function that makes a surface from a control mesh, a level and a configuration.
     progress : callable
-        Called once: the stages of two surfaces would mix.
+        Called once, as the stages of two surfaces would mix.
 
     Raises
     ------
@@ -306,7 +305,7 @@ def prepare_surfaces(
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")
-    with one_blas_thread(), ThreadPool(1) as aside:  # before the threads start: the setting is the process's
-        aside.submit(load_kernels)  # while the surfaces are refined, which takes none
-        made = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
-    return made[0], made[1]
+    with one_blas_thread(), ThreadPool(1) as aside:  # before the threads start: the setting is global
+        aside.submit(load_kernels)  # in parallel: refinement needs no kernels
+        surfaces = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
+    return surfaces[0], surfaces[1]

@@ -1,4 +1,4 @@
-"""Functional maps of point matches, and ZoomOut: both in turn with more and more functions [Melzi et al. 2019].
+"""Functional maps from point matches, and ZoomOut: alternate both with more functions [Melzi et al. 2019].
 
 A target sample x has the embedding Phi~1(x, :), a source sample y the embedding Phi~2(y, :) C12^T; x is matched with
 the y of nearest embedding (paper, sections 2.1.2 and 5.4).
@@ -18,26 +18,26 @@ from cagemap.numerics.threads import in_threads, row_slices
 
 Embedding = NDArray[np.float32]
 
-# Samples that a functional map is fitted to: some twenty rows for each of 300 unknowns of a column of C.
+# Number of samples to which a functional map is fitted: 20 rows for each of 300 unknowns in a column of C.
 FIT_SAMPLES = 6000
-# Queries of one block of `nearest_rows`: its distances take 4 bytes times the number of points each.
+# Queries in one block of `nearest_rows`; each takes 4 bytes per point for its distances.
 QUERY_BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Vertices of one surface with their basis rows and their coordinates in common with the other surface."""
+    """Vertices of one surface with basis rows, areas, and coordinates shared with the other surface."""
 
     rows: FloatArray  #: (b, k) basis rows Phi~(x, :)
-    areas: FloatArray  #: (b,) weights in the inner product
-    #: (b, c) extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to
-    #: sqrt(k), so that their share of a distance does not fade as spectral coordinates are added.
+    areas: FloatArray  #: (b,) areas, the weights in the inner product
+    #: (b, c) extra coordinates shared by both surfaces, already weighted; c may be 0. They are scaled by sqrt(k), so
+    #: that their share of a distance does not decrease with the number of spectral coordinates.
     coordinates: FloatArray
 
 
 @dataclass(frozen=True)
 class ZoomOutSchedule:
-    """Numbers of functions: from ``first`` to ``last``, ``factor`` times as many in every step, at least 1 more."""
+    """Numbers of functions in ZoomOut: from ``first`` to ``last``, times ``factor`` (at least 1 more) in every step."""
 
     first: int = 20
     last: int = 150
@@ -51,7 +51,7 @@ class ZoomOutSchedule:
             )
 
     def sizes(self, most: int) -> list[int]:
-        """All numbers of functions, where the larger basis has ``most``."""
+        """All numbers of functions, at most ``most`` (the size of the larger basis)."""
         last = min(self.last, most)
         sizes = [min(self.first, last)]
         while sizes[-1] < last:
@@ -60,7 +60,7 @@ class ZoomOutSchedule:
 
 
 def zoomout(target: Samples, source: Samples, match: IndexArray, schedule: ZoomOutSchedule) -> IndexArray:
-    """(b1,) a refined match of target with source samples: fit C12, search, with more functions each time."""
+    """(b1,) refined match of target with source samples: fit C12, search, repeat with more functions."""
     counts = target.rows.shape[1], source.rows.shape[1]
     for size in schedule.sizes(max(counts)):
         k1, k2 = min(size, counts[0]), min(size, counts[1])
@@ -69,7 +69,7 @@ def zoomout(target: Samples, source: Samples, match: IndexArray, schedule: ZoomO
 
 
 def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 (k1, k2) in the least-squares sense over the target's samples (paper, section 2.1.2).
+    """Least-squares fit C12 = Phi~1^+ P12 Phi~2 (k1, k2) over the target's samples (paper, section 2.1.2).
 
     Row i of ``source_rows`` (b, k2) is Phi~2 at the match of target sample i, (P12 Phi~2)(x_i).
     """
@@ -92,14 +92,14 @@ def nearest_samples(target: Samples, source: Samples, functional_map: FloatArray
 
 
 def nearest_coordinates(target: Samples, source: Samples) -> IndexArray:
-    """(b1,) nearest source sample of every target sample in their shared coordinates alone."""
+    """(b1,) nearest source sample of every target sample, by shared coordinates only."""
     return nearest_rows(target.coordinates.astype(np.float32), source.coordinates.astype(np.float32))
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
-    """(b,) nearest of points (n, k) for every query (b, k), by blocked matrix products.
+    """(b,) index of the nearest point (n, k) to every query (b, k), by blocked matrix products.
 
-    A k-d tree degenerates while a map is rough (6k vertices, 200 coordinates: 2 s against 0.3 s).
+    A k-d tree is slow while a map is inaccurate (6k vertices, 200 coordinates: 2 s instead of 0.3 s).
     """
     half_norms = 0.5 * np.einsum("ij,ij->i", points, points)
     transposed = np.ascontiguousarray(points.T)
@@ -115,9 +115,9 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
 
 
 def evenly_spaced_vertices(n: int, count: int) -> IndexArray:
-    """Vertices at equal steps of the numbering; all of them if there are no more than ``count``.
+    """At most ``count`` vertices at equal steps of the numbering.
 
-    Vertices of a refined mesh are stored coherently within each of their kinds: equal steps are dense where the mesh
-    is, at hands and faces; their areas then weigh them. Steps of equal area lose the hands.
+    Consecutive vertices of a refined mesh are near each other, so that samples are dense where the mesh is dense, as at
+    hands and faces; weight them by area. Steps of equal area leave too few samples on hands.
     """
     return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))

@@ -1,4 +1,4 @@
-"""Subdivision: refined levels, the matrices between them, and limits."""
+"""Subdivision: refined levels, the matrices between them, and limit positions and normals."""
 
 from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Scheme
 from cagemap.subdivision.limit import limit_matrix, limit_normals, limit_positions

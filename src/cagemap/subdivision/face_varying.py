@@ -1,10 +1,10 @@
-"""Face-varying values: UVs, refined by the surface's rules on the mesh cut along its seams, and linear values.
+"""Refine face-varying values: UVs by subdivision of the mesh cut along its seams, other values linearly.
 
-A vertex of the UV layout is a mesh vertex with one of its UVs. Seams are boundaries there; the six modes differ in the
-boundary values that are fixed (``corner``). Sharpness is that of the mesh's own state (`layout_sharpness`).
+A vertex of the UV layout is a pair of a mesh vertex and one of its UVs. Seams are boundaries of the layout; the six
+modes differ in which boundary values are fixed (``corner``). Sharpness is taken from the mesh (`layout_sharpness`).
 
-Values that someone painted on a cage are interpolated linearly over its faces: subdivision would smooth them, a weight
-of 1 at one control vertex to 0.45. Vertices keep their value, edges take the middle, faces the mean.
+Values painted on a cage are interpolated linearly over its faces: subdivision would smooth a weight of 1 at one control
+vertex to 0.45. Vertices keep their value, edges get the midpoint, faces the mean.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _DEPENDENT = ("corners_plus1", "corners_plus2")
 
 
 def is_linear(scheme: Scheme) -> bool:
-    """Whether UVs are refined linearly everywhere; positions under `Bilinear` are too."""
+    """Whether UVs are refined linearly everywhere: mode ``all``, or `Bilinear`."""
     return scheme.uv_interpolation == "all" or isinstance(scheme, Bilinear)
 
 
 def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tuple[MeshState, FloatArray]:
-    """UV layout of a control mesh, and its values (p, 2), once per mesh vertex that has the value."""
+    """UV layout of a control mesh, and values (p, 2) of every pair of vertex and UV."""
     assert control.uvs is not None
     assert control.uv_indices is not None
     pairs = control.uv_indices * control.n_vertices + control.face_indices
@@ -55,7 +55,7 @@ def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tu
 def _fixed_values(
     cut: Topology, topology: Topology, owners: IndexArray, around: Sharpness, mode: str
 ) -> tuple[BoolArray, IndexArray | None]:
-    """Fixed UVs of a mode, and the UV whose edges count for each; UVs belong to mesh vertices ``owners`` (p,)."""
+    """Fixed UVs of a mode, and ``follows`` of `vertex_rules`; UVs belong to mesh vertices ``owners`` (p,)."""
     if mode == "boundaries":
         return cut.boundary, None
     single = cut.boundary & (cut.valences == 1)
@@ -67,16 +67,16 @@ def _fixed_values(
     follows = None
     if mode in _DEPENDENT:
         n_values = np.bincount(owners, minlength=topology.n_vertices)[owners]
-        other = np.arange(len(owners))  # of a vertex with two UVs, the other one
+        twin = np.arange(len(owners))  # the other UV of a vertex with two
         twins = np.flatnonzero(n_values == 2)
         both = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
-        other[both] = both[:, ::-1]
+        twin[both] = both[:, ::-1]
         causes = fixed | single if mode == "corners_plus2" else fixed
-        fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[other]))
+        fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[twin]))
         semi = _at_edges(cut, inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS))
-        smooth_one = (n_values == 2) & ~semi & semi[other] & ~(around.vertices > 0) & ~(fixed | single)
+        smooth_one = (n_values == 2) & ~semi & semi[twin] & ~(around.vertices > 0) & ~(fixed | single)
         if smooth_one.any():
-            follows = np.where(smooth_one, other, np.arange(len(owners)))
+            follows = np.where(smooth_one, twin, np.arange(len(owners)))
         if mode == "corners_plus2":
             seam_end = cut.boundary & (n_values == 1) & ~topology.boundary[owners]
             fixed = fixed | seam_end
@@ -84,14 +84,14 @@ def _fixed_values(
 
 
 def _at_edges(cut: Topology, edges: BoolArray) -> BoolArray:
-    """(p,) vertices of some of the edges."""
+    """(p,) whether a vertex belongs to one of the given edges."""
     result = np.zeros(cut.n_vertices, dtype=bool)
     result[cut.edge_ends[edges]] = True
     return result
 
 
 def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
-    """The mesh's sharpness in the layout, where seams and fixed values are infinitely sharp."""
+    """Sharpness of the mesh on its layout; seams and fixed values are infinitely sharp."""
     cut, topology, sharpness = layout.topology, state.topology, state.sharpness
     forward = cut.edge_corners[:, 0]
     outer = cut.outer_edges
@@ -121,7 +121,7 @@ def _next_layout(layout: MeshState, scheme: Scheme) -> MeshState:
 
 
 def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
-    """UVs (p, 2) of a level from 1 on, and the UV of every corner of its faces (m, 4) or (m, 3)."""
+    """UVs (p, 2) of level 1 or higher, and the UV of every corner of its faces (m, 4) or (m, 3)."""
     state = control_state(control, scheme)
     layout, uvs = control_layout(control, state, scheme)
     for step in range(levels):
@@ -133,7 +133,7 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
 
 
 def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
-    """UVs (p, 2) of the next level: a linear step, or in any mode but ``all`` the surface's step on the layout."""
+    """UVs (p, 2) of the next level: a linear step if `is_linear`, else a subdivision step on the layout."""
     if is_linear(scheme):
         linear: FloatArray = linear_matrix(layout.topology, not isinstance(scheme, Loop)) @ uvs
         return linear
@@ -147,11 +147,11 @@ def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Sch
 
 @dataclass(frozen=True, eq=False)
 class LinearValues:
-    """Functions that are linear on the triangles of a refined level, given by values at the control mesh."""
+    """Linear interpolation of control mesh values on the triangles of a refined level."""
 
-    #: (p, p0) values at the nodes of the level from those at the control mesh's; rows are not negative and sum to 1
+    #: (p, p0) weights of the control mesh's node values at the level's nodes; rows are not negative and sum to 1
     matrix: sparse.csr_array
-    corners: IndexArray  #: (t, 3) node of every corner of the level's triangles
+    corners: IndexArray  #: (t, 3) nodes of the level's triangles
 
     def at(self, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:
         """(k, p0) weights of the control mesh's values at points of the surface."""
@@ -169,10 +169,10 @@ class LinearValues:
 def interpolate_linearly(
     control: ControlMesh, nodes: IndexArray, count: int, level: int, scheme: Scheme
 ) -> LinearValues:
-    """Prepare the linear interpolation of values on a control mesh, at the triangles of a level.
+    """Linear interpolation of values on a control mesh, at the triangles of a level.
 
-    ``nodes`` (c,), below ``count``, are of every face corner its vertex, its UV, or the corner itself: corners that
-    share a node share its value.
+    ``nodes`` (c,), below ``count``, are the vertex or UV of every face corner, or the corner's own number. Corners of
+    one node share its value.
     """
     if level == 0:
         identity = sparse.csr_array(sparse.eye_array(count, format="csr"))
@@ -187,14 +187,14 @@ def interpolate_linearly(
 
 
 def corner_triangles(control: ControlMesh, level: int, scheme: Scheme) -> IndexArray:
-    """(c,) triangle of a level that lies in the tip of every face corner; from level 1 on its first vertex is there."""
+    """(c,) triangle of a level at every control face corner, its first vertex from level 1 on."""
     corners = np.arange(len(control.face_indices))
     if level == 0:
-        # The fan of a face: its last two corners share the last triangle, its first two the first one.
+        # In a face's fan the last two corners share the last triangle, the first two the first one.
         faces, sizes = control.corner_faces, control.face_sizes
         within = corners - control.face_offsets[faces]
         return np.asarray((np.cumsum(sizes - 2) - (sizes - 2))[faces] + np.clip(within - 1, 0, sizes[faces] - 3))
-    # A child keeps its parent's corner as its own first one (refinement.topology).
+    # A child's first corner is its parent's corner (subdivision.topology).
     if not isinstance(scheme, Loop):
         return 2 * 4 ** (level - 1) * corners
     return 4 ** (level - 1) * (4 * (corners // 3) + corners % 3)

@@ -1,8 +1,8 @@
-"""Limit positions and normals, exact at every vertex of every level.
+"""Exact limit positions and normals at the vertices of every level.
 
-The left eigenvectors of the matrix that takes a vertex and its ring to the next level give the limit: position from
-eigenvalue 1, tangents from the next two [HKD93]_. They are closed formulas, or eigenvectors of a small
-matrix where one infinite crease ends (dart). Semi-sharp vertices are refined locally until nothing is semi-sharp.
+Left eigenvectors of the local subdivision matrix of a vertex and its ring give the limit: position from eigenvalue 1,
+tangents from the next two [HKD93]_. They have closed formulas, except at darts (ends of an infinite crease), where they
+are computed numerically. Around semi-sharp vertices the mesh is refined locally until nothing is semi-sharp.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from cagemap.subdivision.sharpness import MeshState, Sharpness, next_state
 from cagemap.subdivision.topology import corner_neighbours
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
-# Rows, columns and weights of some entries of a matrix.
+# Rows, columns and weights of matrix entries.
 Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 
 def limit_matrix(refinement: Refinement, level: int) -> csr_array:
-    """Weights of a level's limit positions in its positions, (n_level, n_level); rows sum to 1."""
+    """(n_level, n_level) matrix from positions to limit positions of a level; rows sum to 1."""
     state = _checked_state(refinement, level)
     scheme = refinement.scheme
     if isinstance(scheme, Bilinear):
@@ -44,22 +44,22 @@ def limit_matrix(refinement: Refinement, level: int) -> csr_array:
 
 
 def limit_positions(refinement: Refinement, level: int) -> FloatArray:
-    """Limit positions of a level's vertices, (n_level, 3): the same point at every level that has the vertex."""
+    """(n_level, 3) limit positions of a level's vertices; they do not depend on the level."""
     if level == 0 and not _has_limit_rings(refinement, 0):
         if refinement.n_levels == 0:
             raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")
-        # Vertex i is vertex i of level 1, where all faces are quads.
+        # Use level 1: all its faces are quads, and vertices keep their numbers.
         return limit_positions(refinement, 1)[: refinement.levels[0].n_vertices]
     limits: FloatArray = limit_matrix(refinement, level) @ refinement.levels[level].positions
     return limits
 
 
 def limit_normals(refinement: Refinement, level: int) -> FloatArray:
-    """Unit normals of the limit surface at a level's vertices, (n_level, 3), outwards.
+    """(n_level, 3) outward unit normals of the limit surface at a level's vertices.
 
-    On creases and corners the mean over all sides; zero where the surface is degenerate. Approximate where the surface
-    has no normal: at interior vertices of valence 2, at boundary vertices of more than 3 faces (Catmull-Clark) or 5
-    (Loop), at sharp boundary vertices of several faces, and on bilinear surfaces. Errors as of `limit_positions`.
+    On creases and corners the mean over all sides; zero on degenerate surfaces. Approximate where the surface has no
+    normal: at interior vertices of valence 2, at boundary vertices of more than 3 faces (Catmull-Clark) or 5 (Loop),
+    at sharp boundary vertices of several faces, and on bilinear surfaces. Errors as of `limit_positions`.
     """
     if level == 0 and not _has_limit_rings(refinement, 0) and refinement.n_levels:
         return limit_normals(refinement, 1)[: refinement.levels[0].n_vertices]
@@ -67,11 +67,11 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
 
 
 def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, FloatArray]:
-    """Two tangents (n_level, 3) of the limit surface, their cross product outward; the first follows the boundary."""
+    """Two tangents (n_level, 3) with outward cross product; at the boundary the first one is along it."""
     state = _checked_state(refinement, level)
     positions, scheme = refinement.levels[level].positions, refinement.scheme
     if isinstance(scheme, Bilinear):
-        # Its ring of edges, as if Loop's: the surface itself has an edge there.
+        # Approximate by Loop's tangents: a bilinear surface has none, as it has edges there.
         return ring_tangents(state.topology, Loop(), state.topology.boundary, positions)
     return _tangents(state, scheme, positions, np.ones(len(positions), dtype=bool))
 
@@ -96,7 +96,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
-    """Vertices (n,) that are sharp beyond the boundary's rules: semi-sharp, darts, creases, corners."""
+    """Four masks (n,) of vertices with sharpness inside: semi-sharp, darts, creases, corners."""
     ends, n = topology.edge_ends, topology.n_vertices
     inside = ~topology.outer_edges
     infinite = sharpness.edges >= INFINITE_SHARPNESS
@@ -110,7 +110,7 @@ def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, Bool
 
 
 def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_array:
-    """Weights of limit positions, (n, n); rows that are not wanted mean nothing."""
+    """(n, n) weights of limit positions; rows that are not wanted are undefined."""
     topology, sharpness = state.topology, state.sharpness
     rows = ring_limits(topology, scheme, state.corner)
     if sharpness is None:
@@ -118,14 +118,14 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     semi, dart, crease_vertices, corner = _features(topology, sharpness)
     ends, n = topology.edge_ends, topology.n_vertices
     smooth = ~(semi | dart | crease_vertices | corner)
-    own, other = CREASE_LIMIT
+    own_weight, neighbour_weight = CREASE_LIMIT
     along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease_vertices[ends]
     fixed, crease = np.flatnonzero(corner), np.flatnonzero(crease_vertices)
     entries: list[Entries] = [
         (fixed, fixed, np.ones(len(fixed))),
-        (crease, crease, np.full(len(crease), own)),
-        (ends[along[:, 0], 0], ends[along[:, 0], 1], np.full(along[:, 0].sum(), other)),
-        (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), other)),
+        (crease, crease, np.full(len(crease), own_weight)),
+        (ends[along[:, 0], 0], ends[along[:, 0], 1], np.full(along[:, 0].sum(), neighbour_weight)),
+        (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), neighbour_weight)),
     ]
     result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, n)
     result = result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0]
@@ -145,7 +145,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
 def _refined_around(
     state: MeshState, scheme: SmoothScheme, chosen: BoolArray
 ) -> tuple[MeshState, IndexArray, MeshState, BoolArray]:
-    """Neighbourhood of some vertices, its vertex numbers, its next level, and those vertices there."""
+    """Neighbourhood of the chosen vertices, its vertex numbers, its next level, and the chosen vertices there."""
     part, vertices = _neighbourhood(state, chosen)
     child = next_state(part, scheme)
     followed = np.zeros(child.topology.n_vertices, dtype=bool)
@@ -156,7 +156,7 @@ def _refined_around(
 def _tangents(
     state: MeshState, scheme: SmoothScheme, positions: FloatArray, wanted: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Two tangents of every vertex; rows that are not wanted mean nothing."""
+    """Two tangents of every vertex; rows that are not wanted are undefined."""
     if state.sharpness is None:
         return ring_tangents(state.topology, scheme, state.corner, positions)
     semi, dart, _, corner = _features(state.topology, state.sharpness)
@@ -176,7 +176,7 @@ def _tangents(
 def _tangents_of_sides(
     state: MeshState, scheme: SmoothScheme, positions: FloatArray, corner: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Tangents of the mean normal of all sides of infinite creases, along which the surface is cut."""
+    """Tangents from the mean normal of all sides, with the surface cut along infinite creases."""
     assert state.sharpness is not None
     topology = state.topology
     cut = state.sharpness.edges >= INFINITE_SHARPNESS
@@ -202,7 +202,7 @@ def _tangents_of_sides(
 
 
 def _neighbourhood(state: MeshState, vertices: BoolArray) -> tuple[MeshState, IndexArray]:
-    """Two rings of faces around some vertices as a mesh, and its vertex numbers."""
+    """Two rings of faces around the given vertices as a mesh state, and its vertex numbers."""
     assert state.sharpness is not None
     topology = state.topology
     near = vertices
@@ -227,7 +227,7 @@ def _neighbourhood(state: MeshState, vertices: BoolArray) -> tuple[MeshState, In
 def _dart_rows(
     topology: Topology, sharpness: Sharpness, scheme: SmoothScheme, dart: BoolArray
 ) -> tuple[csr_array, csr_array, csr_array]:
-    """Weights of limit position and tangents, (n, n) each, at vertices where one infinite crease ends."""
+    """(n, n) weights of limit position and of two tangents at darts (ends of an infinite crease)."""
     infinite = (sharpness.edges >= INFINITE_SHARPNESS)[topology.edges]
     first = np.zeros(topology.n_vertices, dtype=np.int32)
     leading = infinite & dart[topology.vertices]
@@ -241,9 +241,9 @@ def _dart_rows(
     entries: list[list[Entries]] = [[(none, none, np.zeros(0))] for _ in range(3)]
     for valence in np.unique(valences).tolist():
         alike = valences == valence
-        alone = np.unique(centres[alike])
+        darts = np.unique(centres[alike])
         for kind, weights in zip(entries, _dart_weights(scheme, valence), strict=True):
-            kind.append((alone, alone, np.full(len(alone), weights[0])))
+            kind.append((darts, darts, np.full(len(darts), weights[0])))
             for number, ring in enumerate(rings):
                 places = 1 + number * valence + ranks[alike]
                 kind.append((centres[alike], ring[around[alike]], weights[places]))
@@ -252,14 +252,19 @@ def _dart_rows(
 
 
 def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
-    """Weights of limit position and tangents (3, ring) at a dart, from the eigenvectors of its ring's matrix.
+    """(3, ring) weights of limit position and tangents at a dart: eigenvectors of its ring's subdivision matrix.
 
-    The ring is the vertex, its neighbours from the crease's other end on, and among quads the opposite vertices.
+    The ring is the vertex, its neighbours starting at the crease edge's other end, and for quads the opposite vertices.
     """
-    here = np.arange(valence)
-    following = (here + 1) % valence
+    ranks = np.arange(valence)
+    following = (ranks + 1) % valence
     quads = not isinstance(scheme, Loop)
-    columns = [np.zeros_like(here), 1 + here, *([1 + valence + here] if quads else []), 1 + following]
+    columns = [
+        np.zeros_like(ranks),
+        1 + ranks,
+        *([1 + valence + ranks] if quads else []),
+        1 + following,
+    ]
     faces = np.column_stack(columns)
     n = 1 + (2 if quads else 1) * valence
     topology = topology_of(faces.ravel(), n, *corner_neighbours(*faces.shape))
@@ -269,37 +274,37 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     smooth = np.zeros(n)
     sharpness = Sharpness(edges, np.column_stack([edges, edges]), smooth, smooth)
     matrix = subdivision_matrix(MeshState(topology, smooth.astype(bool), sharpness), scheme)
-    ring = np.concatenate([[0], n + spokes, *([n + topology.n_edges + here] if quads else [])])
+    ring = np.concatenate([[0], n + spokes, *([n + topology.n_edges + ranks] if quads else [])])
     local = matrix[ring].toarray()
-    # The ring is symmetric about the crease: one tangent is even, one odd, and neither eigenvalue is repeated.
-    mirror = np.concatenate([[0], 1 + (-here) % valence, *([1 + valence + (-1 - here) % valence] if quads else [])])
+    # The ring is symmetric about the crease: one tangent is even, one odd, each with a simple eigenvalue.
+    mirror = np.concatenate([[0], 1 + (-ranks) % valence, *([1 + valence + (-1 - ranks) % valence] if quads else [])])
     sides = []
     for sign in (1, -1):
         values, vectors = np.linalg.eig((0.5 * (local + sign * local[:, mirror])).T)
         sides.append(vectors[:, np.argsort(-values.real)].real.T)
     even, odd = sides
     weights = np.stack([even[0] / even[0].sum(), even[1], odd[0]])
-    # Counter-clockwise on a flat ring, the second tangent is on the left of the first.
-    angles = 2 * np.pi * np.concatenate([here, here + 0.5]) / valence
+    # Orient the second tangent to the left of the first on a flat counter-clockwise ring.
+    angles = 2 * np.pi * np.concatenate([ranks, ranks + 0.5]) / valence
     flat = np.column_stack([np.cos(angles), np.sin(angles)])[: n - 1]
     if np.linalg.det(weights[1:, 1:] @ flat) < 0:
         weights[2] *= -1
     return weights
 
 
-# Boundary formulas are derived for these rules: published ones (also OpenSubdiv's) belong to modified boundary rules
-# and are up to 10 degrees off.
+# Boundary formulas below are derived for the rules used here: published formulas (also OpenSubdiv's) belong to other
+# boundary rules and are up to 10 degrees off.
 def matrix_of(entries: list[Entries], n: int) -> csr_array:
-    """(n, n) matrix of all entries."""
+    """(n, n) sparse matrix of all entries."""
     rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
     return csr_array((weights, (rows, columns)), shape=(n, n))
 
 
 def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> csr_array:
-    """Weights of limit positions, (n, n): smooth inside, 1/6, 2/3, 1/6 on the boundary, a corner itself."""
-    own, *each = scheme.limit_weights(topology.valences)
+    """(n, n) weights of limit positions without creases; (1/6, 2/3, 1/6) on the boundary, 1 at corners."""
+    own_weights, *each = scheme.limit_weights(topology.valences)
     rows = RowFiller(vertex_row_lengths(topology, corner, len(each)))
-    put_inner_rows(rows, topology, own, *zip(rings_of(topology, scheme), each, strict=True))
+    put_inner_rows(rows, topology, own_weights, *zip(rings_of(topology, scheme), each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_LIMIT)
     return rows.matrix(topology.n_vertices)
 
@@ -307,7 +312,7 @@ def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> 
 def ring_tangents(
     topology: Topology, scheme: SmoothScheme, corner: BoolArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Two tangents of every vertex, (n, 3) each; on the boundary the first follows the curve."""
+    """Two tangents (n, 3) of every vertex without creases; at the boundary the first one is along it."""
     inner = _inner_tangents(topology, scheme)
     entries = [[*inner[number], *_boundary_tangents(topology, scheme, corner, number)] for number in range(2)]
     first, second = (matrix_of(of_tangent, topology.n_vertices) @ positions for of_tangent in entries)
@@ -317,14 +322,14 @@ def ring_tangents(
 def _inner_tangents(topology: Topology, scheme: SmoothScheme) -> tuple[list[Entries], list[Entries]]:
     """Entries of the two tangents of interior vertices."""
     rings = rings_of(topology, scheme)
-    # Few (valence, rank) pairs occur: their trigonometry is done once each.
+    # Few (valence, rank) pairs occur: compute each one's weights once.
     present = np.flatnonzero(np.bincount(topology.valences))
     first_of = np.zeros(present[-1] + 1, dtype=np.int64)
     first_of[present] = np.cumsum(present) - present
     valences = np.repeat(present, present)
     ranks = np.arange(len(valences)) - first_of[valences]
     masks: tuple[FloatArray, ...] = scheme.tangent_weights(valences, ranks)
-    if isinstance(scheme, CatmullClark):  # at valence 2, where no tangent plane exists, those of the ring's polygon
+    if isinstance(scheme, CatmullClark):  # valence 2 has no tangent plane: use the polygon of the ring
         sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
         polygon = sign, none, none, sign
         masks = tuple(np.where(valences == 2, new, old) for new, old in zip(polygon, masks, strict=True))
@@ -340,27 +345,27 @@ def _inner_tangents(topology: Topology, scheme: SmoothScheme) -> tuple[list[Entr
 def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:
     """Entries of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
     curve = topology.boundary_corners
-    # The curve leaves vertex `here` towards `after`, and came from `before`; faces lie on its left.
-    here, after = topology.vertices[curve], topology.vertices[topology.following[curve]]
+    # The boundary goes from vertex `before` over `vertex` to `after`, with faces on its left.
+    vertex, after = topology.vertices[curve], topology.vertices[topology.following[curve]]
     before = np.empty(topology.n_vertices, dtype=np.int32)
-    before[after] = here
-    before = before[here]
-    stays = corner[here].astype(np.float64)
+    before[after] = vertex
+    before = before[vertex]
+    stays = corner[vertex].astype(np.float64)
     if number == 0:
-        return [(here, after, np.ones(len(here))), (here, before, stays - 1), (here, here, -stays)]
-    single = topology.valences[here] == 1
-    # A corner's surface is spanned by its two edges; a curve through a single face by its two derivatives.
+        return [(vertex, after, np.ones(len(vertex))), (vertex, before, stays - 1), (vertex, vertex, -stays)]
+    single = topology.valences[vertex] == 1
+    # Single face: a corner's tangents are along its two edges, else the curve's first and second derivatives.
     entries = [
-        (here[single], before[single], np.ones(int(single.sum()))),
-        (here[single], here[single], stays[single] - 2),
-        (here[single], after[single], 1 - stays[single]),
+        (vertex[single], before[single], np.ones(int(single.sum()))),
+        (vertex[single], vertex[single], stays[single] - 2),
+        (vertex[single], after[single], 1 - stays[single]),
     ]
     corners_at = np.flatnonzero(topology.boundary[topology.vertices])
-    for valence in np.unique(topology.valences[here[~single]]):
+    for valence in np.unique(topology.valences[vertex[~single]]):
         centre, edges, faces = scheme.inward_tangent(int(valence))
-        chosen = topology.valences[here] == valence
-        entries.append((here[chosen], here[chosen], np.full(int(chosen.sum()), centre)))
-        entries.append((here[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
+        chosen = topology.valences[vertex] == valence
+        entries.append((vertex[chosen], vertex[chosen], np.full(int(chosen.sum()), centre)))
+        entries.append((vertex[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
         corners = corners_at[topology.valences[topology.vertices[corners_at]] == valence]
         ring_weights = (edges[:-1], faces)
         for ring, ring_weight in zip(rings_of(topology, scheme), ring_weights, strict=False):

@@ -1,4 +1,4 @@
-"""Subdivision matrices S: a mask per vertex of the finer level, rows in the order vertices, edges, faces."""
+"""Subdivision matrices S: one row of weights per finer vertex, in the order vertices, edges, faces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.subdivision.sharpness import MeshState, sharpen_matrix
 
 
 class RowFiller:
-    """Fills rows of known lengths of a CSR matrix; the first entry of a row is its own vertex's weight."""
+    """Fill a CSR matrix with rows of known lengths; first entries are the vertices' own weights."""
 
     def __init__(self, lengths: NDArray[np.integer]) -> None:
         self.indptr = np.zeros(len(lengths) + 1, dtype=np.int32)
@@ -30,14 +30,14 @@ class RowFiller:
         self.data[at] = weights
 
     def matrix(self, n_columns: int) -> csr_array:
-        """The matrix; a vertex that a stencil meets twice (valence 2 inside, n-gons) gets one entry."""
+        """The matrix, with repeated entries of a row summed (at valence 2 inside, and for n-gons)."""
         matrix = csr_array((self.data, self.indices, self.indptr), shape=(len(self.indptr) - 1, n_columns))
         matrix.sum_duplicates()
         return matrix
 
 
 def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> None:
-    """Fill the rows of boundary vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
+    """Fill rows of boundary vertices: ``weights`` (own, each boundary neighbour), or 1 at corners."""
     crease = topology.boundary & ~corner
     curve = topology.boundary_corners
     starts, ends = topology.vertices[curve], topology.vertices[topology.following[curve]]
@@ -49,7 +49,7 @@ def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, we
 
 
 def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
-    """Fill the rows of inner vertices: own weight (n,), then per corner one vertex (c,) of weight (n,) per ring."""
+    """Fill rows of inner vertices: own weight (n,), then vertex (c,) and weight (n,) of every ring."""
     smooth = ~topology.boundary
     numbers = np.flatnonzero(smooth).astype(np.int32)
     rows.put(numbers, 0, numbers, own[numbers])
@@ -61,7 +61,7 @@ def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings:
 
 
 def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other_weight: float, n_others: int) -> None:
-    """Fill the rows of edge points: the two ends, then on each side the ``n_others`` other vertices of the face."""
+    """Fill rows of edge points: the two ends, then ``n_others`` other vertices of each adjacent face."""
     forward, backward = topology.edge_corners.T
     interior = backward >= 0
     numbers = np.arange(topology.n_vertices, topology.n_vertices + topology.n_edges, dtype=np.int32)
@@ -77,31 +77,31 @@ def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other
 
 
 def vertex_row_lengths(topology: Topology, corner: BoolArray, n_rings: int) -> IntArray:
-    """(n,) entries of every vertex' row: itself and its rings, or on the boundary its neighbours along the curve."""
+    """(n,) number of entries in every vertex's row: itself and its rings, or its boundary neighbours."""
     lengths = np.where(topology.boundary, 3, 1 + n_rings * topology.valences)
     lengths[corner] = 1
     return lengths
 
 
 def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
-    """Per corner: the next vertex of its face, and under Catmull-Clark also the opposite one."""
+    """Vertices (c,) next to every corner in its face, and under Catmull-Clark also the opposite ones."""
     neighbours = topology.vertices[topology.following]
     return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[topology.following]]
 
 
 def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
-    """One step of Catmull-Clark on quads or of Loop on triangles, from their masks."""
+    """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
     rings = rings_of(topology, scheme)
     if isinstance(scheme, Loop):
-        own, *each = scheme.vertex_weights(topology.valences)
+        own_weights, *each = scheme.vertex_weights(topology.valences)
         edge_weights, n_face_points = scheme.edge_weights(), 0
     else:
-        own, *each = scheme.quad_vertex_weights(topology.valences)
+        own_weights, *each = scheme.quad_vertex_weights(topology.valences)
         edge_weights, n_face_points = scheme.quad_edge_weights(), topology.n_faces
     edge_lengths = np.where(~topology.outer_edges, 2 + 2 * len(rings), 2)
     lengths = vertex_row_lengths(topology, corner, len(rings)), edge_lengths, np.full(n_face_points, 4)
     rows = RowFiller(np.concatenate(lengths))
-    put_inner_rows(rows, topology, own, *zip(rings, each, strict=True))
+    put_inner_rows(rows, topology, own_weights, *zip(rings, each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
     _put_edge_rows(rows, topology, *edge_weights, n_others=len(rings))
     if n_face_points:
@@ -111,30 +111,30 @@ def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: Bool
 
 
 def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
-    """One step of Catmull-Clark on faces of any size, through the face points as in [CC78]; for control meshes."""
+    """Matrix of one step of Catmull-Clark on faces of any size, by way of face points [CC78]."""
     smooth = ~topology.boundary
     shape = (topology.n_corners, topology.n_vertices)
-    here = _selection(topology.vertices, shape)
+    starts = _selection(topology.vertices, shape)
     ends = _selection(topology.vertices[topology.following], shape)
     of_face = _selection(topology.faces, (topology.n_corners, topology.n_faces))
     of_edge = _selection(topology.edges, (topology.n_corners, topology.n_edges))
     sizes = np.bincount(topology.faces, minlength=topology.n_faces)
-    face_points = diags_array(1 / sizes) @ (of_face.T @ here)
+    face_points = diags_array(1 / sizes) @ (of_face.T @ starts)
 
-    own, neighbour, face = scheme.vertex_weights(topology.valences)
+    own_weights, neighbour, face = scheme.vertex_weights(topology.valences)
     boundary = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
     put_boundary_rows(boundary, topology, corner, CREASE_VERTEX)
     vertex_points = (
-        diags_array(np.where(smooth, own, 0.0))
-        + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
-        + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
+        diags_array(np.where(smooth, own_weights, 0.0))
+        + diags_array(np.where(smooth, neighbour, 0.0)) @ (starts.T @ ends)
+        + diags_array(np.where(smooth, face, 0.0)) @ (starts.T @ of_face) @ face_points
         + boundary.matrix(topology.n_vertices)
     )
     interior = ~topology.outer_edges
     forward = topology.edge_corners[:, 0]
     face_weight = 0.5 * np.bincount(topology.edges, scheme.face_edge_weights(sizes)[topology.faces])
     edge_points = (
-        diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (here[forward] + ends[forward])
+        diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (starts[forward] + ends[forward])
         + diags_array(np.where(interior, face_weight, 0.0)) @ (of_edge.T @ of_face) @ face_points
     )
     stacked = csr_array(vstack([vertex_points, edge_points, face_points], format="csr"))
@@ -144,12 +144,12 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
 
 
 def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
-    """Matrix with a single 1 in every row."""
+    """Sparse matrix with a single 1 in every row, at the given columns."""
     return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
 
 
 def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
-    """One step without smoothing: vertices stay, edges get the middle, faces the mean of their corners."""
+    """Matrix of one linear step: vertices stay, edges get midpoints, faces the mean of their corners."""
     n, e = topology.n_vertices, topology.n_edges
     forward = np.flatnonzero(topology.forward)
     edges = np.repeat(topology.edges[forward], 2)
@@ -163,7 +163,7 @@ def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
 
 
 def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
-    """S of the step from a level to the next, (n_fine, n_coarse): rows sum to 1, indices ascend in every row."""
+    """Matrix S (n_fine, n_coarse) from a level to the next; rows sum to 1, indices ascend in every row."""
     topology = state.topology
     if isinstance(scheme, Bilinear):
         return linear_matrix(topology)

@@ -1,4 +1,4 @@
-"""Refine a control mesh: every level's mesh, and the matrices between levels; levels as meshes for files."""
+"""Subdivide a control mesh: the mesh of every level, and the matrices between levels."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ from cagemap.subdivision.topology import children, control_topology
 from cagemap.surface.triangles import fan_triangles
 from cagemap.surface.triangles import triangles as triangles
 
-# Nonzeros of the second S per control corner, about; each further S has four times as many.
+# Approximate nonzeros of the second S per control corner; each further S has four times as many.
 ENTRIES_PER_CORNER = 25
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Level:
-    """One level's mesh."""
+    """Mesh of one level."""
 
     positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
-    #: (m, 4) or (m, 3) None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``
+    #: (m, 4) or (m, 3); None only at level 0 if faces are not all quads or all triangles: see ``Refinement.control``
     faces: IndexArray | None
-    face_parents: IndexArray  #: (m,) control face that every face comes from
-    #: returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`
+    face_parents: IndexArray  #: (m,) control face of every face
+    #: function that returns UVs (p, 2) and the UV of every face corner, in the shape of ``faces``
     lay: Callable[[], Layout] | None = None
 
     @kept
     def layout(self) -> Layout | None:
-        """UVs and the UV of every face corner; computed when first read, as maps need none."""
+        """UVs and the UV of every face corner; computed when first read."""
         return None if self.lay is None else self.lay()
 
     @property
     def uvs(self) -> FloatArray | None:
-        """(p, 2) UVs of the level, None where the control mesh has none."""
+        """(p, 2) UVs of the level, None if the control mesh has none."""
         return None if self.layout is None else self.layout[0]
 
     @property
     def uv_indices(self) -> IndexArray | None:
-        """UV of every face corner, like faces, or None."""
+        """UV of every face corner, in the shape of ``faces``, or None."""
         return None if self.layout is None else self.layout[1]
 
     def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
-        """The same level with other UVs (p, 2), and a UV for every corner, like faces."""
+        """The same level with other UVs (p, 2) and UV indices in the shape of ``faces``."""
         return replace(self, lay=lambda: (uvs, uv_indices))
 
     @property
@@ -88,8 +88,8 @@ class Refinement:
     levels : tuple of Level
         ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
     coarse_vertices : (n_{L-1},) int64 or None
-        Of a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): finest vertices that the vertices of the
-        level below are. None where they are the first ones, as in a subdivision.
+        For a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the finest vertex of every vertex of
+        the level below. None in a subdivision, where vertices keep their numbers.
     """
 
     control: ControlMesh
@@ -109,17 +109,17 @@ class Refinement:
         return len(self.matrices)
 
     def coarsest_level(self, vertices: int) -> int:
-        """The coarsest level of at least so many vertices; the finest one if none has."""
+        """Number of the coarsest level with at least ``vertices``; the finest one if none has."""
         enough = (number for number, level in enumerate(self.levels) if level.n_vertices >= vertices)
         return next(enough, self.n_levels)
 
     def up_to(self, level: int) -> Refinement:
-        """The levels from 0 to this one."""
+        """The refinement with levels 0 to ``level`` only."""
         known = self.coarse_vertices if level == self.n_levels else None
         return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1], coarse_vertices=known)
 
     def without_coarse_levels(self) -> Refinement:
-        """The refinement as asked for: of a plain mesh the mesh alone, without `coarse_vertices` and their levels."""
+        """The refinement without the coarse levels of a plain mesh."""
         if self.coarse_vertices is None:
             return self
         return replace(self, matrices=(), levels=self.levels[-1:], coarse_vertices=None)
@@ -130,11 +130,11 @@ class Refinement:
         return isinstance(self.scheme, Plain)
 
     def on_finest(self, level: int) -> IndexArray:
-        """(n_level,) finest vertices that the vertices of a level are."""
+        """(n_level,) finest vertex of every vertex of a level."""
         return self.vertices_on(self.n_levels, level)
 
     def vertices_on(self, fine: int, coarse: int) -> IndexArray:
-        """(n_coarse,) vertices of the fine level that the vertices of the coarse level are."""
+        """(n_coarse,) vertex of the fine level for every vertex of the coarse level."""
         self._check_order(fine, coarse)
         n = self.levels[coarse].n_vertices
         if self.coarse_vertices is None or fine < self.n_levels or coarse == self.n_levels:
@@ -142,29 +142,29 @@ class Refinement:
         return self.coarse_vertices[:n]
 
     def on_level(self, level: int, vertices: IndexArray) -> IndexArray:
-        """(m,) vertices of a level that finest vertices are; -1 for those that the level lacks, and for -1."""
+        """(m,) vertices of a level for given finest vertices; -1 if the level lacks them, or for -1."""
         if self.coarse_vertices is not None and level < self.n_levels:
             vertices = np.where(vertices < 0, -1, self._coarse_numbers[vertices])
         return np.where(vertices < self.levels[level].n_vertices, vertices, -1)
 
     @kept
     def _coarse_numbers(self) -> IndexArray:
-        """(n,) vertex of the last coarse level that every finest vertex of a plain mesh is, or -1."""
+        """(n,) vertex of the last coarse level for every finest vertex of a plain mesh, or -1."""
         assert self.coarse_vertices is not None
         numbers = np.full(self.finest.n_vertices, -1)
         numbers[self.coarse_vertices] = np.arange(len(self.coarse_vertices))
         return numbers
 
     def holes(self, level: int) -> BoolArray:
-        """(m_level,) faces that shape the surface but are no part of it; see `control_holes`."""
+        """(m_level,) whether a face is a hole, see `control_holes`."""
         return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
 
     def product(self, fine: int, coarse: int) -> csr_array:
-        """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
+        """Matrix ``S^{fine,coarse} = S^{fine-1} ... S^{coarse}`` (n_fine, n_coarse); the identity for equal levels."""
         return self.rows(slice(None), fine, coarse)
 
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
-        """Rows of ``S^{fine,coarse}`` for vertices (m,) of the fine level, (m, n_coarse), without computing the others.
+        """Rows (m, n_coarse) of ``S^{fine,coarse}`` for vertices (m,) of the fine level, without computing all rows.
 
         ParameterError if there is no such level or vertex.
         """
@@ -183,7 +183,7 @@ class Refinement:
         return rows
 
     def prolong(self, values: FloatArray, coarse: int, fine: int) -> FloatArray:
-        """Refine functions (n_coarse,) or (n_coarse, q): ``S^{fine,coarse} values``, one factor after the other."""
+        """Refine functions (n_coarse,) or (n_coarse, q): ``S^{fine,coarse} values``, applied factor by factor."""
         self._check_order(fine, coarse)
         if np.shape(values)[:1] != (self.levels[coarse].n_vertices,):
             raise ParameterError(
@@ -215,7 +215,7 @@ class Refinement:
 
 
 def default_scheme(control: ControlMesh) -> Scheme:
-    """The scheme in the mesh's file; else Loop for triangle meshes and Catmull-Clark for all others."""
+    """Scheme of the mesh's file; without one, Loop for triangle meshes and Catmull-Clark for others."""
     if control.scheme is not None:
         return control.scheme
     return Loop() if control.is_triangle_mesh else CatmullClark()
@@ -228,7 +228,7 @@ def with_options(
     uv_interpolation: str | None = None,
     creasing: str | None = None,
 ) -> ControlMesh:
-    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves those of its file."""
+    """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves a value unchanged."""
     before = default_scheme(control)
     kind = type(before)
     if scheme is not None:
@@ -242,7 +242,7 @@ def with_options(
 
 @arrays_accepted
 def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refinement:
-    """Subdivide a control mesh ``levels`` times; time and memory are linear in the finest level's size.
+    """Subdivide a control mesh ``levels`` times, in linear time and memory of the finest level.
 
     From level 1 on UVs are numbered by pairs of a vertex and a UV.
 
@@ -260,7 +260,7 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     InvalidMeshError
         If the mesh is not an oriented manifold, or has faces other than triangles under Loop.
     ParameterError
-        If ``levels`` is negative or leads past 2^31 matrix entries.
+        If ``levels`` is negative, or a matrix would have 2^31 entries or more.
 
     Examples
     --------
@@ -292,7 +292,7 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
 
 
 def state_of(refinement: Refinement, level: int) -> MeshState:
-    """State of any level, computed from the control mesh (cheap)."""
+    """State of a level, computed from the control mesh (cheap)."""
     state = control_state(refinement.control, refinement.scheme)
     for _ in range(level):
         state = next_state(state, refinement.scheme)
@@ -300,7 +300,7 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) faces that are holes: those of the file, and under boundary ``none`` all at the boundary."""
+    """(m,) whether a control face is a hole: in the file, or at the boundary under boundary ``none``."""
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
@@ -311,7 +311,7 @@ def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
 
 
 def control_level(control: ControlMesh) -> Level:
-    """Level 0 of any refinement of ``control``."""
+    """Level 0 of a refinement of ``control``."""
     size = int(control.face_sizes[0]) if control.n_faces else 0
     uniform = size in (3, 4) and bool(np.all(control.face_sizes == size))
     faces = control.face_indices.reshape(-1, size) if uniform else None
@@ -344,13 +344,13 @@ def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:
-    """(t, 3) triangles of a level: quads split by `triangles`, n-gons of the control mesh into fans."""
+    """(t, 3) triangles of a level: quads split by `triangles`, n-gons into fans."""
     faces = refinement.levels[level].faces
     return cage_triangles(refinement.control)[0] if faces is None else triangles(faces)
 
 
 def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:
-    """Number of vertices of level 0, 1, 2, ... without end; by default under `default_scheme`."""
+    """Yield the number of vertices of level 0, 1, 2, ... without end; default: `default_scheme`."""
     loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
     vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
     edges = mesh_topology(control).n_edges
@@ -363,7 +363,7 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level with all UV sets, colours, materials, objects and groups, without creases and holes."""
+    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes."""
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.n_levels == 0:
         return control
@@ -388,7 +388,7 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
 
 
 def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
-    """An inactive UV set, refined as the active one."""
+    """Refine a UV set that is not in use."""
     alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
     finest = refine(alone, refinement.n_levels, refinement.scheme).finest
     assert finest.uvs is not None
@@ -405,13 +405,13 @@ def _finest_colors(refinement: Refinement) -> FloatArray | None:
 
 
 def truncate_refinement(refinement: Refinement, level: int) -> Refinement:
-    """The levels from 0 to this one; polygons of level 0, if it is the last, are split into fans."""
-    found, control = refinement.up_to(level), refinement.control
-    last = found.levels[-1]
+    """Levels 0 to ``level``; if only level 0 is left, its polygons are split into fans."""
+    shortened, control = refinement.up_to(level), refinement.control
+    last = shortened.levels[-1]
     if last.faces is not None:
-        return found
+        return shortened
     split, parents = fan_triangles(control.face_offsets, control.face_indices)
     fans = replace(last, faces=split, face_parents=parents)
     if control.uvs is not None and control.uv_indices is not None:
         fans = fans.with_uvs(control.uvs, fan_triangles(control.face_offsets, control.uv_indices)[0])
-    return replace(found, levels=(*found.levels[:-1], fans))
+    return replace(shortened, levels=(*shortened.levels[:-1], fans))

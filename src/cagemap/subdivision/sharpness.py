@@ -1,7 +1,7 @@
 """State of a level: connectivity, fixed corners, semi-sharp creases and corners (OpenSubdiv's rules).
 
-A step takes 1 from every sharpness between 0 and infinity (10). Where it changes the rule, say from crease to smooth,
-both masks are blended by the sharpness that disappears [DKT98]_.
+A step subtracts 1 from every sharpness between 0 and infinity (10). Where this changes the rule, for example from
+crease to smooth, the weights of both rules are blended by the sharpness that disappears [DKT98]_.
 
 .. [DKT98] T. DeRose, M. Kass, T. Truong. Subdivision surfaces in character animation. 1998.
 """
@@ -30,7 +30,7 @@ SMOOTH, CREASE, CORNER = 0, 2, 3
 class Sharpness:
     """Sharpness before and after one step.
 
-    ``edges`` (e,), 0 where smooth and infinite on the boundary, become ``halves`` (e, 2) at the edge's start and end;
+    ``edges`` (e,), 0 where smooth and infinite on the boundary, become ``halves`` (e, 2) at start and end of the edge;
     ``vertices`` (n,) become ``after`` (n,).
     """
 
@@ -40,7 +40,7 @@ class Sharpness:
     after: FloatArray
 
     def of_corners(self, topology: Topology, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
-        """Sharpness of some corners' edges (k,) and of their halves (k, 2), in the corners' direction."""
+        """Sharpness of the edges (k,) of corners and of their halves (k, 2), in the corners' direction."""
         edges = topology.edges[corners]
         halves = self.halves[edges]
         return self.edges[edges], np.where(topology.forward[corners][:, None], halves, halves[:, ::-1])
@@ -49,7 +49,7 @@ class Sharpness:
 def control_sharpness(
     control: ControlMesh, topology: Topology, corner: BoolArray, creasing: Creasing
 ) -> Sharpness | None:
-    """Sharpness in a control mesh's file, with fixed boundary vertices (n,); None if nothing else is sharp."""
+    """Sharpness of a control mesh, with fixed boundary vertices ``corner`` (n,); None without creases and corners."""
     edges = np.zeros(topology.n_edges)
     vertices = np.zeros(control.n_vertices)
     if control.crease_edges is not None and control.crease_sharpness is not None:
@@ -65,7 +65,7 @@ def control_sharpness(
 
 
 def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
-    """Edges of the creases; InvalidMeshError where there is none."""
+    """Edge number of every crease; InvalidMeshError if it is not on an edge."""
     assert control.crease_edges is not None
     keys, asked = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
     numbers = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)  # edges ascend, see `numbered_edges`
@@ -80,7 +80,7 @@ def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
 
 
 def with_halves(topology: Topology, edges: FloatArray, vertices: FloatArray, creasing: Creasing) -> Sharpness:
-    """Sharpness with the values after the next step."""
+    """Sharpness completed by the values after the next step."""
     halves = _reduced(np.column_stack([edges, edges]))
     if creasing == "chaikin":
         halves = _chaikin_halves(topology, edges, halves)
@@ -92,18 +92,18 @@ def _reduced(sharpness: FloatArray) -> FloatArray:
 
 
 def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -> FloatArray:
-    """Chaikin's rule: 3/4 of an edge's own sharpness and 1/4 of the mean of the other semi-sharp edges at that end."""
+    """Chaikin's rule: 3/4 own sharpness, 1/4 mean of the other semi-sharp edges at that end."""
     ends, n = topology.edge_ends, topology.n_vertices
     semi = (edges > 0) & (edges < INFINITE_SHARPNESS)
     count = np.bincount(ends[semi].ravel(), minlength=n)
     total = np.bincount(ends[semi].ravel(), np.repeat(edges[semi], 2), minlength=n)
     shared = semi[:, None] & (count[ends] > 1)
-    others = (total[ends] - edges[:, None]) / np.maximum(count[ends] - 1, 1)
-    return np.where(shared, np.maximum(0.75 * edges[:, None] + 0.25 * others - 1.0, 0.0), halves)
+    mean_of_others = (total[ends] - edges[:, None]) / np.maximum(count[ends] - 1, 1)
+    return np.where(shared, np.maximum(0.75 * edges[:, None] + 0.25 * mean_of_others - 1.0, 0.0), halves)
 
 
 def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) -> Sharpness:
-    """Sharpness of the next level: edge e became 2e and 2e + 1, and all other edges and vertices are new and smooth."""
+    """Sharpness of the next level; edge e becomes 2e and 2e + 1, new elements are smooth."""
     edges = np.zeros(child.n_edges)
     edges[: sharpness.halves.size] = sharpness.halves.ravel()
     edges[child.outer_edges] = INFINITE_SHARPNESS
@@ -115,9 +115,9 @@ def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) ->
 def vertex_rules(
     topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Shares (n,) of four masks, which sum to 1: smooth, crease before the step, crease after it, corner [DKT98]_.
+    """Blending weights (n,) of four rules, sum 1: smooth, crease before and after the step, corner [DKT98]_.
 
-    UVs in ``follows`` (n,) have the edge sharpness around another UV.
+    Vertex i (a UV) uses the edge sharpness around vertex ``follows[i]``.
     """
     ends, n = topology.edge_ends, topology.n_vertices
 
@@ -141,7 +141,7 @@ def vertex_rules(
 
 
 def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
-    """Rule of every vertex by the number of sharp edges there, and its own sharpness."""
+    """Rule of every vertex from its number of sharp edges and its sharpness."""
     rule = np.where(count > 2, CORNER, np.where(count == 2, CREASE, SMOOTH))
     return np.asarray(np.where(sharpness > 0, CORNER, rule), dtype=np.int64)
 
@@ -149,32 +149,34 @@ def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
 def sharpen_matrix(
     matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
 ) -> csr_array:
-    """S (n_fine, n) of one step with creases and corners, from the S that has them on the boundary only."""
+    """Add creases and corners to the matrix S (n_fine, n) of one step; S has the boundary's already."""
     n = topology.n_vertices
     ends, vertices = topology.edge_ends, np.arange(n)
     smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
-    # An edge of sharpness between 0 and 1 is half way to smooth, unless both its halves are still creases.
+    # An edge of sharpness s < 1 is blended, s sharp and 1 - s smooth, unless both its halves are still creases.
     hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
     hard[topology.outer_edges] = 0.0  # boundary edges have their midpoint already
-    # A boundary row of the matrix is used as it is where the boundary is the vertex's crease.
+    # A boundary row of the matrix is kept where the boundary is the vertex's only crease.
     unchanged = topology.boundary & (crease == 1)
     smooth_part = np.ones(matrix.shape[0])
     smooth_part[:n] = np.where(unchanged, 1.0, smooth)
     smooth_part[n : n + len(ends)] = 1.0 - hard
-    own, other = CREASE_VERTEX
+    own_weight, neighbour_weight = CREASE_VERTEX
     crease = np.where(unchanged, 0.0, crease)
     along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
     sharp_edges = np.flatnonzero(hard)
     parts = [
-        (vertices, vertices, corner + own * (crease + crease_after)),
-        (ends[:, 0], ends[:, 1], other * along[:, 0]),
-        (ends[:, 1], ends[:, 0], other * along[:, 1]),
+        (vertices, vertices, corner + own_weight * (crease + crease_after)),
+        (ends[:, 0], ends[:, 1], neighbour_weight * along[:, 0]),
+        (ends[:, 1], ends[:, 0], neighbour_weight * along[:, 1]),
         (n + sharp_edges, ends[sharp_edges, 0], hard[sharp_edges] / 2),
         (n + sharp_edges, ends[sharp_edges, 1], hard[sharp_edges] / 2),
     ]
     rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    some = weights != 0
-    added = coo_array((weights[some], (rows[some].astype(np.int32), columns[some].astype(np.int32))), matrix.shape)
+    nonzero = weights != 0
+    added = coo_array(
+        (weights[nonzero], (rows[nonzero].astype(np.int32), columns[nonzero].astype(np.int32))), matrix.shape
+    )
     result = csr_array(diags_array(smooth_part) @ matrix + added)
     result.eliminate_zeros()
     result.sort_indices()
@@ -183,10 +185,10 @@ def sharpen_matrix(
 
 @dataclass(frozen=True, eq=False)
 class MeshState:
-    """One level without positions, of the mesh or of its UVs.
+    """Connectivity and sharpness of one level, of the mesh or of its UVs.
 
-    ``corner`` (n,) are boundary vertices that stay in place; ``sharpness`` is None where nothing is sharp beyond the
-    boundary; ``follows`` (n,) is of UVs only, see `vertex_rules`.
+    ``corner`` (n,) are fixed boundary vertices; ``sharpness`` is None without creases and corners inside; ``follows``
+    (n,) is used for UVs only, see `vertex_rules`.
     """
 
     topology: Topology
@@ -196,7 +198,7 @@ class MeshState:
 
 
 def boundary_corners(topology: Topology, scheme: Scheme) -> BoolArray:
-    """(n,) boundary vertices that stay in place: those with a single face, if the boundary rule says so."""
+    """(n,) fixed boundary vertices: those with a single face, under ``edge_and_corner``."""
     if scheme.boundary != "edge_and_corner":
         return np.zeros(topology.n_vertices, dtype=bool)
     return topology.boundary & (topology.valences == 1)
@@ -210,7 +212,7 @@ def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
 
 
 def next_state(state: MeshState, scheme: Scheme) -> MeshState:
-    """State one level finer."""
+    """State of the next finer level."""
     topology = split_topology(state.topology, scheme)
     corner = np.zeros(topology.n_vertices, dtype=bool)
     corner[: len(state.corner)] = state.corner

@@ -1,4 +1,4 @@
-"""Topology of a control mesh that can be subdivided, and its split by one step of subdivision.
+"""Topology of a control mesh for subdivision, and of the next level after one step.
 
 Only the edges of the control mesh are sorted; finer levels follow by index arithmetic.
 """
@@ -17,7 +17,7 @@ from cagemap.numerics.arrays import Array
 
 
 def control_topology(mesh: ControlMesh) -> Topology:
-    """Topology of a control mesh; InvalidMeshError where it is no oriented manifold, or a vertex has no face."""
+    """Topology of a control mesh; InvalidMeshError unless an oriented manifold without loose vertices."""
 
     def check(bad: NDArray[np.integer], problem: str) -> None:
         if len(bad):
@@ -44,17 +44,17 @@ def control_topology(mesh: ControlMesh) -> Topology:
 
 
 def corner_neighbours(n_faces: int, size: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Face, following and previous corner of every corner of faces of ``size`` corners."""
+    """Face, following and previous corner of every corner, for faces of ``size`` corners."""
     corners = np.arange(n_faces * size, dtype=np.int32).reshape(n_faces, size)
     faces = np.repeat(np.arange(n_faces, dtype=np.int32), size)
     return faces, np.roll(corners, -1, axis=1).ravel(), np.roll(corners, 1, axis=1).ravel()
 
 
 def children(parent: Topology, scheme: Scheme) -> IntArray:
-    """Faces of the next level, (c, 4), or (4 m, 3) under Loop, in its vertex numbers.
+    """(c, 4), under Loop (4 m, 3), faces of the next level in its vertex numbers.
 
-    Corner k gives the quad (vertex k, edge point k, face point, edge point k - 1) or the triangle without the face
-    point. Under Loop the middle triangle of the edge points comes after each three of them.
+    Corner k gives the quad (vertex k, edge point k, face point, edge point k - 1), under Loop the triangle without the
+    face point. Under Loop every three corner triangles are followed by the middle triangle of their edge points.
     """
     edge_points = parent.edges + parent.n_vertices
     if isinstance(scheme, Loop):
@@ -65,33 +65,35 @@ def children(parent: Topology, scheme: Scheme) -> IntArray:
 
 
 def _with_middle(tips: Array, middle: Array) -> Array:
-    """(4 m, 3) values of the corners of every triangle's three tips (3 m, 3) and of its middle (m, 3)."""
+    """(4 m, 3) corner values of every triangle's three corner triangles (3 m, 3) and middle one (m, 3)."""
     return np.concatenate([tips.reshape(-1, 3, 3), middle[:, None]], axis=1).reshape(-1, 3)  # type: ignore[return-value]
 
 
 def split_topology(parent: Topology, scheme: Scheme) -> Topology:
     """Topology of the next level.
 
-    Edge e becomes 2e (its first half) and 2e + 1, both in e's direction. Then comes one edge per corner: from its edge
-    point to its face point, or under Loop across it.
+    Edge e becomes 2e (its first half) and 2e + 1, both in e's direction. One new edge per corner follows: from its edge
+    point to its face point, or under Loop to its previous edge point.
     """
     loop, count, previous = isinstance(scheme, Loop), parent.n_corners, parent.previous
     outgoing, incoming = 2 * parent.edges + ~parent.forward, (2 * parent.edges + parent.forward)[previous]
     new = np.arange(count, dtype=np.int32) + 2 * parent.n_edges
-    ahead, behind = np.ones(count, dtype=bool), parent.forward[previous]
-    # Ranks around an edge point count from the corner at the edge's end, those of the forward side first.
+    new_forward, incoming_forward = np.ones(count, dtype=bool), parent.forward[previous]
+    # Ranks around an edge point count from the corner at the edge's end, the forward side first.
     per_side = 3 if loop else 2
     side = np.where(parent.forward, 0, per_side).astype(np.int32)
     at_end, at_start = side[previous], side + (per_side - 1)
     if loop:
         edges = _with_middle(np.stack([outgoing, new, incoming], axis=1), np.roll(new.reshape(-1, 3), -1, axis=1))
-        forward = _with_middle(np.stack([parent.forward, ahead, behind], axis=1), np.zeros((parent.n_faces, 3), bool))
+        forward = _with_middle(
+            np.stack([parent.forward, new_forward, incoming_forward], axis=1), np.zeros((parent.n_faces, 3), bool)
+        )
         ranks = _with_middle(np.stack([parent.ranks, at_start, at_end], axis=1), (side + 1).reshape(-1, 3))
     else:
         sizes = np.bincount(parent.faces, minlength=parent.n_faces).astype(np.int32)
         at_face = np.arange(count, dtype=np.int32) - (np.cumsum(sizes, dtype=np.int32) - sizes)[parent.faces]
         edges = np.stack([outgoing, new, new[previous], incoming], axis=1)
-        forward = np.stack([parent.forward, ahead, ~ahead, behind], axis=1)
+        forward = np.stack([parent.forward, new_forward, ~new_forward, incoming_forward], axis=1)
         ranks = np.stack([parent.ranks, at_start, at_face, at_end], axis=1)
     child = Topology(
         parent.n_vertices + parent.n_edges + (0 if loop else parent.n_faces),

@@ -1,8 +1,8 @@
-"""Closest points on a triangle mesh, with a preference for agreeing normals.
+"""Closest points on a triangle mesh, by distance and optionally by normals.
 
-An implicit bounding-volume tree (node ``i`` has the children ``2 i + 1`` and ``2 i + 2``) whose boxes bound positions
-and normals. Its leaves are runs of consecutive triangles where these are compact, as after subdivision; otherwise all
-triangles are sorted along a space-filling curve.
+The search uses an implicit bounding-volume tree with boxes of positions and normals; node ``i`` has the children
+``2 i + 1`` and ``2 i + 2``. If runs of consecutive triangles are compact, as after subdivision, they are the leaves;
+otherwise all triangles are sorted along a space-filling curve.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from cagemap.surface.triangles import CACHED, normalize_rows, triangle_areas, tr
 
 _LEAF_SIZE = 8  # triangles
 _STACK_SIZE = 64  # nodes
-_SHIFTS = 32, 16, 8, 4, 2  # they and the masks insert two zero bits before each of the lowest 21 bits
+_SHIFTS = 32, 16, 8, 4, 2  # with the masks: insert two zero bits before each of the lowest 21 bits
 _MASKS = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
-_CHUNK = 512  # queries that a thread answers in a row, each starting from the last answer
+_CHUNK = 512  # consecutive queries of a thread; each starts from the previous answer
 # Largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes.
 _MAX_RUN_EXTENT = 6.0
 
@@ -44,7 +44,7 @@ class TriangleTree:
 
 
 def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
-    """Search tree of triangles (t, 3) with vertices (n, 3); ParameterError if there are none or not all are finite."""
+    """Search tree of triangles (t, 3) with vertices (n, 3); ParameterError if empty or not finite."""
     if len(triangles) == 0:
         raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
     positions = np.ascontiguousarray(positions, dtype=np.float64)
@@ -76,13 +76,13 @@ def closest_points(
     guess: IndexArray | None = None,
     within: FloatArray | float = np.inf,
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """Closest point of a surface for every query: triangle (m,), barycentric coordinates (m, 3) and distance (m,).
+    """Closest surface point of every query: triangle (m,), barycentric coordinates (m, 3) and distance (m,).
 
     Minimises ``|q - p|^2 + w^2 |n_q - n_p|^2`` over the surface's points ``p``, with ``n_p`` the normal of the triangle
-    of ``p`` and ``w = normal_weight``, a length, over triangles whose normal makes a cosine of at least
-    ``minimum_cosine`` with ``n_q``. ``guess`` (m,) are triangles near the queries, -1 for none: they make the search
-    faster and never change the minimum. Only points of a cost below the square of ``within``, (m,) or one length, are
-    sought. Where no triangle is allowed or near enough, the triangle is -1 and the distance infinite.
+    of ``p`` and ``w = normal_weight``, a length. Only triangles with a cosine of at least ``minimum_cosine`` between
+    ``n_p`` and ``n_q`` are searched, and only costs below the square of ``within``, (m,) or one length, are accepted.
+    Without an accepted point the triangle is -1 and the distance infinite. ``guess`` (m,) are triangles near the
+    queries, -1 for none; they only make the search faster.
     """
     if normals is None and (normal_weight > 0 or minimum_cosine > -1):
         raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
@@ -93,9 +93,9 @@ def closest_points(
     if guess is not None:
         start = np.where(guess >= 0, tree.places[guess], -1)
     sequence = np.argsort(_morton_codes(queries), kind="stable")
-    found = np.full(len(queries), -1, dtype=np.int64)
+    nearest = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
-    limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, or the kernel is compiled twice
+    limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, else the kernel is compiled twice
 
     def search(part: IndexArray) -> None:
         _search(
@@ -103,17 +103,17 @@ def closest_points(
             (queries, directions, limits, start),
             (float(normal_weight) ** 2, float(minimum_cosine)),
             part,
-            (found, barycentric, squared),
+            (nearest, barycentric, squared),
         )
 
-    # Chunks do not depend on the number of threads: which of equally close points is found depends on the start.
+    # Chunks must not depend on the number of threads: among equally close points the start decides.
     in_threads(search, [sequence[part] for part in row_slices(len(sequence), _CHUNK)])
-    triangle = np.where(found >= 0, tree.order[found], -1)
+    triangle = np.where(nearest >= 0, tree.order[nearest], -1)
     return triangle, barycentric, np.sqrt(squared)
 
 
 def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
-    """(t,) triangles leaf by leaf along a space-filling curve."""
+    """(t,) triangles in the order of the tree's leaves, along a space-filling curve."""
     leaves = len(triangles) // _LEAF_SIZE
     extents, means = np.full(max(leaves, 1), np.inf), np.empty((leaves, 3))
 
@@ -137,10 +137,10 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
 def closest_among(
     corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Triangle (m,) and barycentric coordinates (m, 3) of the closest points among each query's own candidates.
+    """Closest point among each query's candidate triangles: triangle (m,) and barycentric coordinates (m, 3).
 
     Query i of ``points`` (m, 3) has the triangles ``candidates[starts[i, 0]:starts[i, 1]]``, at least one, of the
-    ``corners`` (t, 3, 3). The first of equally near ones wins.
+    ``corners`` (t, 3, 3). Of equally near ones the first is taken.
     """
     triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
     c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
@@ -166,7 +166,7 @@ def _morton_codes(points: FloatArray) -> IndexArray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
-    """Corner positions of every triangle; boxes of the leaves, then of their parents up to the root."""
+    """Fill corner positions of every triangle, and boxes from the leaves up to the root."""
     first_leaf = len(boxes) // 2
     for leaf in range(first_leaf + 1):
         box = boxes[first_leaf + leaf]
@@ -191,7 +191,7 @@ def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy")
 def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
-    """Least squared distance to a box of positions, and to one of normals (2 - 2 cos = |n_q - n_p|^2)."""
+    """Lower bound of the cost in a box: squared distances to its positions and normals (2 - 2 cos = |n_q - n_p|^2)."""
     dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
     dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
     dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
@@ -244,11 +244,11 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
-    """Branch and bound, the nearer child first: a box of positions and normals bounds the cost of all in it."""
+    """Branch and bound over the tree, the nearer child first."""
     boxes, corners, normals = tree
     queries, directions, limits, start = asked
     weight2, minimum_cosine = options
-    found, barycentric, squared = answers
+    nearest, barycentric, squared = answers
     n_triangles, first_leaf = len(corners), (len(boxes) - 1) // 2
     nodes, bounds = np.empty(_STACK_SIZE, dtype=np.int64), np.empty(_STACK_SIZE)
     last = np.int64(-1)
@@ -267,7 +267,7 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
                 if cost < best:
                     best = cost
                     best_t, best_v, best_w, best_squared = t, v, w, d2
-        # From the leaf of that triangle upwards: sibling boxes on the way to the root rule out most of the tree.
+        # Search from that triangle's leaf towards the root: most sibling boxes are excluded by their bound.
         climb = first_leaf + max(t, 0) // _LEAF_SIZE
         nodes[0], bounds[0] = climb, 0.0
         size = 1
@@ -282,13 +282,13 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
             if bound >= best:
                 continue
             while node < first_leaf:
-                node, other = 2 * node + 1, 2 * node + 2
+                node, sibling = 2 * node + 1, 2 * node + 2
                 bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
-                farther = _box_cost(boxes, other, x, y, z, nx, ny, nz, weight2)
+                farther = _box_cost(boxes, sibling, x, y, z, nx, ny, nz, weight2)
                 if farther <= bound:
-                    node, other, bound, farther = other, node, farther, bound
+                    node, sibling, bound, farther = sibling, node, farther, bound
                 if farther < best:
-                    nodes[size], bounds[size] = other, farther
+                    nodes[size], bounds[size] = sibling, farther
                     size += 1
                 if bound >= best:
                     break
@@ -306,14 +306,14 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
                     best = d2 + penalty
                     best_t, best_v, best_w, best_squared = t, v, w, d2
         last = best_t if best_t >= 0 else last
-        found[i], squared[i] = best_t, best_squared
+        nearest[i], squared[i] = best_t, best_squared
         if best_t >= 0:
             barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search_among(corners, starts, candidates, points, triangle, barycentric):  # type: ignore[no-untyped-def]
-    """The nearest of each query's own triangles."""
+    """Find the nearest of each query's candidate triangles."""
     for i in range(len(points)):
         best, best_v, best_w, best_t = np.inf, 0.0, 0.0, candidates[starts[i, 0]]
         for j in range(starts[i, 0], starts[i, 1]):
@@ -321,7 +321,7 @@ def _search_among(corners, starts, candidates, points, triangle, barycentric):  
             v, w, d2 = _closest_in_triangle(corners, t, points[i, 0], points[i, 1], points[i, 2])
             if d2 < best:
                 best, best_t = d2, t
-                best_v = min(max(v, 0.0), 1.0)  # rounding, and triangles without area
+                best_v = min(max(v, 0.0), 1.0)  # against rounding, and for triangles without area
                 best_w = min(max(w, 0.0), 1.0 - best_v)
         triangle[i] = best_t
         barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w

@@ -15,19 +15,19 @@ from cagemap.surface.closest_points import TriangleTree, build_tree, closest_poi
 class PolylineFeet:
     """Closest points of a polyline to q points in space."""
 
-    ends: IndexArray  #: (q, 2) ends of the segment that holds each point
+    ends: IndexArray  #: (q, 2) ends of each closest point's segment
     share: FloatArray  #: (q,) weight of the second end, from 0 to 1
     places: FloatArray  #: (q, 3)
     tangents: FloatArray  #: (q, 3) unit vectors along the segment; zero at the ends of an open polyline
 
     def across(self) -> FloatArray:
-        """(q, 3, 3) projections I - t t^T: distances across the polyline, along which points slide freely."""
+        """(q, 3, 3) projections I - t t^T to the plane normal to the polyline."""
         return np.asarray(np.eye(3) - self.tangents[:, :, None] * self.tangents[:, None, :])
 
 
 @dataclass(frozen=True, eq=False)
 class Polyline:
-    """Points (m, 3) joined by straight segments; the last one to the first if ``closed``."""
+    """Polyline of points (m, 3); if ``closed``, the last is joined to the first."""
 
     positions: FloatArray
     closed: bool
@@ -62,14 +62,14 @@ class Polyline:
         return float(self.shares.sum())
 
     def finer(self, pieces: int) -> FloatArray:
-        """(q, 3) points along it, ``pieces`` to every segment."""
+        """(q, 3) points along the polyline, ``pieces`` in every segment."""
         starts = self.positions if self.closed else self.positions[:-1]
         stops = np.roll(self.positions, -1, axis=0)[: len(starts)]
         share = (np.arange(pieces) / pieces)[None, :, None]
         return np.asarray(((1.0 - share) * starts[:, None] + share * stops[:, None]).reshape(-1, 3))
 
     def spread(self, count: int) -> IndexArray:
-        """At most ``count`` of its points, evenly spaced; with the ends of an open polyline."""
+        """Indices of at most ``count`` evenly spaced points, with the ends of an open polyline."""
         if count >= len(self):
             return np.arange(len(self))
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.positions, axis=0), axis=1))])
@@ -77,9 +77,9 @@ class Polyline:
         return np.unique(np.clip(np.searchsorted(along, wanted - 1e-12), 0, len(self) - 1))
 
     def nearest(self, points: FloatArray) -> PolylineFeet:
-        """Closest points to points (q, 3)."""
-        found, _, _ = closest_points(self.tree, points)
-        ends = self.pieces[found]
+        """Closest points of the polyline to points (q, 3)."""
+        segment, _, _ = closest_points(self.tree, points)
+        ends = self.pieces[segment]
         starts = self.positions[ends[:, 0]]
         along = self.positions[ends[:, 1]] - starts
         squared = np.einsum("qd,qd->q", along, along)

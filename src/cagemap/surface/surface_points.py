@@ -1,4 +1,4 @@
-"""Points on a triangulated surface, by triangle and barycentric coordinates."""
+"""Points on a triangulated surface, given by triangle and barycentric coordinates."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import CACHED
 
-# Largest error of barycentric coordinates: of their sum, and below 0. Files may be in single precision.
+# Largest error of the sum of barycentric coordinates, and largest negative value. Files may be in single precision.
 TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfacePoints:
-    """Points of one surface.
+    """Points on one surface.
 
     Attributes
     ----------
     surface : TriangleSurface
     triangle : (m,) int64
-        Triangle of the surface that holds each point.
+        Triangle of each point.
     barycentric : (m, 3) float64
         Weights of its corners, not negative, rows sum to 1.
 
@@ -68,7 +68,7 @@ class SurfacePoints:
 
     @classmethod
     def from_vertices(cls, surface: TriangleSurface, vertices: IndexArray) -> SurfacePoints:
-        """Vertices (m,) of a surface; ParameterError if there is no such vertex or no triangle has it."""
+        """Points at vertices (m,) of a surface; ParameterError for missing vertices, or vertices without triangle."""
         vertices = whole_numbers(vertices, "vertices")
         bad = vertices[(vertices < 0) | (vertices >= surface.n)]
         if not len(bad):
@@ -80,23 +80,23 @@ class SurfacePoints:
 
     @classmethod
     def evenly_spread(cls, surface: TriangleSurface, count: int) -> SurfacePoints:
-        """Points that stand for equal shares of the area, whatever the triangles and the order of the vertices.
+        """``count`` evenly spread points, each representing an equal share of the area.
 
-        Systematic sampling along the order of the search tree, in which triangles that are near follow each other.
+        Systematic sampling along the order of the search tree, where consecutive triangles are near each other.
         """
         order = surface.tree.order
         ends = np.cumsum(surface.areas[order])
-        at = (np.arange(count) + 0.5) * (ends[-1] / count)
-        place = np.minimum(np.searchsorted(ends, at), len(order) - 1)
+        targets = (np.arange(count) + 0.5) * (ends[-1] / count)
+        place = np.minimum(np.searchsorted(ends, targets), len(order) - 1)
         triangle = order[place]
-        # Where in its triangle: the rest of the area, and the golden ratio's sequence, which no period follows.
-        along = np.sqrt(np.clip((ends[place] - at) / np.maximum(surface.areas[triangle], 1e-300), 0.0, 1.0))
+        # Position in the triangle: from the remaining area, and from the golden ratio's sequence, which is aperiodic.
+        along = np.sqrt(np.clip((ends[place] - targets) / np.maximum(surface.areas[triangle], 1e-300), 0.0, 1.0))
         across = np.arange(count) * 0.6180339887498949 % 1.0
         return cls(surface, triangle, np.column_stack([1.0 - along, along * (1.0 - across), along * across]))
 
     @classmethod
     def from_matrix(cls, surface: TriangleSurface, matrix: sparse.csr_array) -> SurfacePoints:
-        """Points from rows (m, n) of weights of one, two or three vertices of a triangle; else ParameterError."""
+        """Points from weights (m, n) of up to three vertices of one triangle in every row; else ParameterError."""
         if not sparse.issparse(matrix) and np.ndim(matrix) != 2:
             raise ParameterError(
                 f"matrix: expected a sparse or dense one (m, {surface.n}), got {type(matrix).__name__}"
@@ -109,7 +109,7 @@ class SurfacePoints:
                 f"expected rows of 1 to 3 weights of {surface.n} vertices, got a matrix {rows.shape} with rows of "
                 f"{counts.min(initial=0)} to {counts.max(initial=0)}"
             )
-        # A triangle holds a point if it has all vertices of the point's row.
+        # A point is in the triangle that has all vertices of its row.
         around = sparse.csr_array(
             (np.ones(surface.triangles.size), (surface.triangles.ravel(), np.arange(surface.triangles.size) // 3)),
             shape=(surface.n, len(surface.triangles)),
@@ -135,7 +135,7 @@ class SurfacePoints:
         normal_weight: float = 0.0,
         guess: IndexArray | None = None,
     ) -> SurfacePoints:
-        """The surface's closest points to points (m, 3), at its unit area; options as `closest_points`.
+        """Closest surface points to points (m, 3) at unit area; options as `closest_points`.
 
         Raises
         ------
@@ -155,26 +155,26 @@ class SurfacePoints:
 
     @property
     def corners(self) -> IndexArray:
-        """(m, 3) vertices of the triangles that hold the points."""
+        """(m, 3) vertices of every point's triangle."""
         return self.surface.triangles.take(self.triangle, axis=0)
 
     @kept
     def positions(self) -> FloatArray:
-        """(m, 3) places in space, at unit area."""
+        """(m, 3) positions in space, at unit area."""
         return read_only(self.interpolate(self.surface.positions))
 
     @kept
     def normals(self) -> FloatArray:
-        """(m, 3) unit normals of the triangles that hold the points."""
+        """(m, 3) unit normals of every point's triangle."""
         return read_only(self.surface.normals.take(self.triangle, axis=0))
 
     @property
     def at_boundary(self) -> NDArray[np.bool_]:
-        """(m,) which of them lie on the boundary."""
+        """(m,) whether a point is on the boundary."""
         return self.surface.at_boundary(self.triangle, self.barycentric)
 
     def interpolate(self, values: FloatArray) -> FloatArray:
-        """Interpolate values (n,) or (n, q) at the vertices linearly: (m,) or (m, q) values at the points.
+        """Linear interpolation of vertex values (n,) or (n, q): (m,) or (m, q) values at the points.
 
         Raises
         ------
@@ -188,17 +188,17 @@ class SurfacePoints:
                 f"expected a value for each of the {self.surface.n} vertices of the surface that the points lie on, "
                 f"got an array {values.shape}: do they belong to the other surface, or to another level?"
             )
-        found = np.empty((len(self), *values.shape[1:]))
+        interpolated = np.empty((len(self), *values.shape[1:]))
 
         def fill(part: slice) -> None:
             corners = self.surface.triangles.take(self.triangle[part], axis=0)
             weights = self.barycentric[part].reshape(-1, 3, *(1,) * (values.ndim - 1))
-            found[part] = weights[:, 0] * values.take(corners[:, 0], axis=0)
+            interpolated[part] = weights[:, 0] * values.take(corners[:, 0], axis=0)
             for k in (1, 2):
-                found[part] += weights[:, k] * values.take(corners[:, k], axis=0)
+                interpolated[part] += weights[:, k] * values.take(corners[:, k], axis=0)
 
         in_threads(fill, row_slices(len(self), CACHED))
-        return found
+        return interpolated
 
     def matrix(self) -> sparse.csr_array:
         """(m, n) matrix of `interpolate`; rows sum to 1."""
@@ -207,21 +207,21 @@ class SurfacePoints:
         return sparse.csr_array((weights, self.corners.ravel(), starts), shape=(len(self), self.surface.n))
 
     def at(self, rows: IndexArray | slice) -> SurfacePoints:
-        """Some of the points."""
+        """The points in the given rows."""
         return SurfacePoints(self.surface, self.triangle[rows], self.barycentric[rows])
 
     def replaced(self, rows: IndexArray, others: SurfacePoints) -> SurfacePoints:
-        """The same points with others in some rows; ParameterError if they lie on another surface."""
+        """The points with ``others`` in the given rows; ParameterError if those are on another surface."""
         if others.surface is not self.surface:
             raise ParameterError(f"expected points of {self.surface}, got points of another surface, {others.surface}")
         triangle, barycentric = self.triangle.copy(), self.barycentric.copy()
         triangle[rows], barycentric[rows] = others.triangle, others.barycentric
-        made = SurfacePoints(self.surface, triangle, barycentric)
+        result = SurfacePoints(self.surface, triangle, barycentric)
         for name in vars(self).keys() & {"positions", "normals"}:  # cached already
             values = getattr(self, name).copy()
             values[rows] = getattr(others, name)
-            vars(made)[name] = read_only(values)
-        return made
+            vars(result)[name] = read_only(values)
+        return result
 
     def __repr__(self) -> str:
         return f"SurfacePoints({len(self)} of {self.surface})"
@@ -230,9 +230,10 @@ class SurfacePoints:
 def nearest_facing(
     surface: TriangleSurface, points: FloatArray, normals: FloatArray, within: float, guess: IndexArray | None = None
 ) -> tuple[SurfacePoints, FloatArray]:
-    """Nearest points whose triangle faces the way of the normals, or any where none does in reach; and how far (m,).
+    """Nearest points on triangles that face along the normals, and their distances (m,).
 
-    ``within`` is the reach, in the surface's unit; ``guess`` (m,) are triangles that are probably near.
+    If none is within the distance ``within`` (in the surface's unit), the nearest point of all triangles is taken.
+    ``guess`` (m,) are triangles that are probably near.
     """
     triangle, barycentric, distance = closest_points(
         surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=within

@@ -22,15 +22,15 @@ from cagemap.surface.triangles import (
     vertex_normals,
 )
 
-# Barycentric coordinates up to this are 0: the point lies on an edge.
+# Barycentric coordinates up to this count as 0: the point is on an edge.
 ON_EDGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TriangleSurface:
-    """Triangles between points in space, at unit area.
+    """A triangulated surface, scaled to unit area.
 
-    Arrays are read-only. Derived ones (`areas`, `normals`, `tree`, ...) are computed when first read, and cached.
+    Arrays are read-only. Derived arrays (`areas`, `normals`, `tree`, ...) are computed when first read, and cached.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class TriangleSurface:
 
     @classmethod
     def from_faces(cls, positions: FloatArray, faces: IndexArray) -> TriangleSurface:
-        """Faces (m, 4) or (m, 3) in any unit, scaled to unit area (`surface_area`) and split by `triangles`.
+        """Surface of faces (m, 4) or (m, 3) in any unit, scaled to unit area and split by `triangles`.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class TriangleSurface:
 
     @kept
     def boundary_vertices(self) -> NDArray[np.bool_]:
-        """(n,) which vertices lie on the boundary."""
+        """(n,) whether a vertex is on the boundary."""
         on_boundary = np.zeros(self.n, dtype=np.bool_)
         triangle, corner = np.nonzero(self.neighbors < 0)
         for step in (1, 2):
@@ -119,11 +119,11 @@ class TriangleSurface:
 
     @property
     def is_open(self) -> bool:
-        """Whether it has a boundary."""
+        """Whether the surface has a boundary."""
         return bool(self.boundary_vertices.any())
 
     def at_boundary(self, triangle: IndexArray, barycentric: FloatArray) -> NDArray[np.bool_]:
-        """(m,) which points lie on the boundary: closest points there have no counterpart (Turk and Levoy 1994)."""
+        """(m,) whether a point is on the boundary; closest points there have no counterpart (Turk and Levoy 1994)."""
         if not self.is_open:
             return np.zeros(len(triangle), dtype=np.bool_)
         on_edge = (barycentric <= ON_EDGE) & (self.neighbors[triangle] < 0)
@@ -132,7 +132,7 @@ class TriangleSurface:
 
     @kept
     def vertex_triangles(self) -> IndexArray:
-        """(n,) the last triangle around every vertex; -1 where there is none."""
+        """(n,) the last triangle around every vertex; -1 without triangles."""
         last, numbers = np.full((3, self.n), -1, dtype=np.int64), np.arange(len(self.triangles))
         for corner in range(3):
             last[corner, self.triangles[:, corner]] = numbers

@@ -1,4 +1,4 @@
-"""Functions of triangle arrays: areas, normals, centres, sums around vertices, neighbours."""
+"""Areas, normals, centres, neighbours and vertex sums of triangle arrays."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import row_slices
 
-CACHED = 16_384  # triangles or points whose arrays fit into a core's cache
+CACHED = 16_384  # number of triangles or points whose arrays fit into a core's cache
 
 
 def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(t,) areas of triangles with the given (t, 3) vertices; positions may be (n, 2) or (n, 3)."""
+    """(t,) areas of triangles (t, 3); positions may be (n, 2) or (n, 3)."""
     if positions.shape[1] == 2:
         a, b, c = (positions[triangles[:, k]] for k in range(3))
         return 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
@@ -24,7 +24,7 @@ def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def triangles(faces: IndexArray) -> IndexArray:
-    """Triangles (2 m, 3) of quads (m, 4): (0, 1, 2), then (0, 2, 3) of each; triangles (m, 3) stay."""
+    """Split quads (m, 4) into triangles (2 m, 3): corners (0, 1, 2), (0, 2, 3); triangles (m, 3) are unchanged."""
     if faces.shape[1] == 3:
         return faces
     return faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
@@ -44,7 +44,7 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
 
 
 def surface_area(positions: FloatArray, faces: IndexArray) -> float:
-    """Area of faces (m, 4) or (m, 3); a quad's is the mean over its two splits, as it need not be flat."""
+    """Area of faces (m, 4) or (m, 3); of quads, which need not be flat, the mean over both triangulations."""
     if faces.shape[1] == 3:
         return float(triangle_areas(positions, faces).sum())
     areas, total = np.empty(len(faces)), 0.0
@@ -76,7 +76,7 @@ def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """(count, d) sums of rows (t, d) over the triangles around each of the first vertices."""
+    """(count, d) sums of triangle rows (t, d) around each of the first ``count`` vertices."""
     sums = np.zeros((count, values.shape[1]))
     _add_to_corners(read_only(triangles), values, sums)
     return sums
@@ -106,11 +106,11 @@ def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
 
 
 def load_kernels() -> None:
-    """Load Numba, which takes longer than any kernel, before it is needed."""
+    """Load Numba ahead of its first use; loading takes longer than any kernel."""
     triangle_areas(np.eye(3), np.arange(3)[None])
 
 
-# Kernels fill arrays that they are given: to allocate inside would double the time they take to compile.
+# Kernels fill arrays allocated by the caller: allocation inside doubles their compile time.
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]
     """Cross products of the edges leaving every triangle's first corner."""
@@ -126,7 +126,7 @@ def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
-    """Add every triangle's row to the rows of its corners, where there is one."""
+    """Add every triangle's row to the rows of its corners below ``len(sums)``."""
     for t in range(len(triangles)):
         for k in range(3):
             corner = triangles[t, k]
@@ -144,8 +144,8 @@ def _pair_edges(corners, neighbors, head, rest):  # type: ignore[no-untyped-def]
             low, high = (a, b) if a < b else (b, a)
             previous, edge = np.int32(-1), head[low]
             while edge >= 0:
-                other, j = edge // 3, edge % 3
-                if corners[other, (j + 1) % 3] == high or corners[other, (j + 2) % 3] == high:
+                neighbor, j = edge // 3, edge % 3
+                if corners[neighbor, (j + 1) % 3] == high or corners[neighbor, (j + 2) % 3] == high:
                     break
                 previous, edge = edge, rest[edge]
             if edge < 0:
