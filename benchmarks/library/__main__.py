@@ -20,7 +20,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.numerics.threads import thread_limit
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import RunRequest
+from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.run_job import run_job
 
 HUMANS = DATA / "humans"

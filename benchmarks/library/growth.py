@@ -30,7 +30,7 @@ from cagemap.numerics.threads import thread_limit
 from cagemap.pipeline import MAP_BASIS, choose_level, match
 from cagemap.report import draw_thumbnail, write_report
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 

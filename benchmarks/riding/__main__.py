@@ -39,7 +39,7 @@ from cagemap.surface.triangles import normalize_rows
 from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import unwrap
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes

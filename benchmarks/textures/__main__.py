@@ -33,8 +33,8 @@ from cagemap.surface.triangles import triangle_areas, triangles
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import MapRequest
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import BakeOptions, unwrap
 from cagemap.transfer.baking import make_canvas

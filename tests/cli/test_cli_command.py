@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from cagemap.cli.request_command import request_command, with_stages
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.results import WrapRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap import WrapConfig
 
 

@@ -16,7 +16,7 @@ from cagemap.pipeline import prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.tasks.functions import run_functions
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.models import FunctionsRequest
+from cagemap.tasks.requests.functions import FunctionsRequest
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,9 @@ from cagemap.tasks.job_file import JOB, note_match, note_output
 from cagemap.tasks.match import MatchRequest
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
-from cagemap.tasks.requests.matching import MapRequest
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.run_job import run_task
 from cagemap.tasks.wrap import run_wrap
 

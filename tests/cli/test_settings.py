@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cagemap.cli.app import app
 from cagemap.errors import FormatError, ParameterError
-from cagemap.tasks.requests.matching import MatchRequest
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.settings import moved_options, read_settings, settings_of
 
 MATCH = ("match", "-t", "t.obj", "-s", "s.obj", "-o", "R")

@@ -17,7 +17,7 @@ from cagemap.files.result.folder import write_result
 from cagemap.paper.hfm import HfmConfig
 from cagemap.tasks import transfer as door
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest, texture_and_maps
+from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result

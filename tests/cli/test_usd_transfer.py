@@ -14,7 +14,7 @@ from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest, texture_and_maps
+from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result, textured_cube

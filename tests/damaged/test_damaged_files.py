@@ -50,7 +50,7 @@ from cagemap.studio.opening import result_files
 from cagemap.tasks.masks import read_mask
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.run_job import cycle_notes
 from cagemap.tasks.transfer import run_transfer
 

@@ -1,4 +1,7 @@
-"""Damaged glTF, GLB and VRM files: a named error or a valid result, never another exception or a large array."""
+"""Damaged glTF, GLB and VRM files: a named error or a valid result, never another exception or a large array.
+
+Containers that are cut short: tests/files/test_gltf_read.py.
+"""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.suggest import run_suggest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap

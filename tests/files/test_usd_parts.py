@@ -20,7 +20,8 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.mesh_commands import refine_file
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 

@@ -17,7 +17,7 @@ from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 

@@ -24,7 +24,7 @@ from cagemap.pipeline import MatchConfig
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.masks import mask_file, read_mask, read_masks
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer
 from cagemap.transfer.displacement import grey
 from cagemap.transfer.masks import bake_mask, blend, painted_mask, with_alpha

@@ -32,7 +32,7 @@ from cagemap.tasks.match_parts import asked_parts, chosen_parts
 from cagemap.tasks.mesh_commands import check_files
 from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 

@@ -22,8 +22,8 @@ from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import ReportRequest, run_report
-from cagemap.tasks.requests.matching import MapRequest
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result

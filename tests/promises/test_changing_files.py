@@ -19,7 +19,8 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_manifest
 from cagemap.tasks import import_map, match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import MapRequest, MatchRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
 
 from example_result import identity_result
 

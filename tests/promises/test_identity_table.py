@@ -21,8 +21,8 @@ from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.parts import find_part, join_meshes
 from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import MatchRequest
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from fbx_scenes import write_fbx

@@ -32,7 +32,9 @@ from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.mesh_commands import refine_file
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
-from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.suggest import run_suggest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap

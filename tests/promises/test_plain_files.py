@@ -26,7 +26,7 @@ from cagemap.subdivision import refine
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import WrapRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.subdivision import SchemeName
 from cagemap.tasks.wrap import run_wrap
 

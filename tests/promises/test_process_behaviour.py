@@ -25,7 +25,7 @@ from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.surface_store import surface_key
 from cagemap.spectral import BasisConfig
 from cagemap.tasks.job_file import note_match
-from cagemap.tasks.requests.matching import MatchRequest
+from cagemap.tasks.requests.match import MatchRequest
 
 from example_result import identity_result
 

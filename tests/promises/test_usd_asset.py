@@ -18,7 +18,8 @@ from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 

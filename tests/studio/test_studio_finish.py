@@ -40,7 +40,8 @@ from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
 from cagemap.tasks.requests.options import MASK_FILES, Option
-from cagemap.tasks.requests.results import ReportRequest, TransferRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 
 OPTIONS = all_options()
 SHOWN = (*(field.key for fold in SECTIONS for field in fold.fields), VERTICES_KEY, SIZE_KEY)

@@ -16,7 +16,7 @@ from cagemap.studio.opening import built_in_files
 from cagemap.studio.state import Files
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import Key, Value, all_options
-from cagemap.tasks.requests.matching import RunRequest
+from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.run_job import run_job
 
 pytestmark = pytest.mark.slow

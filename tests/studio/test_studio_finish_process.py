@@ -23,8 +23,8 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.studio.finish_process import RequestResult, run_finish_request, serve
 from cagemap.studio.worker import STOPPED_KIND, Failure, Worker
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import MatchRequest
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 
 
 def two_creatures(folder: Path) -> tuple[Path, Path]:
@@ -95,7 +95,7 @@ def test_a_request_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp
         "from pathlib import Path\n"
         "from cagemap.studio.finish_process import serve\n"
         "from cagemap.studio.worker import Worker\n"
-        "from cagemap.tasks.requests.matching import MatchRequest\n"
+        "from cagemap.tasks.requests.match import MatchRequest\n"
         "if __name__ == '__main__':\n"
         "    worker = Worker(lambda stage: print(stage, flush=True), serve)\n"
         "    worker.run(MatchRequest(Path('a.obj'), Path('b.obj'), None, Path('R'), vertices=200_000))\n"

@@ -14,7 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.result.folder import write_result
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result

@@ -10,9 +10,16 @@ from cagemap.cli.console import say
 from cagemap.cli.progress import ConsoleStages
 from cagemap.cli.request_command import request_command, with_stages
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.matching import MapRequest, MatchRequest, RunRequest, StudioRequest
-from cagemap.tasks.requests.models import FaceRequest, FunctionsRequest, RigRequest
-from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
+from cagemap.tasks.requests.face import FaceRequest
+from cagemap.tasks.requests.functions import FunctionsRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.rig import RigRequest
+from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.requests.studio import StudioRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 
 
 @request_command(MatchRequest)
@@ -33,7 +40,7 @@ def _read_transfer(
     texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
 ) -> TransferRequest:
     """The transfer request of option words: named images and comma-separated kinds of bakes."""
-    from cagemap.tasks.requests.results import texture_and_maps
+    from cagemap.tasks.requests.transfer import texture_and_maps
 
     image, maps = texture_and_maps(texture)
     base, named_bases = texture_and_maps(bases, "--base")

@@ -8,7 +8,7 @@ from pathlib import Path
 from cagemap.errors import ParameterError
 from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, command_line_files
 from cagemap.tasks.requests.catalogue import all_options
-from cagemap.tasks.requests.matching import StudioRequest
+from cagemap.tasks.requests.studio import StudioRequest
 
 
 def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:

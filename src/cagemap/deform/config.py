@@ -1,4 +1,4 @@
-"""Every number that decides a deformation: of its spectral start, and of the fit."""
+"""Numbers that decide a deformation: of its start by ZoomOut, and of the fit."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Stage:
         """Check the counts."""
         if min(self.iterations, self.factored) < 1 or self.patience < 0:
             raise ParameterError(
-                "a stage of the elastic fit: expected at least 1 iteration, factored at least every iteration (1), and "
+                "a stage of the elastic fit: expected iterations and factored of at least 1, and "
                 f"no negative patience, got {self}"
             )
 
@@ -66,7 +66,7 @@ class StartConfig(Brief):
     growth: float = 1.5  #: factor by which ZoomOut from a fit raises the number of functions
     last_functions: int = 100  #: number of functions at which it ends
     places: int = 3000  #: source points among which it finds closest points
-    normal_length: float = 0.1  #: distance of opposite normals in that search, of sqrt(area)
+    normal_length: float = 0.1  #: length of a unit normal in that search, of sqrt(area)
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -100,19 +100,23 @@ class DataConfig:
     received_smoothing: float = 0.005  #: length over which received area is smoothed; less than a finger's width
     #: a vertex that receives less than the first share of its area has no data term, from the second on a full one
     received: tuple[float, float] = (0.25, 0.5)
-    inside_trip: float = 0.006  #: round trip at which a source sample inside the target has a quarter of its weight
-    #: the same outside the target, in sqrt(alpha); the target may not have reached the sample yet
+    #: round trip (a source sample, its closest point on the target, that one's closest point on the source) at which
+    #: a sample inside the target has a quarter of its weight
+    inside_trip: float = 0.006
+    #: round trip of a quarter of the weight outside the target, in sqrt(alpha): it may not have arrived yet
     outside_trips: float = 6.0
-    cluster_trip: float = 0.4  #: the same for source samples of clusters; legs may be that much longer
+    cluster_trip: float = 0.4  #: round trip of a quarter of the weight for clusters: legs may be that much longer
     #: share of a cluster's term that pulls towards the source sample, the rest towards its plane
     towards_point: float = 0.3
     #: largest distance from an open surface that is counted; beyond its boundary there is no misfit
     uncovered: float = 0.02
-    anchor_normal_weight: float = 0.01  #: distance of opposite normals when landmarks are moved to a coarser mesh
+    anchor_normal_weight: float = 0.01  #: length of a unit normal when landmarks are moved to a coarser mesh
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
     min_curve_points: int = 6  #: coarse vertices that a curve needs to bend
     shared_gap: float = 0.03  #: a place that a fit leaves farther from the other surface has no counterpart there
-    at_boundary: float = 1e-4  #: a place nearer than this has one, also at the other surface's boundary
+    at_boundary: float = (
+        1e-4  #: a place so near to the other surface has a counterpart, even at that surface's boundary
+    )
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,9 @@ class SearchConfig:
     max_cost: float = 1.5  #: a coarse placement that costs more times the cheapest one is not refined
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
-    as_cheap: float = 1.15  #: a placement led to tips, or finished, may cost this many times what it did before
+    as_cheap: float = (
+        1.15  #: a refit with held tips, or in the source's pose, may cost this many times what it replaces
+    )
     part_rings: int = 3  #: rings of edges around a part over which its cost fades
     # Alignments without landmarks
     rough_vertices: int = 400  #: vertices of the graph on which all starts are tried
@@ -141,9 +147,11 @@ class SearchConfig:
     different: float = 0.08  #: fits at a larger mean distance are two answers
     max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
-    max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment; rotated boxes cost the same
+    max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment
     hopeless: float = 2.5  #: a candidate that costs more times the best one is not finished
-    unlikely: float = 1.5  #: limb assignments that cost more times the files' own alignment are dropped, as for fins
+    unlikely: float = (
+        1.5  #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
+    )
     mirrored_starts: int = 4  #: starts on the mirror image that are fitted; the nearest ones
     #: factor on the cost of a start rotated about the vertical; files mostly agree on the front
     turned_doubt: float = 1.1
@@ -180,7 +188,7 @@ class RefitConfig:
     rounds: int = 2  #: times that the target is posed and fitted
     smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
-    normal_weight: float = 0.02  #: distance of opposite normals in the search on that mesh
+    normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
     far: float = 0.03  #: a vertex at a larger distance from it has no inverse
     max_far: float = 0.03  #: with a larger share of such area the placement stays as it is
 
@@ -220,7 +228,7 @@ class LandmarkConfig:
     min_distance: float = 0.25  #: nearer corrections are left to the strain of the finished map
     #: a landmark is at a tip if no place within this distance is farther from the other landmarks
     tip_reach: float = 0.15
-    tip_slack: float = 0.03  #: by more than this
+    tip_slack: float = 0.03  #: slack in this comparison
     #: a given place and the best one are on one limb if paths through the best one are longer by at most this
     detour: float = 0.2
     #: with a larger share of accused pairs it is unknown which are right, and none is left out

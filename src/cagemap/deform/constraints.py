@@ -37,10 +37,10 @@ class Anchors(CagePoints):
     def hold(
         self, blocks: FloatArray, right: FloatArray, positions: FloatArray, places: FloatArray, weight: float
     ) -> None:
-        """Add the term ``weight |sum_k b_k x_k - y|^2`` of every point to a data term (n, 3, 3), (n, 3).
+        """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
 
-        At a vertex it replaces the data term. Between vertices every corner gets the residual with weight b_k, as in
-        `source_to_target`.
+        At a vertex it replaces the terms that are there. Between vertices every corner gets the residual with weight
+        b_k, as in `source_to_target`.
         """
         at_vertex = self.weights[:, 0] == 1.0
         held = self.corners[at_vertex, 0]

@@ -68,7 +68,7 @@ class CoarseShape:
     rest: RestShape  # of the k clusters
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
-    # Landmarks, which are the first clusters, and curves, whose vertices have clusters of their own after them
+    # Landmarks are the first clusters, vertices of curves the next ones
     constraints: Constraints
 
     def smoothed(self, smoothing: float) -> CoarseShape:

@@ -63,9 +63,9 @@ class OpenModels:
 
 @dataclass(frozen=True)
 class FindMap:
-    """Compute the map; updates the last one, if any, unless ``fresh`` is set.
+    """Compute the map: update the last one, or with ``fresh`` and landmarks enough, match from the start.
 
-    With ``answer``, start from that one of the alignments found without landmarks.
+    ``answer`` chooses one of the alignments that are found without landmarks.
     """
 
     pair_files: PairFiles
@@ -147,12 +147,13 @@ class PreviewCache:
     ----------
     pair_files : PairFiles or None
     target, source : OpenedModel or None
+        After a map the source is rotated to face like the target.
     prepared_pair : PreparedPair or None
         Everything that does not depend on landmarks.
     free_match : MatchResult or None
         Match without landmarks, with all its answers.
     chosen_answer : int
-        Answer that maps start from.
+        Which of its answers (alignments) maps start from.
     result : MatchResult or None
         The current map.
     character : Character or None

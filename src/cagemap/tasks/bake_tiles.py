@@ -37,7 +37,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.results import TransferRequest, base_of
+from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement

@@ -41,7 +41,7 @@ from cagemap.tasks.detail_bakes import (
     vertex_colors,
 )
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.results import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.detail import Detail

@@ -12,10 +12,12 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import mesh_files, write_mesh
 from cagemap.files.result.folder import check_result_folder
-from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
-from cagemap.tasks.requests.results import ReportRequest, TransferRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 TEXTURE_SIZE = 2048

@@ -32,7 +32,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
     Detail,

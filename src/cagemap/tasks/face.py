@@ -26,7 +26,7 @@ from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest, with_part
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.models import FaceRequest
+from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.rig_character import body_in, read_body
 

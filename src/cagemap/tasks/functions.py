@@ -20,7 +20,7 @@ from cagemap.spectral import BasisConfig, Surface
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import parse_schedule, with_laplacian
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.models import FunctionsRequest
+from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 FUNCTION_VERTICES = 50_000

@@ -20,7 +20,7 @@ from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import mask_inputs, masks_on, read_masks
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import MapRequest
+from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import weld_asked
 

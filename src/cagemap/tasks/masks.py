@@ -32,8 +32,10 @@ from numpy.typing import NDArray
 
 from cagemap.files.values.attributes import Attributes
 from cagemap.files.values.part_numbering import FileRows, to_file
-from cagemap.tasks.requests.matching import MapRequest, MatchRequest
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest, base_of
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.transfer import TransferRequest, base_of
+from cagemap.tasks.requests.wrap import WrapRequest
 
 # Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02

@@ -44,7 +44,7 @@ from cagemap.tasks.method import (
     with_parameters,
 )
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.matching import MatchRequest as MatchRequest
+from cagemap.tasks.requests.match import MatchRequest as MatchRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 

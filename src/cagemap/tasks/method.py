@@ -15,7 +15,7 @@ from cagemap.operators import LAPLACIANS
 from cagemap.pipeline import MatchConfig, choose_level, default_basis
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, MOST_LEVELS
-from cagemap.tasks.requests.matching import MatchRequest
+from cagemap.tasks.requests.match import MatchRequest
 
 # The field of `MatchConfig` that holds each method's parameters.
 _OWN = {"elastic": "start", "hfm": "hfm", "paper": "paper"}

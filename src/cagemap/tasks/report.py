@@ -26,7 +26,7 @@ from cagemap.pictures import UP_AXES
 from cagemap.report import CarriedData, CarriedShape, Weights, check_page_path, write_report
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.results import ReportRequest
+from cagemap.tasks.requests.report import ReportRequest
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)

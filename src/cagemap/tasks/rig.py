@@ -33,7 +33,7 @@ from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vert
 from cagemap.tasks.masks import in_file, keep_base
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.options import comma_words
-from cagemap.tasks.requests.results import TransferRequest, base_of
+from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
 from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, normalised, normalised_skin, pruned
 

@@ -42,8 +42,8 @@ from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, 
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest, with_part
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.models import RigRequest
 from cagemap.tasks.requests.options import comma_words
+from cagemap.tasks.requests.rig import RigRequest
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 

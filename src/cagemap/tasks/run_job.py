@@ -46,12 +46,14 @@ from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
 from cagemap.tasks.dry_run import dry_run
 from cagemap.tasks.import_map import run_map
-from cagemap.tasks.match import MatchRequest, read_control, run_match, weld_control
+from cagemap.tasks.match import read_control, run_match, weld_control
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import SIDES, side_bases, side_levels
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN, run_request
-from cagemap.tasks.requests.matching import MapRequest, RunRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.run import RunRequest
 
 
 class Ticker:

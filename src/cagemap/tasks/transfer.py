@@ -39,16 +39,16 @@ from cagemap.tasks.carry_images import (
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.results import TransferRequest, require_map_names
+from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
-# Options whose results ignore masks.
+# Data that is carried whole: masks are refused with it.
 _WHOLE = ("--source-uvs", "--joints", "--passenger", "--write-map")
 
-# Commands that read an option; others refuse it, since they would ignore it.
+# Kinds of data whose transfer reads an option; with other kinds the option is refused.
 _PICTURES = ("--texture", "--displacement", "--normal-map", "--vector-displacement", "--bake")
 _READ_BY = {
     "usd": ("--texture", "--attribute", "--weights", "--blend-shapes"),
@@ -81,7 +81,7 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
 
 
 def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
-    """Carry one kind of data to the target and write it; the job file is unchanged."""
+    """Carry one kind of data to the target and write it, without a note in the RESULT's job file."""
     carry = _carrier(request)
     require_map_names(request.maps)
     named = [base for base in request.bases if base[0]]
@@ -108,7 +108,7 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:
-    """Function for the only kind of data that is requested."""
+    """Function that carries the requested kind of data; refuses none or several kinds."""
     options = {
         "--texture": (request.texture is not None or bool(request.maps), carry_texture),
         "--displacement": (request.displacement is not None, carry_displacement),
@@ -127,14 +127,15 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
     chosen = [option for option, (requested, _) in options.items() if requested]
     if len(chosen) != 1:
         raise ParameterError(
-            f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run once for each."
+            f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run the command once for "
+            "each kind of data."
         )
     masks = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
     given_masks = [option for option, mask in masks.items() if mask is not None]
     if given_masks and chosen[0] in _WHOLE:
         raise ParameterError(
-            f"{' and '.join(given_masks)}: expected images, values, weights or blend shapes, got {chosen[0]}, which is "
-            "carried whole. Leave the mask out."
+            f"{' and '.join(given_masks)}: masks apply to images, values, weights and blend shapes only; "
+            f"{chosen[0]} is carried whole. Leave the mask out."
         )
     _require_read(request, chosen[0])
     return options[chosen[0]][1]
@@ -146,7 +147,7 @@ def _require_read(request: TransferRequest, carried: str) -> None:
         if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
             flag = _SAID_AS.get(option, option.replace("_", "-"))
             raise ParameterError(
-                f"--{flag}: expected it beside {' or '.join(readers)}, which read it, got {carried}. Leave it out."
+                f"--{flag}: only {' and '.join(readers)} use this option, got {carried}. Leave --{flag} out."
             )
 
 
@@ -168,7 +169,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         ) from None
     assert isinstance(carried, dict)
     warnings = [
-        f"{name}: as many rows as control vertices and as control faces; taken for vertices"
+        f"{name}: as many rows as control vertices and as control faces: assumed to be at vertices"
         for name, array in values.items()
         if len(array) == source.n_vertices == source.n_faces
     ]
@@ -187,7 +188,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
 
 
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
-    """Write the target's mesh with the source's texture coordinates, for the source's images."""
+    """Write the target's mesh with the source's texture coordinates, so that the source's images fit it."""
     sides = result.target.refinement, result.source.refinement
     stages("prepare")
     transfer = transfer_of(result)
@@ -203,13 +204,14 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
         warnings.append(f"{control.name}: {NO_UNITS}")
     if count:
         warnings.append(
-            f"seams of the source cross {count} of {control.n_faces} faces (numbers from 0), where no "
-            f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
+            f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "
+            f"coordinates (0-based): {', '.join(map(str, carried.crossed))}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
 
 
-# Mean distance of a passenger from the body, of sqrt(area), above which its units or position are doubtful.
+# Mean distance of a passenger (clothes, hair, props) from the body, in sqrt(body area), above which its units or
+# position are doubtful.
 _FAR_PASSENGER = 0.5
 
 

@@ -31,11 +31,13 @@ from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_bak
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
-from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.matching import MapRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import said
-from cagemap.tasks.requests.results import TransferRequest, WrapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
 from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap

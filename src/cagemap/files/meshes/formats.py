@@ -1,4 +1,7 @@
-"""Reading and writing of control meshes in all formats, chosen by the file's extension."""
+"""Reading and writing of control meshes in all formats, chosen by the file's extension.
+
+A new format is an entry of `_READERS` or `_WRITERS`; help lines that list formats are in `tasks.requests`.
+"""
 
 from __future__ import annotations
 

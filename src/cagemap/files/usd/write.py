@@ -45,7 +45,7 @@ class UsdResults:
     uvs: tuple[str, FloatArray, IndexArray] | None = None  # name, values and indices of a new UV set
     skeleton: Skeleton | None = None  # joints of the weights, in the order of their columns
 
-    def turned_round(self, mesh: ControlMesh) -> UsdResults:
+    def with_reversed_corners(self, mesh: ControlMesh) -> UsdResults:
         """The results for a mesh whose faces were reversed when it was read."""
         order = reversed_corners(mesh.face_offsets)
         attributes = {n: v[order] if _rows(mesh).get(len(v)) == _CORNERS else v for n, v in self.attributes.items()}
@@ -76,8 +76,8 @@ def write_usd(
 ) -> bool:
     """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
 
-    A mesh with a scheme is a subdivision surface, one without is polygons (``none``). Without a ``space`` it is in
-    metres with Y up. With ``add``, earlier results of cagemap in the file are kept; returns whether there were any.
+    A mesh with a scheme is a subdivision surface, one without is polygons (``none``). Without a ``space`` the file
+    states metres with Y up. With ``add``, earlier results of cagemap in the file are kept; returns whether there were any.
     """
     file = Path(path)
     check_usd_path(file)
@@ -154,7 +154,7 @@ def write_usd_over(
         )
         left_handed = pxr.UsdGeom.Mesh(prim).GetOrientationAttr().Get() == "leftHanded"
         if len(prim_paths) == 1 and left_handed != (world and is_mirrored(to_world)):
-            local_results = local_results.turned_round(mesh)
+            local_results = local_results.with_reversed_corners(mesh)
         to_root = to_world @ np.linalg.inv(local_to_world(target_stage.GetPrimAtPath(top)))
         _write_results(stage, stage.OverridePrim(prim_path), mesh, local_results, to_root)
     del stage  # otherwise it searches the sublayer relative to the unsaved layer, and warns
@@ -341,9 +341,9 @@ def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray])
     paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, taken)]
     for path, offsets in zip(paths, shapes.values(), strict=True):
         shape = pxr.UsdSkel.BlendShape.Define(stage, path)
-        moved = np.flatnonzero(np.any(offsets != 0, axis=1))
-        shape.CreateOffsetsAttr(pxr.Vt.Vec3fArray.FromNumpy(offsets[moved].astype(np.float32)))
-        shape.CreatePointIndicesAttr(_ints(moved))
+        changed = np.flatnonzero(np.any(offsets != 0, axis=1))
+        shape.CreateOffsetsAttr(pxr.Vt.Vec3fArray.FromNumpy(offsets[changed].astype(np.float32)))
+        shape.CreatePointIndicesAttr(_ints(changed))
     binding.CreateBlendShapesAttr(list(shapes))
     binding.CreateBlendShapeTargetsRel().SetTargets(paths)
 

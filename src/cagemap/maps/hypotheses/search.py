@@ -139,8 +139,9 @@ def search(
 
     1. Three landmarks or more are a start of their own; if its fits agree, nothing else is tried.
     2. Otherwise limbs are assigned to limbs, in the ways that the landmarks allow, and starts by rotation are tried.
-    3. The best placements are refitted with tips of limbs held; the best of all is finished. Bodies of one kind in
-       one pose need neither.
+    3. The best placements are refitted with tips of limbs held, and the best of all is finished
+       (`deform.refit.finish_placement`). For bodies of one kind in one pose no tips are held, and without landmarks
+       nothing is finished.
 
     Places ``start`` (k, 3) of the coarse shape's vertices replace the landmarks' functional map; then nothing else is
     tried. ``show`` is called with placements of the small graph.

@@ -7,6 +7,8 @@ outliers, found one after the other.
 
 Distances hardly distinguish the left fore foot from the right one. The orientation of landmarks around each other does:
 for all of them, and for two that were exchanged.
+
+This only accuses pairs; `maps.landmarks.check` decides which are left out. Bounds: `LandmarkConfig` of `deform.config`.
 """
 
 from __future__ import annotations

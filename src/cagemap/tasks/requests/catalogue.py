@@ -15,9 +15,11 @@ from pydantic import TypeAdapter
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.matching import MatchRequest
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
-from cagemap.tasks.requests.results import ReportRequest, TransferRequest, WrapRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 
 Request = MatchRequest | TransferRequest | WrapRequest | ReportRequest
 COMMANDS: dict[str, type] = {

@@ -1,4 +1,4 @@
-"""Requests of commands that write a RESULT (match, map, run, studio), annotated with their options."""
+"""Request of `cagemap match`, annotated with its options."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from cagemap.tasks.requests.options import (
     LANDMARKS,
     OUTPUT,
     RESEARCH,
-    Argument,
     BoundaryOption,
     CreasingOption,
     Force,
     MaskEdgeOption,
     Method,
-    OneOf,
     Option,
     SchemeOption,
     SourceMaskOption,
@@ -154,75 +152,3 @@ class MatchRequest:
         Path | None, Option(group=INPUT, help="Folder that keeps prepared surfaces, so that each is prepared once.")
     ] = None
     force: Force = False
-
-
-@dataclass(frozen=True)
-class MapRequest:
-    """Request of `cagemap map`."""
-
-    map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
-    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]
-    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that the map goes to; it gives.")]
-    output: Annotated[Path, Option(("-o", "--output"), help="RESULT folder to write.")]
-    level: Annotated[int | None, Option(min=1, help="Level of both surfaces.  [default: about 50000 vertices]")] = None
-    weld: WeldOption = None
-    target_weld: TargetWeldOption = None
-    source_weld: SourceWeldOption = None
-    target_mask: TargetMaskOption = None
-    source_mask: SourceMaskOption = None
-    mask_edge: MaskEdgeOption = None
-    force: Force = False
-
-
-@dataclass(frozen=True)
-class RunRequest:
-    """Request of `cagemap run`."""
-
-    job: Annotated[Path, Argument(help="Job file, .toml.")]
-    scheduler: Annotated[
-        str | None,
-        Option(
-            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes on this machine]"
-        ),
-    ] = None
-    workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
-        None
-    )
-    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list the tasks and estimate their time.")] = False
-    task: Annotated[
-        str | None,
-        Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),
-    ] = None
-    export: Annotated[
-        str | None,
-        Option(metavar="openjd|slurm", help="Print a template or script that runs each task by its number."),
-        OneOf(("openjd", "slurm")),
-    ] = None
-
-
-@dataclass(frozen=True)
-class StudioRequest:
-    """Request of `cagemap studio`."""
-
-    target: Annotated[Path | None, Option(("--target", "-t"), help="Control mesh that receives.")] = None
-    source: Annotated[Path | None, Option(("--source", "-s"), help="Control mesh that gives.")] = None
-    landmarks: Annotated[Path | None, Option(help="Landmark file to open and save.")] = None
-    texture: Annotated[Path | None, Option(help="Image over the source's UVs.")] = None
-    result: Annotated[Path | None, Option(help="RESULT folder to write; without models, the one to open.")] = None
-    folder: Annotated[tuple[Path, ...], Option(help="Folder that the page may open and write; may be repeated.")] = ()
-    host: Annotated[str, Option(help="Address to serve; other machines need the printed token.")] = "127.0.0.1"
-    port: Annotated[int, Option(min=0, max=65535, help="Port; if it is in use, the next free one.")] = 8765
-    vertices: Annotated[int, Option(min=1, help="About this many displayed vertices per model.")] = 25_000
-    no_browser: Annotated[bool, Option(("--no-browser",), help="Do not open the page.")] = False
-    scheme: SchemeOption = None
-    target_scheme: TargetSchemeOption = None
-    source_scheme: SourceSchemeOption = None
-    part: Annotated[
-        str | None,
-        Option(
-            help="Open this object, group, material or component of both files.  "
-            "[default: all of a file in one piece, else its largest]"
-        ),
-    ] = None
-    target_part: TargetPartOption = None
-    source_part: SourcePartOption = None

@@ -1,0 +1,39 @@
+"""Request of `cagemap face`, annotated with its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    INPUT,
+    LANDMARKS,
+    OUTPUT,
+    Argument,
+    Force,
+    Option,
+)
+
+
+@dataclass(frozen=True)
+class FaceRequest:
+    """Request of `cagemap face`."""
+
+    head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
+    part: Annotated[str | None, Option(group=INPUT, help="Part of HEAD that has the face.  [default: the largest]")] = (
+        None
+    )
+    only: Annotated[
+        str | None, Option(group=INPUT, help="Shapes to make, by ARKit's names: jawOpen,eyeBlinkLeft.  [default: all]")
+    ] = None
+    landmarks: Annotated[
+        Path | None,
+        Option(
+            group=LANDMARKS,
+            help="Points file of HEAD: nose_tip, chin, mouth_left and others.",
+        ),
+    ] = None
+    sheet: Annotated[Path | None, Option(group=OUTPUT, help="Image to write, with pictures of all shapes.")] = None
+    force: Force = False

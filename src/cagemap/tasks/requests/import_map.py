@@ -1,0 +1,37 @@
+"""Request of `cagemap map`, annotated with its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    Argument,
+    Force,
+    MaskEdgeOption,
+    Option,
+    SourceMaskOption,
+    SourceWeldOption,
+    TargetMaskOption,
+    TargetWeldOption,
+    WeldOption,
+)
+
+
+@dataclass(frozen=True)
+class MapRequest:
+    """Request of `cagemap map`."""
+
+    map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
+    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]
+    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that the map goes to; it gives.")]
+    output: Annotated[Path, Option(("-o", "--output"), help="RESULT folder to write.")]
+    level: Annotated[int | None, Option(min=1, help="Level of both surfaces.  [default: about 50000 vertices]")] = None
+    weld: WeldOption = None
+    target_weld: TargetWeldOption = None
+    source_weld: SourceWeldOption = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
+    force: Force = False

@@ -1,0 +1,42 @@
+"""Request of `cagemap report`, annotated with its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    Force,
+    Option,
+    ResultFolder,
+)
+
+
+class UpAxis(StrEnum):
+    """Axis of the target's file that points up in the pictures."""
+
+    Y = "y"
+    Z = "z"
+
+
+@dataclass(frozen=True)
+class ReportRequest:
+    """Request of `cagemap report`; without a texture it shows the last baked one, if its files exist."""
+
+    result: ResultFolder
+    output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")
+    texture: Annotated[Path | None, Option(help="Source texture to show.  [default: that of the last transfer]")] = None
+    force: Force = False
+    level: Annotated[
+        int | None,
+        Option(min=0, help="Map of this level of the target (methods hfm, paper).  [default: the finest]"),
+    ] = None
+    up: Annotated[
+        UpAxis | None,
+        Option(
+            help="Axis of the target that is up in the pictures.  "
+            "[default: from the USD file, or guessed from the shape]"
+        ),
+    ] = None

@@ -1,0 +1,56 @@
+"""Request of `cagemap rig`, annotated with its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    INPUT,
+    LANDMARKS,
+    OUTPUT,
+    Argument,
+    Force,
+    Option,
+)
+
+
+@dataclass(frozen=True)
+class RigRequest:
+    """Request of `cagemap rig`."""
+
+    body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
+    like: Annotated[
+        Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm or .fbx.")
+    ]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
+    landmarks: Annotated[
+        Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
+    ] = None
+    body_part: Annotated[
+        str | None, Option(group=INPUT, help="Part of BODY that is the body.  [default: the largest]")
+    ] = None
+    like_part: Annotated[
+        str | None, Option(group=INPUT, help="Part of the character that is its body.  [default: the largest]")
+    ] = None
+    passengers: Annotated[
+        str | None,
+        Option(group=INPUT, help="Clothes, eyes and hair to carry, by name: eyes,shirt or none.  [default: all]"),
+    ] = None
+    rigid: Annotated[str | None, Option(group=INPUT, help="Passengers whose pieces keep their shape: hat,glasses.")] = (
+        None
+    )
+    cloth: Annotated[str | None, Option(group=INPUT, help="Passengers that follow the skin: mask,belt.")] = None
+    influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints per vertex; 0 for all.")] = 4
+    keep_textures: Annotated[
+        bool, Option(("--keep-textures",), group=OUTPUT, help="BODY keeps its own materials and textures.")
+    ] = False
+    size: Annotated[
+        int | None,
+        Option(group=OUTPUT, min=1, help="Width and height of baked textures.  [default: as the character's]"),
+    ] = None
+    report: Annotated[
+        Path | None, Option(group=OUTPUT, help="HTML page to write, which shows the animated result.")
+    ] = None
+    force: Force = False

@@ -1,0 +1,39 @@
+"""Request of `cagemap run`, annotated with its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    Argument,
+    OneOf,
+    Option,
+)
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """Request of `cagemap run`."""
+
+    job: Annotated[Path, Argument(help="Job file, .toml.")]
+    scheduler: Annotated[
+        str | None,
+        Option(
+            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes on this machine]"
+        ),
+    ] = None
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
+        None
+    )
+    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list the tasks and estimate their time.")] = False
+    task: Annotated[
+        str | None,
+        Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),
+    ] = None
+    export: Annotated[
+        str | None,
+        Option(metavar="openjd|slurm", help="Print a template or script that runs each task by its number."),
+        OneOf(("openjd", "slurm")),
+    ] = None
