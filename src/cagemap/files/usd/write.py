@@ -77,7 +77,8 @@ def write_usd(
     """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
 
     A mesh with a scheme is a subdivision surface, one without is polygons (``none``). Without a ``space`` the file
-    states metres with Y up. With ``add``, earlier results of cagemap in the file are kept; returns whether there were any.
+    states metres with Y up. With ``add``, earlier results of cagemap in the file are kept; returns whether there were
+    any.
     """
     file = Path(path)
     check_usd_path(file)
