@@ -250,7 +250,7 @@ def test_the_command_refuses_idle_options_and_warns_of_a_passenger_elsewhere(tmp
     write_result(tmp_path / "R", identity_result())
     write_mesh(tmp_path / "far.obj", moved(cube(), (99.0, 0.0, 0.0)))
     np.save(tmp_path / "v.npy", np.arange(8.0))
-    run.refused("transfer R --attribute v.npy --as rigid -o o.npy", says="--as: expected it beside --passenger")
+    run.refused("transfer R --attribute v.npy --as rigid -o o.npy", says="--as: expected with --passenger only")
     warned = run.done("transfer R --passenger far.obj -o on.obj")
     assert "same units and place" in warned.err + warned.out
     same = run("transfer R --passenger far.obj -o far.obj")

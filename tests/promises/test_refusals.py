@@ -62,7 +62,7 @@ REFUSED = {
     "transfer R --weights below.npy -o o.npz": "below.npy: ",
     "transfer R --weights short.csv -o o.npz": "one a vertex",
     "transfer R --weights legs.csv --joints one.json -o o.npz": "knee",
-    "transfer R --weights legs.csv --texture t.png -o o.png": "Run once",
+    "transfer R --weights legs.csv --texture t.png -o o.png": "Run the command once",
     "transfer R --joints orphan.json -o o.json": "root",
     f"{SHAPES} other.obj": "8 vertices",
     "transfer R --weights skin.npy --joints one.json -o o.npz": "expected weights of 1 joints",

@@ -147,7 +147,7 @@ def _require_read(request: TransferRequest, carried: str) -> None:
         if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
             flag = _SAID_AS.get(option, option.replace("_", "-"))
             raise ParameterError(
-                f"--{flag}: only {' and '.join(readers)} use this option, got {carried}. Leave --{flag} out."
+                f"--{flag}: expected with {' or '.join(readers)} only, got {carried}. Leave --{flag} out."
             )
 
 
