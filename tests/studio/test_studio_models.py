@@ -5,11 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
-import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing import Pipe
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -20,7 +16,6 @@ import trimesh
 from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
-from cagemap.errors import ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
@@ -33,18 +28,16 @@ from cagemap.studio.compute import (
     PairFiles,
     PreviewCache,
     ShowBaked,
-    number_duplicates,
     run_task,
 )
 from cagemap.studio.downloads import textured_model
 from cagemap.studio.finish import FinishOptions, finish_commands
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
-from cagemap.studio.landmarks import Landmark, LandmarkList
 from cagemap.studio.models import open_model, with_texture
 from cagemap.studio.opening import default_files
-from cagemap.studio.places import hit_place, nearest_place, vertex_place
-from cagemap.studio.scene import Scene, map_place, mirror_place, part_name
+from cagemap.studio.places import hit_place, nearest_place
+from cagemap.studio.scene import part_name
 from cagemap.studio.shape import Hit, pick, refined_shape
 from cagemap.studio.skins import (
     Look,
@@ -56,10 +49,11 @@ from cagemap.studio.skins import (
     texture_colors,
 )
 from cagemap.studio.state import Output, StudioState
-from cagemap.studio.worker import CANCELLED_KIND, Failure, Worker, _serve_preview
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 from cagemap.transfer.attributes import encode_srgb as to_display
+
+from studio_boxes import landmarks, unwrapped_cube
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -261,15 +255,6 @@ def identity(n: int, triangles: np.ndarray) -> PreviewMap:
     return PreviewMap(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
 
 
-def unwrapped_cube():
-    """A cube whose six faces are islands of their own."""
-    mesh = cube()
-    corners = np.array([[0.02, 0.02], [0.31, 0.02], [0.31, 0.48], [0.02, 0.48]])
-    steps = np.array([[x / 3, y / 2] for y in range(2) for x in range(3)])
-    uvs = (corners[None] + steps[:, None]).reshape(-1, 2)
-    return mesh.with_uvs(uvs, np.arange(24))
-
-
 def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
     for number, color in tiles.items():
@@ -346,164 +331,3 @@ def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:
         found = picture[row, column]
         assert side >= 3
         assert (np.abs(found.astype(float) - wanted).max(axis=1) < 2).mean() > (0.95 if look.texture is None else 0.3)
-
-
-@pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreviewCache, OpenModels]:
-    folder = tmp_path_factory.mktemp("models")
-    mesh = unwrapped_cube()
-    write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
-    # Not the very same surface, which has one answer.
-    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
-    write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    task = OpenModels(PairFiles(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, folder))
-    cache, _ = run_task(PreviewCache(), task, lambda _: None)
-    return cache, task
-
-
-def landmarks(cache: PreviewCache, *vertices: int) -> LandmarkList:
-    shapes = cache.target.shape, cache.source.shape
-    pairs = (Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
-    return LandmarkList(tuple(pairs))
-
-
-def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, OpenModels]) -> None:
-    cache, task = opened
-    cache, first = run_task(cache, FindMap(task.pair_files, landmarks(cache, *range(8))), lambda _: None)
-    assert isinstance(first, MapUpdate)
-    cache, second = run_task(cache, FindMap(task.pair_files, landmarks(cache, *range(7))), lambda _: None)
-    assert isinstance(second, MapUpdate)
-    assert set(second.map_state.strain) == {f"v{v}" for v in range(7)}
-    assert second.skins[1] is None  # the source faces as the target does
-    # The models are translates of each other: the map carries a point to the same point, five units to the right.
-    target, source = cache.target, cache.source
-    mirrors = target.mirror, source.mirror
-    scene = Scene(target.shape, source.shape, mirrors, (second.skins[0], b""), second.preview_map)
-    there = map_place(scene, "target", vertex_place(scene.target, 0))
-    assert there is not None
-    # Within two edges of the preview's level.
-    np.testing.assert_allclose(np.array(there.position) - [5, 0, 0], scene.target.positions[0], atol=0.3)
-    back = map_place(scene, "source", there)
-    assert back is not None
-    np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
-
-
-@pytest.mark.slow
-def test_without_landmarks_the_preview_has_answers_to_choose_from(opened: tuple[PreviewCache, OpenModels]) -> None:
-    cache, task = opened
-    with pytest.raises(ParameterError, match="answer 99"):
-        run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=99), lambda _: None)
-    looks = list[MapUpdate]()
-    cache, first = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None, looks.append)
-    assert isinstance(first, MapUpdate)
-    # As the files stand, and the best of all rough fits; both are maps of every vertex, and said to be rough.
-    assert [look.map_state.rough for look in looks] == [True, True]
-    assert not first.map_state.rough
-    assert {look.preview_map.triangle.shape for look in looks} == {first.preview_map.triangle.shape}
-    # A box on a box: each half turn is an answer.
-    assert len(first.map_state.answers) > 1
-    assert first.map_state.confidence
-    cache, second = run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
-    assert isinstance(second, MapUpdate)
-    assert second.map_state.chosen_answer == 1
-    assert not np.array_equal(first.preview_map.triangle, second.preview_map.triangle)
-    # One landmark moves that answer, and taking it away gives it back.
-    cache, third = run_task(cache, FindMap(task.pair_files, landmarks(cache, 0)), lambda _: None)
-    assert isinstance(third, MapUpdate)
-    assert set(third.map_state.strain) == {"v0"}
-    cache, fourth = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None)
-    assert isinstance(fourth, MapUpdate)
-    np.testing.assert_array_equal(fourth.preview_map.triangle, second.preview_map.triangle)
-
-
-def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[PreviewCache, OpenModels]) -> None:
-    cache, task = opened
-    taken: list[int] = []
-    for step in range(3):
-        if step == 1:  # all but two of the eight
-            taken += [vertex for vertex in range(8) if vertex not in taken][:5]
-        cache, found = run_task(cache, FindMap(task.pair_files, landmarks(cache, *taken)), lambda _: None)
-        assert isinstance(found, MapUpdate)
-        assert found.map_state.suggestion not in (None, *taken)
-        taken.append(found.map_state.suggestion or 0)
-    _, found = run_task(cache, FindMap(task.pair_files, landmarks(cache, *taken)), lambda _: None)
-    assert isinstance(found, MapUpdate)
-    assert found.map_state.suggestion is None
-
-
-def test_mirror_images_lie_across_the_plane(opened: tuple[PreviewCache, OpenModels]) -> None:
-    cache, _ = opened
-    shape = cache.target.shape
-    scene = Scene(shape, cache.source.shape, (cache.target.mirror, cache.source.mirror), (b"", b""))
-    corner = vertex_place(shape, 0)
-    across = mirror_place(scene, "target", corner)
-    assert across is not None
-    assert across.corners != corner.corners
-    assert mirror_place(scene, "target", across) == corner
-    assert mirror_place(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
-
-
-def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[PreviewCache, OpenModels]) -> None:
-    _, task = opened
-    stages: list[str] = []
-    worker = Worker(stages.append)
-    missing = worker.run(OpenModels(replace(task.pair_files, target=Path("/nowhere/a.obj"))))
-    assert isinstance(missing, Failure)
-    assert missing.kind == "FormatError"
-    assert "a.obj" in missing.message
-    answer = worker.run(task)
-    assert not isinstance(answer, Failure)
-    assert stages
-    worker.kill()
-    assert isinstance(worker.run(task), (Failure, type(answer)))
-    # Whatever happened to the process that was killed, the next task has one.
-    assert not isinstance(worker.run(task), Failure)
-    worker.kill()
-
-
-def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
-    opened: tuple[PreviewCache, OpenModels], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One that has ended already, or is named no more, disturbs no other."""
-    _, task = opened
-    unwanted, wanted = FindMap(task.pair_files, LandmarkList()), ShowBaked(task.pair_files, Path(), None, None)
-    here, there = Pipe()
-    worker = Worker(lambda stage: worker.cancel(unwanted))
-    monkeypatch.setattr(worker, "_connect", lambda: here)
-    worker._connection = here
-
-    def work(
-        cache: PreviewCache, task: object, progress: Callable[[str], None], _: object
-    ) -> tuple[PreviewCache, object]:
-        for stage in range(10_000 if isinstance(task, FindMap) else 3):  # the unwanted one has time to hear of it
-            progress(str(stage))
-            time.sleep(1e-3)
-        return cache, type(task).__name__
-
-    monkeypatch.setattr("cagemap.studio.compute.run_task", work)
-    monkeypatch.setattr("cagemap.studio.worker._lower_priority", lambda: None)  # it is this process that serves
-    serving = threading.Thread(target=_serve_preview, args=(there,), daemon=True)
-    serving.start()
-    for _ in range(2):
-        assert worker.run(unwanted) == Failure(CANCELLED_KIND, "the computation was cancelled")
-        worker.cancel(unwanted)
-        assert worker.run(wanted) == "ShowBaked"
-    here.close()
-    serving.join(10)
-    assert not serving.is_alive()
-
-
-def test_a_vertex_cannot_be_named_twice(opened: tuple[PreviewCache, OpenModels]) -> None:
-    cache, task = opened
-    one = landmarks(cache, 0).items[0]
-    with pytest.raises(ValueError, match="one pair only"):
-        run_task(cache, FindMap(task.pair_files, LandmarkList((one, replace(one, name="again")))), lambda _: None)
-
-
-def test_answers_of_one_name_are_numbered() -> None:
-    assert number_duplicates(["as filed", "turned", "as filed", "as filed"]) == (
-        "as filed",
-        "turned",
-        "as filed (2)",
-        "as filed (3)",
-    )

@@ -1,0 +1,103 @@
+"""Baked images in the view of a session."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.files.images.image import write_image
+from cagemap.studio.finish import FinishOptions
+from cagemap.studio.session import Session
+from cagemap.studio.state import Message, Output, View
+
+from studio_boxes import click, until
+
+
+def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted: list[None] = []
+    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: wanted.append(None))
+    before = opened.scene.skins
+    for view in (View(cages=True), View("colours"), View("checker", doubts=False), View()):
+        opened.show(view)
+    assert opened.scene.skins == before
+    assert not wanted
+
+
+def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Path) -> None:
+    write_image(boxes / "b.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    before = opened.scene.skins
+    opened._preview.kill()  # a killed computation reads the models again
+    baked(opened, boxes)
+    until(lambda: opened.scene.skins[0] != before[0], opened)
+    revision = opened.state.map.revision
+    click(opened, "target", 1)
+    opened.accept()
+    assert opened.state.view.mode == "texture"
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert b"baked" not in opened.scene.skins[0]
+
+
+def baked(session: Session, boxes: Path) -> Path:
+    """An image as a bake leaves it, on the model."""
+    image = boxes.resolve() / "b.png"
+    with session._lock:
+        session._change(outputs=(Output(image, "texture"),))
+        session._finish_inputs = session.state.map_inputs
+        session._on_end(Message("note", "Bake: done"))
+    assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
+    return image
+
+
+def test_a_bake_is_shown_though_its_map_cannot_be_compared(
+    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.studio.session.map_difference_notes", lambda *_: [][0])
+    baked(opened, boxes)
+    assert "error" in [message.kind for message in opened.state.messages[-3:]]
+
+
+def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, boxes: Path) -> None:
+    shown: list[View] = []
+    baked(opened, boxes)
+    click(opened, "target", 2)
+    assert opened.state.view.mode == "baked"  # half a landmark changes no map
+    opened.accept()
+    shown.append(opened.state.view)
+    baked(opened, boxes)
+    opened.match_again()
+    shown.append(opened.state.view)
+    baked(opened, boxes)
+    opened.undo()
+    shown.append(opened.state.view)
+    assert [view.mode for view in shown] == ["texture"] * 3
+    # Nor is one that ends after the landmarks have changed.
+    with opened._lock:
+        opened._finish_inputs = opened.state.map_inputs
+        opened.redo()
+        opened._on_end(Message("note", "Bake: done"))
+    assert opened.state.view.mode == "texture"
+    assert "before the last changes" in opened.state.messages[-1].text
+    # Nor on other models, nor while the next one is made of other options.
+    baked(opened, boxes)
+    opened.finish(FinishOptions(option_values={("match", "vertices"): 300}))
+    assert opened.state.view.mode == "texture"
+    opened.cancel()
+    until(lambda: opened.state.finish_job is None, opened)
+    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
+    baked(opened, boxes)
+    opened.open(opened.state.files)
+    assert opened.state.view.mode == "texture"
+    until(lambda: opened.state.map.revision >= 1, opened)
+
+
+def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path) -> None:
+    opened.change_view(mode="baked")
+    assert opened.state.view.mode == "texture"
+    assert "Press Bake" in opened.state.messages[-1].text
+    before, image = opened.state.view, baked(opened, boxes)
+    opened.show_baked_image(None)
+    opened.change_view(mode="baked", cages=True)
+    assert opened.state.view == replace(before, mode="baked", cages=True, baked=image)
