@@ -107,7 +107,7 @@ def _triples(map_keys: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKe
 
 
 def _detours(errors: Mapping[MapKey, float], doubtful: Sequence[MapKey]) -> dict[MapKey, tuple[str, ...]]:
-    """Shortest detours around doubtful maps, where their error is at most half."""
+    """Chains of better maps that replace a doubtful map, where their summed error is at most half of its error."""
     names = sorted({name for map_key in errors for name in map_key})
     index = {name: i for i, name in enumerate(names)}
     reliable = [map_key for map_key in errors if map_key not in doubtful]

@@ -158,7 +158,7 @@ class Session(SharedState):
             self._edit(lambda present: edit.begin(present, "target", vertex_place(scene.target, vertex)), select=True)
 
     def move(self, number: int, side: Side, origin: FloatArray, direction: FloatArray) -> None:
-        """Move a landmark on one model to the point under the mouse, if any."""
+        """Move a landmark on one model to the surface point under the mouse; nothing if there is none."""
         place = self.place_on_ray(side, origin, direction)
         if place is not None:
             self._edit(lambda present: edit.move(present, number, side, place))

@@ -144,7 +144,7 @@ def target_skin(
 
 
 def _base_attributes(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
-    """Triangles, shape vertex of each vertex, and attributes of a model without a map.
+    """Geometry of a model as it is drawn without a map: triangles, and for each vertex its shape vertex and attributes.
 
     Has one vertex for each combination of point, texture coordinates and colour.
     """

@@ -83,7 +83,7 @@ class View:
     layout : Path or None
         Mesh with the UV layout of that image, where the target has none.
     pose : str
-        Pose of the source's animations that both models are shown in; '': unposed.
+        Name of the pose in which both models are shown, one of `MapState.poses`; '' for none.
     """
 
     mode: Mode = "texture"

@@ -1,4 +1,4 @@
-"""Locate texels on the source: each sample follows T12 and walks to the closest source triangle.
+"""Find the source point of every texel: map the texel by T12, then walk to the closest source triangle.
 
 The three corners of a target triangle are mapped to source points. A sample's image is their barycentric combination in
 space. A walk over adjacent source triangles, from the image of the nearest corner, finds the closest triangle. Every

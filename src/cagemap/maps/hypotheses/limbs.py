@@ -110,7 +110,7 @@ def mean_distances(graph: ElasticGraph) -> FloatArray:
 
 
 def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Local maxima (q,) of heights (n,), and their heights above the highest pass to a higher one."""
+    """Local maxima (q,) of heights (n,), and their persistence: the height above the pass to a higher maximum."""
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
