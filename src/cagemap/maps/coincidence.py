@@ -8,6 +8,7 @@ with the same position on its face.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,28 +96,32 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
     return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
 
 
-# Points of a surface in the file's units, with normals (k, 3) and the area (k,) that each stands for.
-_Samples = tuple[FloatArray, FloatArray, FloatArray]
+class _Samples(NamedTuple):
+    """Points (k, 3) of a surface in the file's units, with normals (k, 3) and areas (k,) that they stand for."""
+
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
 
 
 def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
     rows = evenly_spaced_vertices(surface.n, _MOST_SAMPLES)
     areas = (1.0 if mask is None else mask[rows]) * surface.vertex_areas[rows]
-    return surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas
+    return _Samples(surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas)
 
 
 def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
     rows = evenly_spaced_vertices(len(surface.triangles), _MOST_SAMPLES)
     corners = surface.triangles[rows]
     areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * surface.areas[rows]
-    return triangle_centres(surface.positions, corners) / surface.scale, surface.normals[rows], areas
+    return _Samples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals[rows], areas)
 
 
 def _distances(samples: _Samples, other: TriangleSurface, unit: float, most: float) -> FloatArray:
     """(k,) distances to a surface's nearest points with similar normals, times ``unit``; at most ``most``."""
-    points, normals, _ = samples
     within = most * other.scale / unit
-    far = closest_points(other.tree, other.scale * points, normals, minimum_cosine=0.0, within=within)[2]
+    points = other.scale * samples.points
+    far = closest_points(other.tree, points, samples.normals, minimum_cosine=0.0, within=within)[2]
     return np.minimum(far * unit / other.scale, most)
 
 
@@ -134,14 +139,14 @@ def _gap(
     """
     unit, faces = source.scale, _on_faces(target, mask)
     apart = _distances(faces, source, unit, config.near)
-    if _share(faces[2], apart < config.near) < config.share:
+    if _share(faces.areas, apart < config.near) < config.share:
         return None
-    gap = float(faces[2] @ apart / faces[2].sum())
+    gap = float(faces.areas @ apart / faces.areas.sum())
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
-        distances, areas = _distances(samples, other, unit, config.near), samples[2]
+        distances, areas = _distances(samples, other, unit, config.near), samples.areas
         close = areas @ distances <= config.mean_gap * areas.sum()
         if close and _share(areas, distances < config.max_gap) >= config.share:
             return gap
     clothed = _on_faces(source)
-    covered = _share(clothed[2], _distances(clothed, target, unit, config.near) < config.near)
+    covered = _share(clothed.areas, _distances(clothed, target, unit, config.near) < config.near)
     return gap if covered < config.clothed else None

@@ -24,7 +24,7 @@ from cagemap.mesh.faces import (
     with_openings_closed,
 )
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun, first_few, list_problems, problem_at
+from cagemap.mesh.mesh_report import REPAIRED, MeshProblem, MeshReport, count_noun, first_few, list_problems, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -43,12 +43,6 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 SEVERAL = "several components"
 # Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
-# Problems that `cagemap.mesh.plain.plain_mesh` repairs.
-REPAIRED = frozenset({"degenerate faces", "duplicate faces", "isolated vertices", "non-manifold edges"}) | {
-    "non-manifold vertices",
-    "inconsistent orientation",
-    "inside out",
-}
 
 # An edge shorter than this share of the longest edges of its faces joins two vertices that should be one.
 TINY_EDGE = 0.01
@@ -144,8 +138,7 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
         remedy = "\nOr use `plain_mesh`, which repairs the mesh and takes it without subdivision." if repaired else ""
         raise InvalidMeshError(
             f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:"
-            f"{list_problems(problems)}"
-            f"{remedy}"
+            f"{list_problems(problems)}{remedy}"
         )
 
 
@@ -311,7 +304,7 @@ def _has_copied_component(mesh: ControlMesh, labels: IndexArray) -> bool:
 
 
 def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
-    """Whether a boundary loop is a thin slit, or a hole much smaller than faces."""
+    """Whether a boundary loop is an error of modelling: a thin slit, or a hole much smaller than the faces."""
     with np.errstate(over="ignore", invalid="ignore"):
         points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
         following = np.roll(points, -1, axis=0)

@@ -8,6 +8,18 @@ from dataclasses import dataclass
 from cagemap.numerics.arrays import IndexArray
 
 LISTED = 8
+# Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.
+REPAIRED = frozenset(
+    (
+        "degenerate faces",
+        "duplicate faces",
+        "isolated vertices",
+        "non-manifold edges",
+        "non-manifold vertices",
+        "inconsistent orientation",
+        "inside out",
+    )
+)
 
 
 def first_few(values: Iterable[object]) -> str:

@@ -95,7 +95,7 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
         edges = np.stack([outgoing, new, new[previous], incoming], axis=1)
         forward = np.stack([parent.forward, new_forward, ~new_forward, incoming_forward], axis=1)
         ranks = np.stack([parent.ranks, at_start, at_face, at_end], axis=1)
-    child = Topology(
+    return Topology(
         parent.n_vertices + parent.n_edges + (0 if loop else parent.n_faces),
         2 * parent.n_edges + count,
         len(edges),
@@ -103,6 +103,5 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
         edges.ravel(),
         forward.ravel(),
         *corner_neighbours(*edges.shape),
+        known_ranks=ranks.ravel(),
     )
-    vars(child)["ranks"] = ranks.ravel()  # where the cached property looks
-    return child

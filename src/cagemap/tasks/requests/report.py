@@ -7,11 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import (
-    Force,
-    Option,
-    ResultFolder,
-)
+from cagemap.tasks.requests.options import Force, Option, ResultFolder
 
 
 class UpAxis(StrEnum):

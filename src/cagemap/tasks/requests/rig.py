@@ -6,14 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import (
-    INPUT,
-    LANDMARKS,
-    OUTPUT,
-    Argument,
-    Force,
-    Option,
-)
+from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, Force, Option
 
 
 @dataclass(frozen=True)

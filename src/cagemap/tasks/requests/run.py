@@ -6,11 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import (
-    Argument,
-    OneOf,
-    Option,
-)
+from cagemap.tasks.requests.options import Argument, OneOf, Option
 
 
 @dataclass(frozen=True)
