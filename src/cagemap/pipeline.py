@@ -263,7 +263,7 @@ def update_match(
     """Update a match after landmarks were added, moved or removed: a fast preview.
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
-    (docs/lab/accuracy.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
+    (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ class RefitConfig:
 class CoincidenceConfig:
     """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area).
 
-    Chosen on seven cages of one body and on two other bodies (docs/lab/accuracy.md).
+    Chosen on seven cages of one body and on two other bodies.
     """
 
     #: largest mean distance of vertices from the other mesh; one body has up to 0.0023, two from 0.0204 on
@@ -298,7 +298,7 @@ class ProjectionConfig:
 
 @dataclass(frozen=True, repr=False)
 class ElasticConfig(Brief):
-    """Parameters of the fit; the defaults are the measured ones (docs/lab/accuracy.md).
+    """Parameters of the fit; the defaults are the measured ones (docs/lab/fit_experiments.md).
 
     Attributes
     ----------

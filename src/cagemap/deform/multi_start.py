@@ -1,7 +1,7 @@
 """Fits from several starts: ZoomOut from landmark coordinates or from a fit, and landmarks alone; the cheapest wins.
 
 Different coarse placements are refined before they are compared: a limb rotated about its axis costs almost nothing on
-the coarse graph, but does on the mesh (docs/lab/accuracy.md).
+the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 """
 
 from __future__ import annotations

@@ -87,12 +87,12 @@ class BasisConfig:
 
 
 # Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs
-# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/accuracy.md).
+# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/spectral.md).
 MIN_VERTICES = 3000
 VERTICES_PER_FUNCTION = 20
 
 # Basis of the default method. Operators of 20 000 vertices and this accuracy change eigenvalues by less than 1 %; more
-# functions do not improve maps (docs/lab/accuracy.md).
+# functions do not improve maps (docs/lab/spectral.md).
 MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
 # Number of functions of the method "hfm".
 HFM_FUNCTIONS = 150

@@ -16,7 +16,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import lumped_areas
 
-# Weight of harmonic coordinates relative to biharmonic and spectral ones (measured, docs/lab/accuracy.md).
+# Weight of harmonic coordinates relative to biharmonic and spectral ones (measured, docs/lab/spectral.md).
 HARMONIC_WEIGHT = 3.0
 
 

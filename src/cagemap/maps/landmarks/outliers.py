@@ -268,7 +268,7 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
 def _changed_squared(positions: FloatArray, others: FloatArray, short: float) -> FloatArray:
     """(p, p) squared log ratios of distances in space, after removing the common scale.
 
-    The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/accuracy.md).
+    The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/landmark_check.md).
     """
     apart = (np.linalg.norm(places[:, None] - places, axis=2) + short for places in (positions, others))
     ratios = np.log(np.divide(*apart))
