@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
+from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
@@ -124,6 +125,15 @@ def test_a_turned_armature_turns_the_rotations_of_its_root() -> None:
     np.testing.assert_allclose(np.abs(track.values[0] @ quarter), 1.0)
     both = np.array([0.5, 0.5, 0.5, 0.5])  # about z, then about y
     np.testing.assert_allclose(np.abs(track.values[1] @ both), 1.0, atol=1e-6)
+
+
+def test_a_mirrored_armature_mirrors_the_scales_of_its_root() -> None:
+    document = arm(above={"scale": [-2, 2, 2]})
+    document.json["animations"][0]["channels"] = [{"sampler": 1, "target": {"node": 1, "path": "scale"}}]
+    character = character_of(document)
+    assert character.rig is not None
+    posed = pose_at(character.rig, character.animations[0], 0.5)  # scale 0, 0, 1 of the first joint
+    np.testing.assert_allclose(posed[0, :3, :3], np.diag([0, 0, 1]) @ np.diag([-2, 2, 2]), atol=1e-6)
 
 
 def test_an_animated_armature_is_a_joint() -> None:

@@ -198,7 +198,7 @@ def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents:
     """
     if np.array_equal(above, np.eye(4)):
         return values
-    size = float(np.cbrt(abs(np.linalg.det(above[:3, :3]))))
+    size = float(np.cbrt(np.linalg.det(above[:3, :3])))  # negative for a mirror: its scales are negative too
     if channel == "scale":
         return values * size
     if channel == "translation":
