@@ -19,7 +19,7 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
-from cagemap.files.images.image import Image, image_of_bytes, write_image
+from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
@@ -27,6 +27,7 @@ from cagemap.numerics.arrays import FloatArray
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
 _COLOR_SLOT = "baseColorTexture"
+_REPEAT, _MIRROR = 10497, 33648  # glTF's numbers of wrap modes; the third clamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,7 @@ class MaterialImage:
     uv_set: str  # name of the UV set that it belongs to
     # (3, 3) transform of texture coordinates (u, v, 1), as rows, v down, to coordinates of the image
     transform: FloatArray = field(repr=False)
+    wraps: tuple[int, int]  # glTF's numbers of how the image continues along u and v
 
     @property
     def is_normal_map(self) -> bool:
@@ -50,6 +52,23 @@ class MaterialImage:
         """Texture coordinates (m, 2) of the image for those of the mesh, both v up."""
         down = np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1], np.ones(len(uvs))]) @ self.transform
         return np.column_stack([down[:, 0], 1.0 - down[:, 1]])
+
+    def repeating(self, pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray]:
+        """Pixels and texture coordinates on the image, enlarged so that repeating them continues it by its sampler."""
+        for axis, wrap in enumerate(self.wraps):
+            size = pixels.shape[1 - axis]
+            if wrap == _REPEAT or (0.0 <= uvs[:, axis].min() and uvs[:, axis].max() <= 1.0):
+                continue
+            # Mirrored images repeat after two; of clamped ones, one image on each side is enough.
+            first, end = (0, 2) if wrap == _MIRROR else (-1, 2)
+            texels = np.arange(first * size, end * size)
+            texels = np.minimum(texels, 2 * size - 1 - texels) if wrap == _MIRROR else texels.clip(0, size - 1)
+            # Rows run down, v up.
+            pixels = pixels.take(texels if axis == 0 else size - 1 - texels[::-1], axis=1 - axis)
+            place = uvs[:, axis] if wrap == _MIRROR else uvs[:, axis].clip(first, end)
+            uvs = np.array(uvs)
+            uvs[:, axis] = (place - first) / (end - first)
+        return pixels, uvs
 
 
 def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
@@ -131,8 +150,10 @@ def _image(document: Document, material: str, slot: str, holder: dict[str, Any])
     document.entry("images", source, where)
     stated = document.table(document.table(holder, "extensions", where), _TRANSFORM, where)
     uv_set = document.whole(stated.get("texCoord", holder.get("texCoord", 0)), f"{where}: texCoord", 0, 15)
+    sampler = {} if texture.get("sampler") is None else document.entry("samplers", texture["sampler"], where)
+    wraps = sampler.get("wrapS", _REPEAT), sampler.get("wrapT", _REPEAT)
     assert source is not None
-    return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where))
+    return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where), wraps)
 
 
 def _transform(document: Document, stated: dict[str, Any], where: str) -> FloatArray:
