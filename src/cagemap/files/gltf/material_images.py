@@ -53,11 +53,16 @@ class MaterialImage:
         down = np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1], np.ones(len(uvs))]) @ self.transform
         return np.column_stack([down[:, 0], 1.0 - down[:, 1]])
 
+    def repeats(self, uvs: FloatArray, axes: slice = slice(2)) -> bool:
+        """Whether the image repeats at texture coordinates (m, 2), or they lie on it."""
+        inside = (uvs.min(axis=0) >= 0.0) & (uvs.max(axis=0) <= 1.0)
+        return bool((inside | (np.array(self.wraps) == _REPEAT))[axes].all())
+
     def repeating(self, pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray]:
         """Pixels and texture coordinates on the image, enlarged so that repeating them continues it by its sampler."""
         for axis, wrap in enumerate(self.wraps):
             size = pixels.shape[1 - axis]
-            if wrap == _REPEAT or (0.0 <= uvs[:, axis].min() and uvs[:, axis].max() <= 1.0):
+            if self.repeats(uvs, slice(axis, axis + 1)):
                 continue
             # Mirrored images repeat after two; of clamped ones, one image on each side is enough.
             first, end = (0, 2) if wrap == _MIRROR else (-1, 2)
@@ -79,15 +84,16 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
 
 
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
-    """Write the colour texture of most of a mesh's faces from a glTF or FBX file; None without one."""
+    """Write the colour texture of most of a mesh's faces from a glTF or FBX file.
+
+    None without one that a repeated image over the mesh's UV set in use shows.
+    """
     if path.suffix.lower() not in SCENE_SUFFIXES or control.face_materials is None or control.uvs is None:
         return None
     document, names = read_document(path), control.material_names
     most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     slots = material_images(document, most) if most in material_names(document) else ()
-    texture = next(
-        (slot for slot in slots if slot.slot == _COLOR_SLOT and np.allclose(slot.transform, np.eye(3))), None
-    )
+    texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _lies_over(slot, control)), None)
     if texture is None:
         return None
     data, suffix = image_bytes(document, texture.image)
@@ -98,6 +104,14 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
     if is_own(file) or not file.exists():
         write_whole(file, data)
     return file
+
+
+def _lies_over(texture: MaterialImage, control: ControlMesh) -> bool:
+    """Whether a texture's image, repeated over a mesh's UV set in use, is the texture."""
+    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
+    assert control.uvs is not None
+    is_plain = np.allclose(texture.transform, np.eye(3)) and texture.repeats(control.uvs)
+    return texture.uv_set == in_use and is_plain
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
