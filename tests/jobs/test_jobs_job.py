@@ -289,6 +289,25 @@ def test_relative_files_start_from_the_job_file(folder: Path) -> None:
     assert str(folder / "textures" / "c.png") in textures
 
 
+@pytest.mark.parametrize("prefix", ["", "not:"])
+def test_a_mask_is_a_file_beside_the_job_and_counts_by_its_content(folder: Path, prefix: str) -> None:
+    def match(text: str) -> Task:
+        (folder / "job.toml").write_text(text)
+        plan = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+        return next(task for task in plan.tasks if task.kind == "match")
+
+    text = HEAD + f'target_mask = "{prefix}m.csv"\nsource_mask = "object:head"\n' + ASSETS + PAIRS
+    with pytest.raises(FormatError, match=r"options\.target_mask: .*m\.csv does not exist"):
+        match(text)
+    (folder / "m.csv").write_text("1\n")
+    before = match(text)
+    assert before.request["target_mask"] == f"{prefix}{folder / 'm.csv'}"
+    assert before.request["source_mask"] == "object:head"
+    assert str(folder / "m.csv") in before.input_hashes
+    (folder / "m.csv").write_text("0\n")
+    assert match(text).key != before.key
+
+
 def test_an_asset_has_a_scheme_of_its_own(folder: Path) -> None:
     def tasks(assets: str, pairs: str = PAIRS) -> list[Task]:
         (folder / "job.toml").write_text(HEAD + assets + pairs)
