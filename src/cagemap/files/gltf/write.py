@@ -25,6 +25,7 @@ from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
@@ -148,10 +149,10 @@ class _Made:
             to_node = np.linalg.inv(self._scene.nodes.world[node])
             mesh = mesh.with_positions(mesh.positions @ to_node[:3, :3] + to_node[3, :3])
             shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
+            normals = None if normals is None else turned_normals(normals, to_node[:3, :3])
             if np.linalg.det(to_node[:3, :3]) < 0.0:
-                mesh, normals = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), None
-            elif normals is not None:
-                normals = turned_normals(normals, to_node[:3, :3])
+                normals = None if normals is None else normals[reversed_corners(mesh.face_offsets)]
+                mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
         weights = part.weights if skinned else None
         mesh_data = mesh_entry(
             self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals

@@ -39,9 +39,10 @@ from cagemap.files.usd.prims import (
 )
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import reversed_corners as reversed_corners
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision import default_scheme
 
 logger = logging.getLogger(__name__)
@@ -326,14 +327,6 @@ def _turned_round(
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
     return turned, attributes | {name: attributes[name][mirrored] for name in of_corners & set(attributes)}
-
-
-def reversed_corners(face_offsets: IndexArray) -> IndexArray:
-    """(c,) corners of all faces in reversed order; the first corner of each face stays first."""
-    first, sizes = face_offsets[:-1], np.diff(face_offsets)
-    starts, size = np.repeat(first, sizes), np.repeat(sizes, sizes)
-    within = np.arange(len(starts)) - starts
-    return np.asarray(starts + (size - within) % size)
 
 
 def _floats(values: Any) -> FloatArray:
