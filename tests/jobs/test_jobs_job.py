@@ -350,6 +350,28 @@ def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) 
         assert words in said, said
 
 
+@pytest.mark.parametrize(
+    ("mesh", "text"),
+    [
+        ("mesh.obj", "mtllib other part.mtl\nv 0 0 0\n"),
+        ("mesh.gltf", '{"buffers": [{"uri": "other%20part.mtl"}]}'),
+        ("mesh.usda", "#usda 1.0\n(\n    subLayers = [@./other.usda@]\n)\n"),
+    ],
+)
+def test_files_that_a_mesh_refers_to_count_by_their_content(folder: Path, mesh: str, text: str) -> None:
+    """Materials of an OBJ, buffers of a glTF, layers of a USD file."""
+    if mesh.endswith("usda"):
+        pytest.importorskip("pxr.Usd")
+    (folder / mesh).write_text(text)
+    keys = []
+    for end in ("", "# changed\n"):
+        for name in ("other part.mtl", "other.usda"):
+            (folder / name).write_text(f"#usda 1.0\n{end}")
+        tasks = plan_of(folder, HEAD + ASSETS.replace("a.obj", mesh) + PAIRS).tasks
+        keys.append({task.key for task in tasks if task.kind == "match" and "a" in (task.pair or ())})
+    assert not keys[0] & keys[1]
+
+
 @pytest.mark.parametrize("name", ["a.%(UDIM)d.png", "a.<UDIM>.png"])
 def test_tiles_are_files_of_an_asset_and_count_by_their_content(folder: Path, name: str) -> None:
     text = HEAD + ASSETS.replace('"a.obj"', f'"a.obj"\nfiles = {{ color = "{name}" }}') + PAIRS

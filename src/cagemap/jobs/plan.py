@@ -12,6 +12,7 @@ from typing import Any
 from cagemap.errors import FormatError
 from cagemap.files import NOT
 from cagemap.files.images.image import texture_files
+from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job
@@ -187,8 +188,10 @@ def _rule_pairs(
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file or of a set of tiles; the path if missing."""
-    return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
+    """Hash of a file, with the files that a mesh refers to, or of a set of tiles; the path if missing."""
+    files = [file for file in texture_files(path) if file.is_file()]
+    referred = [other for file in files for other in referred_files(file)]
+    return "".join(map(file_hash, [*files, *referred])) or path
 
 
 class _FileHashes:

@@ -120,6 +120,12 @@ def open_stage(path: str | Path) -> Any:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
 
 
+def layer_files(path: str | Path) -> list[Path]:
+    """Files of all layers that a USD file is composed of, itself included."""
+    stage = open_stage(path)  # its layers end with it
+    return sorted(Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath)
+
+
 def _reason(error: Exception) -> str:
     """The last line of an error of USD; the type's name if its message is not valid text."""
     try:
