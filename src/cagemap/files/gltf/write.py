@@ -20,7 +20,7 @@ from cagemap.files.gltf.character import animation_entries, character_of
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
-from cagemap.files.gltf.nodes import decomposed
+from cagemap.files.gltf.nodes import decomposed, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_images
@@ -246,7 +246,9 @@ class _Made:
             joints, nodes = self._scene.joints, self._scene.nodes
             above = np.eye(4) if joints is None else joints.above[node]
             local = local @ np.linalg.inv(above)
-            if np.abs(local - nodes.local[node]).max() <= _SAME * np.abs(local).max():
+            # Tracks are those of `decomposed`.
+            same_signs = (scale_signs(self._scene.document, node) > 0.0).all()
+            if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME * np.abs(local).max():
                 return
         entry = self._nodes[node]
         for name in ("matrix", "translation", "rotation", "scale"):
