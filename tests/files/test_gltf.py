@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, pyramid
+from examples.shapes import cube, icosahedron, pyramid
 from scipy.spatial import cKDTree
 
-from cagemap.files.gltf.character import character_of
+from cagemap.character.values import Character, Part
+from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.write import character_glb, write_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import NO_UV, UvSet
 from cagemap.subdivision import finest_mesh, refine
+from cagemap.transfer import unwrap
 
 from example_result import textured_cube
 from gltf_scenes import Maker
@@ -113,3 +118,21 @@ def test_hard_edges_below_a_mirrored_node_stay_hard() -> None:
     np.testing.assert_array_equal(after.mesh.face_indices, before.mesh.face_indices)
     np.testing.assert_allclose(after.normals, before.normals, atol=1e-6)
     assert np.abs(before.normals).max(axis=1).min() == 1.0
+
+
+def test_new_uvs_are_written_into_a_document(tmp_path: Path) -> None:
+    """Those of the set in use; a mesh without UVs stays without, other sets and hard edges stay."""
+    box, ball = unwrap(cube()), icosahedron()
+    sets = (UvSet("TEXCOORD_1", box.uvs / 4, box.uv_indices),)
+    parts = (Part("box", replace(box, uv_name="TEXCOORD_0", uv_sets=sets)), Part("ball", ball))
+    write_document(tmp_path / "pair.glb", character_glb(Character(parts)))
+    mesh = read_mesh(tmp_path / "pair.glb")
+    corners = len(box.face_indices)
+    changed = np.where(np.arange(len(mesh.uv_indices))[:, None] < corners, 0.5 * mesh.uvs[mesh.uv_indices], NO_UV)
+    laid_out = mesh.with_uvs(changed, np.arange(len(changed)))
+    write_mesh(tmp_path / "new.glb", laid_out, like=tmp_path / "pair.glb")
+    box_again, ball_again = (part.mesh for part in read_character(tmp_path / "new.glb").parts)
+    assert ball_again.uvs is None
+    np.testing.assert_allclose(box_again.uvs[box_again.uv_indices], changed[:corners], atol=1e-7)
+    (other,) = box_again.uv_sets
+    np.testing.assert_allclose(other.uvs[other.uv_indices], (box.uvs / 4)[box.uv_indices], atol=1e-7)

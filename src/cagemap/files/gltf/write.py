@@ -25,7 +25,8 @@ from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import reversed_corners
+from cagemap.mesh.control_mesh import NO_UV, UvSet
+from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
@@ -262,8 +263,9 @@ _log = logging.getLogger(__name__)
 def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
     """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file if vertices and faces match.
 
-    The file's materials, textures, skins, blend shapes, animations and extensions are kept then. A mesh that does not
-    match is written alone, with a warning if the file has a skeleton, shapes or animations.
+    Positions and the UV set in use are those of the mesh. The file's materials, textures, skins, blend shapes,
+    animations and extensions are kept then. A mesh that does not match is written alone, with a warning if the file has
+    a skeleton, shapes or animations.
     """
     try:
         document = read_document(like)
@@ -285,4 +287,21 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
         return
     places = np.split(mesh.positions, starts[1:-1])
     parts = tuple(move_vertices(part, own) for part, own in zip(character.parts, places, strict=True))
+    if mesh.uvs is not None and mesh.uv_indices is not None:
+        ends = np.cumsum([len(part.mesh.face_indices) for part in parts])
+        uvs = np.split(mesh.uvs[mesh.uv_indices], ends[:-1])
+        name = mesh.uv_name or "TEXCOORD_0"
+        parts = tuple(_with_uvs(part, name, of_part) for part, of_part in zip(parts, uvs, strict=True))
     write_document(path, character_glb(replace(character, parts=parts), document), force=force)
+
+
+def _with_uvs(part: Part, name: str, uvs: FloatArray) -> Part:
+    """A part with texture coordinates (c, 2) of its corners in a UV set; unchanged if they are `NO_UV`."""
+    if (uvs == NO_UV).all():
+        return part
+    mesh = part.mesh
+    sets = {uv_set.name: uv_set for uv_set in mesh.all_uv_sets}
+    sets[name] = UvSet(name, *merged_corners(mesh.face_indices, uvs))
+    first, *others = sets.values()
+    mesh = replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_name=first.name, uv_sets=tuple(others))
+    return replace(part, mesh=mesh)

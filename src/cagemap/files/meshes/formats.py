@@ -73,8 +73,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
     like : path, optional
         The file that the mesh was read from. From USD to USD, units, up axis and the prim's transform are kept; a
-        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything else in it,
-        if vertices and faces are the same.
+        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything in it but
+        positions and the UV set in use, if vertices and faces are the same.
     force : bool
 
     Raises
