@@ -173,3 +173,22 @@ def test_least_rotation() -> None:
 def test_worlds_and_parents_are_inverse() -> None:
     rig = person()
     np.testing.assert_allclose(world_transforms(rig.local, rig.parents), rig.bind, atol=1e-12)
+
+
+def test_a_mirrored_rig_moves_like_its_copy_elsewhere() -> None:
+    """Joints with negative scales, as below a mirrored node; the copy is turned, enlarged and moved as a whole."""
+    rng = np.random.default_rng(1)
+    local = np.tile(np.eye(4), (5, 1, 1))
+    scales = np.array([-1.0, 2.0, -0.5, 1.0, -1.0])
+    local[:, :3, :3] = Rotation.random(5, rng=rng).as_matrix() * scales[:, None, None]
+    local[:, 3, :3] = rng.standard_normal((5, 3))
+    parents = np.array([-1, 0, 1, 0, 3])
+    rig = Rig(tuple("abcde"), parents, local, world_transforms(local, parents))
+    change = np.eye(4)
+    change[:3, :3], change[3, :3] = 2.0 * Rotation.from_euler("zyx", [0.4, 1.0, 2.0]).as_matrix(), [1.0, 2.0, 3.0]
+    moved = local.copy()
+    moved[0] = local[0] @ change
+    copy = replace(rig, local=moved, bind=rig.bind @ change)
+    animation = Animation("turn", tuple(Track(joint, "rotation", TIMES, QUATERNIONS) for joint in range(5)))
+    expected = pose_at(rig, animation, 0.3) @ change
+    np.testing.assert_allclose(pose_at(copy, retarget(animation, rig, copy), 0.3), expected, atol=1e-6)

@@ -18,7 +18,7 @@ from cagemap.errors import FormatError
 from cagemap.files.fbx import read as fbx_read
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document
-from cagemap.files.gltf.entries import image_bytes
+from cagemap.files.gltf.entries import image_bytes, read_accessor
 from cagemap.files.gltf.material_images import material_images
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.usd.prims import JOINT_WEIGHTS
@@ -27,7 +27,7 @@ from cagemap.files.values.rigs import read_shapes, read_skeleton
 from cagemap.mesh import Plain
 from cagemap.tasks.mesh_commands import check_files, refine_file
 
-from fbx_scenes import Fbx, fbx_arm, geometry, properties
+from fbx_scenes import Fbx, Node, fbx_arm, geometry, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
@@ -72,6 +72,22 @@ def test_an_animation_moves_joints_and_shapes(tmp_path: Path) -> None:
     document = read_document(path)
     paths = [channel["target"]["path"] for channel in document.json["animations"][0]["channels"]]
     assert paths == ["rotation", "weights"]
+
+
+def test_a_shape_that_an_animation_does_not_move_keeps_its_weight(tmp_path: Path) -> None:
+    made = fbx_arm()
+    blend = next(one.properties[0] for one in made.objects if one.properties[-1] == "BlendShape")
+    percent = Node("DeformPercent", (25.0,)), Node("FullWeights", (np.array([100.0]),))
+    channel = made.add("Deformer", "lower", "BlendShapeChannel", *percent, to=blend)
+    offsets = Node("Indexes", (np.array([0], "<i4"),)), Node("Vertices", (np.array([0.0, 0.0, -1.0]),))
+    made.add("Geometry", "lower", "Shape", *offsets, to=channel)
+    document = read_document(_file(tmp_path, made))
+    assert document.json["meshes"][0]["weights"] == [0.0, 0.25]
+    animation = document.json["animations"][0]
+    moved = next(one for one in animation["channels"] if one["target"]["path"] == "weights")
+    output = animation["samplers"][moved["sampler"]]["output"]
+    amounts = read_accessor(document, output, "weights", ("SCALAR",)).reshape(-1, 2)
+    np.testing.assert_allclose(amounts, [[0.0, 0.25], [0.5, 0.25], [0.0, 0.25]], atol=1e-6)
 
 
 def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) -> None:

@@ -1,21 +1,30 @@
-"""glTF export: what another reader finds in it."""
+"""glTF export: what another reader finds in it, and mirrored nodes."""
 
 from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import pyramid
+from examples.shapes import cube, icosahedron, pyramid
 from scipy.spatial import cKDTree
 
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.character.values import Character, Part
+from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.document import write_document
+from cagemap.files.gltf.write import character_glb, write_glb
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import NO_UV, UvSet
 from cagemap.subdivision import finest_mesh, refine
+from cagemap.transfer import unwrap
 
 from example_result import textured_cube
+from gltf_scenes import Maker
 
 
 def _parts(path: Path) -> tuple[dict, bytes]:
@@ -75,3 +84,55 @@ def test_another_library_reads_it(tmp_path: Path) -> None:
     read = trimesh.load(path, force="mesh")
     assert read.is_watertight
     assert len(read.faces) == 2 * 4 * sum(pyramid().face_sizes)
+
+
+def test_polygons_below_a_mirrored_node_are_reversed_with_their_uvs(tmp_path: Path) -> None:
+    """A pentagon and a triangle: eight corners, which are not two quads."""
+    positions = np.array([(0, 0, 0), (1, 0, 0), (1.5, 0.5, 0), (1, 1, 0), (0, 1, 0), (2, 2, 0)])
+    mesh = ControlMesh.from_faces(positions, [[0, 1, 2, 3, 4], [2, 5, 3]]).with_uvs(
+        positions[:, :2], [0, 1, 2, 3, 4, 2, 5, 3]
+    )
+    write_glb(tmp_path / "mirrored.glb", mesh, to_metres=np.diag([-1.0, 1.0, 1.0, 1.0]))
+    again = read_mesh(tmp_path / "mirrored.glb")
+    expected = [positions[face] * [-1, 1, 1] for face in ([0, 4, 3, 2, 1], [2, 3, 5])]
+    np.testing.assert_array_equal(again.positions[again.face_indices], np.concatenate(expected))
+    np.testing.assert_array_equal(again.uvs[again.uv_indices] * [-1, 1], np.concatenate(expected)[:, :2])
+
+
+def test_hard_edges_below_a_mirrored_node_stay_hard() -> None:
+    """Flat normals of a cube's faces come back from a document whose node is mirrored and stretched."""
+    box = cube()
+    make = Maker()
+    places = box.positions[box.face_indices]
+    faces = np.repeat(np.cross(places[1::4] - places[::4], places[2::4] - places[::4]), 4, axis=0)
+    corners = np.arange(24).reshape(6, 4)[:, [0, 1, 2, 0, 2, 3]].ravel()
+    attributes = {
+        "POSITION": make.add(places),
+        "NORMAL": make.add(faces / np.linalg.norm(faces, axis=1, keepdims=True)),
+    }
+    primitive = {"attributes": attributes, "indices": make.add(corners, "<u2")}
+    document = make.document(nodes=[{"mesh": 0, "scale": [-1, 2, 3]}], meshes=[{"primitives": [primitive]}])
+    (before,), (after,) = (
+        character_of(one).parts for one in (document, character_glb(character_of(document), document))
+    )
+    np.testing.assert_array_equal(after.mesh.face_indices, before.mesh.face_indices)
+    np.testing.assert_allclose(after.normals, before.normals, atol=1e-6)
+    assert np.abs(before.normals).max(axis=1).min() == 1.0
+
+
+def test_new_uvs_are_written_into_a_document(tmp_path: Path) -> None:
+    """Those of the set in use; a mesh without UVs stays without, other sets and hard edges stay."""
+    box, ball = unwrap(cube()), icosahedron()
+    sets = (UvSet("TEXCOORD_1", box.uvs / 4, box.uv_indices),)
+    parts = (Part("box", replace(box, uv_name="TEXCOORD_0", uv_sets=sets)), Part("ball", ball))
+    write_document(tmp_path / "pair.glb", character_glb(Character(parts)))
+    mesh = read_mesh(tmp_path / "pair.glb")
+    corners = len(box.face_indices)
+    changed = np.where(np.arange(len(mesh.uv_indices))[:, None] < corners, 0.5 * mesh.uvs[mesh.uv_indices], NO_UV)
+    laid_out = mesh.with_uvs(changed, np.arange(len(changed)))
+    write_mesh(tmp_path / "new.glb", laid_out, like=tmp_path / "pair.glb")
+    box_again, ball_again = (part.mesh for part in read_character(tmp_path / "new.glb").parts)
+    assert ball_again.uvs is None
+    np.testing.assert_allclose(box_again.uvs[box_again.uv_indices], changed[:corners], atol=1e-7)
+    (other,) = box_again.uv_sets
+    np.testing.assert_allclose(other.uvs[other.uv_indices], (box.uvs / 4)[box.uv_indices], atol=1e-7)

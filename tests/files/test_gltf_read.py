@@ -14,13 +14,15 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
+from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
 from cagemap.files.gltf.document import glb_bytes, read_document
 from cagemap.files.gltf.entries import Document, read_accessor
-from cagemap.files.gltf.nodes import read_nodes
+from cagemap.files.gltf.nodes import read_nodes, transform
 from cagemap.files.gltf.read import read_gltf
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import Plain
 
@@ -124,6 +126,36 @@ def test_a_turned_armature_turns_the_rotations_of_its_root() -> None:
     np.testing.assert_allclose(np.abs(track.values[0] @ quarter), 1.0)
     both = np.array([0.5, 0.5, 0.5, 0.5])  # about z, then about y
     np.testing.assert_allclose(np.abs(track.values[1] @ both), 1.0, atol=1e-6)
+
+
+def test_a_mirrored_armature_mirrors_the_scales_of_its_root() -> None:
+    document = arm(above={"scale": [-2, 2, 2]})
+    document.json["animations"][0]["channels"] = [{"sampler": 1, "target": {"node": 1, "path": "scale"}}]
+    character = character_of(document)
+    assert character.rig is not None
+    posed = pose_at(character.rig, character.animations[0], 0.5)  # scale 0, 0, 1 of the first joint
+    np.testing.assert_allclose(posed[0, :3, :3], np.diag([0, 0, 1]) @ np.diag([-2, 2, 2]), atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [(-1.0, 2.0, 3.0), (-1.0, -2.0, 3.0)])
+def test_animations_of_joints_with_negative_scales(scale: tuple[float, ...]) -> None:
+    """A rotation alone moves a joint, mirrored along one axis or turned along two; also when it is written again."""
+    document = arm()
+    document.json["nodes"][2]["scale"] = list(scale)
+    times = document.json["animations"][0]["samplers"][0]["input"]
+    for character in (character_of(document), character_of(character_glb(character_of(document), document))):
+        assert character.rig is not None
+        posed = pose_at(character.rig, character.animations[0], 0.5)
+        turned = transform(np.array([1.0, 0, 0]), np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]), np.array(scale))
+        np.testing.assert_allclose(posed[1], turned @ moved(0, 0, 1), atol=1e-6)
+    grown = json.loads(json.dumps(document.json["animations"]))
+    grown[0]["samplers"][0] = {"input": times, "output": grown[0]["samplers"][1]["output"]}
+    grown[0]["channels"] = [{"sampler": 0, "target": {"node": 2, "path": "scale"}}]
+    character = character_of(_changed(document, animations=grown))
+    assert character.rig is not None
+    np.testing.assert_allclose(
+        pose_at(character.rig, character.animations[0], 0.5)[1, :3, :3], np.diag([0, 0, 1]), atol=1e-6
+    )
 
 
 def test_an_animated_armature_is_a_joint() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes.formats import check_mesh_path, read_mesh, write_mesh
 from cagemap.files.meshes.obj import read_obj
-from cagemap.files.meshes.obj_write import write_obj
+from cagemap.files.meshes.obj_write import write_obj, write_obj_positions
 from cagemap.mesh import ControlMesh
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -286,3 +286,14 @@ def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="line breaks"):
         write_obj(tmp_path / "mesh.obj", mesh)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("names", ["a.mtl b.mtl gone.mtl", "a b.mtl"])
+def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path: Path, names: str) -> None:
+    for name in ("a.mtl", "b.mtl", "a b.mtl"):
+        (tmp_path / name).write_text(f"newmtl {name[:-4]}\nKd 0.5 0.25 1\n")
+    mesh = read_text(tmp_path, f"mtllib {names}\n{SQUARE}usemtl {names.split('.')[0]}\nf 1 2 3\n")
+    (tmp_path / "copies").mkdir()
+    (original,) = tmp_path.glob("*.obj")
+    write_obj_positions(tmp_path / "copies/moved.obj", original, mesh)
+    np.testing.assert_array_equal(read_obj(tmp_path / "copies/moved.obj").material_colors, [[0.5, 0.25, 1.0]])

@@ -30,6 +30,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.space import upright_turn
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from usd_scenes import complaints, full_cube, usd_mesh
@@ -307,3 +308,17 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
         assert not caplog.text
         write_usd(tmp_path / f"{creasing}.usda", replace(cube(), scheme=scheme))
     assert "creasing chaikin has no place in USD" in caplog.text
+
+
+def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
+    """Local x points up in the world, along Z; it stays up although it is the mirrored axis."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "mirrored.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    mesh = usd_mesh(stage, "/mesh", cube())
+    mesh.AddRotateYOp().Set(90.0)
+    mesh.AddScaleOp().Set((-1.0, 2.0, 3.0))
+    stage.Save()
+    turn = upright_turn(tmp_path / "mirrored.usda")
+    assert turn is not None
+    np.testing.assert_allclose(np.linalg.det(turn), 1.0)
+    np.testing.assert_allclose([1, 0, 0] @ turn, [0, 1, 0], atol=1e-12)

@@ -289,6 +289,25 @@ def test_relative_files_start_from_the_job_file(folder: Path) -> None:
     assert str(folder / "textures" / "c.png") in textures
 
 
+@pytest.mark.parametrize("prefix", ["", "not:"])
+def test_a_mask_is_a_file_beside_the_job_and_counts_by_its_content(folder: Path, prefix: str) -> None:
+    def match(text: str) -> Task:
+        (folder / "job.toml").write_text(text)
+        plan = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+        return next(task for task in plan.tasks if task.kind == "match")
+
+    text = HEAD + f'target_mask = "{prefix}m.csv"\nsource_mask = "object:head"\n' + ASSETS + PAIRS
+    with pytest.raises(FormatError, match=r"options\.target_mask: .*m\.csv does not exist"):
+        match(text)
+    (folder / "m.csv").write_text("1\n")
+    before = match(text)
+    assert before.request["target_mask"] == f"{prefix}{folder / 'm.csv'}"
+    assert before.request["source_mask"] == "object:head"
+    assert str(folder / "m.csv") in before.input_hashes
+    (folder / "m.csv").write_text("0\n")
+    assert match(text).key != before.key
+
+
 def test_an_asset_has_a_scheme_of_its_own(folder: Path) -> None:
     def tasks(assets: str, pairs: str = PAIRS) -> list[Task]:
         (folder / "job.toml").write_text(HEAD + assets + pairs)
@@ -329,6 +348,28 @@ def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) 
         "outputs.0.space: input should be 'tangent' or 'object', got 'world'. Choose one",
     ):
         assert words in said, said
+
+
+@pytest.mark.parametrize(
+    ("mesh", "text"),
+    [
+        ("mesh.obj", "mtllib other part.mtl\nv 0 0 0\n"),
+        ("mesh.gltf", '{"buffers": [{"uri": "other%20part.mtl"}]}'),
+        ("mesh.usda", "#usda 1.0\n(\n    subLayers = [@./other.usda@]\n)\n"),
+    ],
+)
+def test_files_that_a_mesh_refers_to_count_by_their_content(folder: Path, mesh: str, text: str) -> None:
+    """Materials of an OBJ, buffers of a glTF, layers of a USD file."""
+    if mesh.endswith("usda"):
+        pytest.importorskip("pxr.Usd")
+    (folder / mesh).write_text(text)
+    keys = []
+    for end in ("", "# changed\n"):
+        for name in ("other part.mtl", "other.usda"):
+            (folder / name).write_text(f"#usda 1.0\n{end}")
+        tasks = plan_of(folder, HEAD + ASSETS.replace("a.obj", mesh) + PAIRS).tasks
+        keys.append({task.key for task in tasks if task.kind == "match" and "a" in (task.pair or ())})
+    assert not keys[0] & keys[1]
 
 
 @pytest.mark.parametrize("name", ["a.%(UDIM)d.png", "a.<UDIM>.png"])

@@ -21,6 +21,7 @@ from test_obj import QUICK
 from typed_request import run_typed, typed
 
 from cagemap.errors import ParameterError
+from cagemap.files import MASK_SUFFIXES
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
 from cagemap.studio.finish import SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
@@ -39,7 +40,7 @@ from cagemap.studio.workspace import Workspace
 from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
-from cagemap.tasks.requests.options import MASK_FILES, Option
+from cagemap.tasks.requests.options import Option
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 
@@ -83,7 +84,7 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
 
 def test_words_that_the_command_line_knows_by_other_means_are_the_same() -> None:
     assert OPTIONS["transfer", "bake"].choices == KINDS
-    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_FILES)
+    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_SUFFIXES)
 
 
 def values(option: CommandOption) -> st.SearchStrategy[Value]:

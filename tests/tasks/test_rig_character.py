@@ -94,6 +94,25 @@ def _image_error() -> float:
     return float(np.abs(colours[0] - colours[1]).mean())
 
 
+@pytest.mark.parametrize(("wrap", "sign"), [(33648, -1.0), (10497, 1.0)])
+def test_a_texture_continues_outside_the_unit_square_by_its_sampler(
+    run: Run, files: Character, body: ControlMesh, wrap: int, sign: float
+) -> None:
+    """Mirrored or repeated: a layout beyond u = 1 reads the same image."""
+    _rig(run)
+    (before,) = material_images(read_document("OUT.glb"), "body")
+    expected = read_material_image(read_document("OUT.glb"), before).pixels.astype(float)
+    write_character(Path("C.glb"), character(replace(body, uvs=sign * body.uvs + [2 if sign < 0 else 1, 0])))
+    document = read_document("C.glb")
+    document.json["samplers"] = [{"wrapS": wrap, "wrapT": wrap}]
+    for texture in document.json["textures"]:
+        texture["sampler"] = 0
+    write_document("C.glb", document)
+    _rig(run)
+    (after,) = material_images(read_document("OUT.glb"), "body")
+    assert np.abs(read_material_image(read_document("OUT.glb"), after).pixels - expected).mean() < 1.0
+
+
 def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Character, body: ControlMesh) -> None:
     """Every vertex of every part, posed: the character's, scaled by 2, turned and shifted."""
     turn = Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,3 +57,32 @@ def test_the_image_inside_a_gltf_file_is_baked(tmp_path: Path) -> None:
     (tmp_path / "plain.gltf").write_text(json.dumps(scene))
     with pytest.raises(ParameterError, match=r"plain.gltf: expected a colour image .* --material-colors"):
         run_transfer(replace(request, texture=tmp_path / "plain.gltf"), Stages())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"materials": [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 1}}}]},
+        {"textures": [{"source": 0, "sampler": 0}], "samplers": [{"wrapS": 33648}]},
+    ],
+)
+def test_an_image_inside_a_gltf_file_for_other_uvs_is_refused(tmp_path: Path, changed: dict[str, Any]) -> None:
+    """An image for the second UV set, or one that is mirrored where the layout leaves the unit square."""
+    result = identity_result()
+    control = result.source.control
+    write_result(
+        tmp_path / "RESULT", replace(result, source=result.source.with_control(replace(control, uvs=control.uvs + 1)))
+    )
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
+    scene = {
+        "asset": {"version": "2.0"},
+        "materials": [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "images": [{"uri": "skin.png"}],
+    }
+    (tmp_path / "box.gltf").write_text(json.dumps(scene))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
+    run_transfer(request, Stages())
+    (tmp_path / "other.gltf").write_text(json.dumps(scene | changed))
+    with pytest.raises(ParameterError, match=r"other.gltf: expected a colour image .* UV set in use"):
+        run_transfer(replace(request, texture=tmp_path / "other.gltf"), Stages())

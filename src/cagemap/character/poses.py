@@ -141,6 +141,13 @@ def decompose(transform: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     return transform[3, :3], rotation, scale
 
 
+def rotations_of(transforms: FloatArray) -> FloatArray:
+    """(j, 3, 3) rotations of transforms (j, 4, 4); of mirrors those of `decompose`, with negative scales."""
+    linear = transforms[:, :3, :3]
+    signs = np.where(np.linalg.det(linear) < 0.0, -1.0, 1.0)
+    return nearest_rotations(signs[:, None, None] * linear)
+
+
 def rest_tracks(rig: Rig, joints: list[int], channels: tuple[Channel, ...]) -> tuple[Track, ...]:
     """Tracks of one key that keep joints at rest."""
     tracks = []
@@ -232,10 +239,7 @@ def _fit_rotation(
     sizes = float(np.linalg.norm(source_offsets)), float(np.linalg.norm(target_offsets))
     scale = sizes[1] / sizes[0] if min(sizes) > 0 else 1.0
     covariance = source_offsets.T @ target_offsets / max(sizes[0] * sizes[1], np.finfo(np.float64).tiny)
-    axes = [
-        nearest_rotations(rig.bind[joints, :3, :3])
-        for rig, joints in ((source, source_joints), (target, target_joints))
-    ]
+    axes = [rotations_of(rig.bind[joints]) for rig, joints in ((source, source_joints), (target, target_joints))]
     covariance = covariance + AXES_WEIGHT * np.einsum("jab,jac->bc", *axes) / len(source_joints)
     turn = nearest_rotations(covariance[None])[0]
     errors = [

@@ -9,10 +9,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.poses import aligned_pose, check_joints, fit_rotation_and_scale, parent_transforms, rest_tracks
+from cagemap.character.poses import (
+    aligned_pose,
+    check_joints,
+    fit_rotation_and_scale,
+    parent_transforms,
+    rest_tracks,
+    rotations_of,
+)
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Of the rig's size: shorter bones do not scale translations.
 MIN_BONE_LENGTH = 1e-6
@@ -114,7 +121,7 @@ class _BindPose:
 
 def _rotations(transforms: FloatArray) -> Rotation:
     """Rotations of transforms (j, 4, 4) that act on rows."""
-    return Rotation.from_matrix(nearest_rotations(transforms[:, :3, :3]).transpose(0, 2, 1))
+    return Rotation.from_matrix(rotations_of(transforms).transpose(0, 2, 1))
 
 
 def _convert_rotations(

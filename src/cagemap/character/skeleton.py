@@ -6,11 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.character.poses import fit_rotation_and_scale, least_rotation, parent_transforms, pose_at, rest_tracks
+from cagemap.character.poses import (
+    fit_rotation_and_scale,
+    least_rotation,
+    parent_transforms,
+    pose_at,
+    rest_tracks,
+    rotations_of,
+)
 from cagemap.character.retarget import retarget
 from cagemap.character.values import Animation, Rig
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, nearest_rotations
+from cagemap.numerics.arrays import FloatArray
 from cagemap.transfer.skin import carry_joints
 
 # Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
@@ -73,13 +80,13 @@ def _align_bones(rig: Rig, heads: FloatArray, turns: FloatArray) -> FloatArray:
 
 def _has_common_axes(rig: Rig) -> bool:
     """Whether all joints have the same axes, as VRM 0.x requires."""
-    axes = nearest_rotations(rig.bind[:, :3, :3])
+    axes = rotations_of(rig.bind)
     return bool(np.abs(axes - axes[:1]).max(initial=0.0) < AXES_TOLERANCE)
 
 
 def _bone_ends(rig: Rig) -> dict[int, int]:
     """The child at the end of each bone: along an axis, or the only child."""
-    axes = nearest_rotations(rig.bind[:, :3, :3])
+    axes = rotations_of(rig.bind)
     ends: dict[int, int] = {}
     for joint in range(len(rig.names)):
         children = np.flatnonzero(rig.parents == joint)

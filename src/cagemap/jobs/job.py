@@ -80,7 +80,7 @@ class Job:
         Their options include those of the whole job.
     outputs : tuple of OutputRule
     kinds : dict of str to dict
-        Type of every option of every command.
+        Type of every option of every command, with its annotations.
     carry : CarryRule, optional
     output_options : mapping of str to tuple of str
         Options of each command that name additional output files.
@@ -127,7 +127,7 @@ def read_job(
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FormatError(f"{file}: expected a TOML file, got a mistake in it: {error}.") from None
     parsed, problems = parse_job(data)
-    kinds = {name: get_type_hints(request) for name, request in commands.items()}
+    kinds = {name: get_type_hints(request, include_extras=True) for name, request in commands.items()}
     if parsed is not None:
         schemas = {name: options_schema(request, EXCLUDED_FIELDS[name]) for name, request in commands.items()}
         problems += find_problems(parsed, file.parent, schemas, kinds, output_options or {})

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from cagemap.files import NOT
 from cagemap.files.images.image import texture_files
 from cagemap.jobs.job_schema import ALL_ASSETS, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, asset_names
 
@@ -198,7 +199,7 @@ def _file_problems(
     for name, value in options.items():
         for text, resolved in zip(_texts(value), _texts(resolve_files(value, kinds.get(name), folder)), strict=True):
             is_file = resolved != text or (kinds.get(name) is Path and Path(text).is_absolute())
-            if is_file and "{" not in text and not _exists(Path(resolved)):
+            if is_file and "{" not in text and not _exists(Path(resolved.removeprefix(NOT))):
                 entry = (*key_path, name)
                 yield entry, f"{'.'.join(map(str, entry))}: {text} does not exist. Check the path."
 
@@ -223,8 +224,15 @@ def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path:
 
 
 def resolve_files(value: Any, kind: Any, folder: Path) -> Any:
-    """An option's value with relative files made absolute; the option's type shows which are files."""
+    """An option's value with relative files made absolute; the option's type shows which are files.
+
+    A mask is a file by its suffix, which the type's annotation lists.
+    """
+    kind, *annotations = get_args(kind) if get_origin(kind) is Annotated else (kind,)
     if isinstance(value, str):
+        file = value.removeprefix(NOT)
+        if any(Path(file).suffix.lower() in getattr(annotation, "suffixes", ()) for annotation in annotations):
+            return value.removesuffix(file) + str(folder / file)
         return (
             str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value
         )

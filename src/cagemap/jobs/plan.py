@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError
+from cagemap.files import NOT
 from cagemap.files.images.image import texture_files
+from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job
@@ -186,8 +188,10 @@ def _rule_pairs(
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file or of a set of tiles; the path if missing."""
-    return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
+    """Hash of a file, with the files that a mesh refers to, or of a set of tiles; the path if missing."""
+    files = [file for file in texture_files(path) if file.is_file()]
+    referred = [other for file in files for other in referred_files(file)]
+    return "".join(map(file_hash, [*files, *referred])) or path
 
 
 class _FileHashes:
@@ -203,20 +207,26 @@ class _FileHashes:
         return self._hashes[text]
 
     def of_value(self, value: Any) -> Any:
-        """A value, such as a request, with files replaced by their hashes."""
+        """A value, such as a request, with files replaced by their hashes; ``not:`` before a mask stays."""
         if isinstance(value, dict):
             return {name: self.of_value(item) for name, item in value.items()}
         if isinstance(value, list):
             return [self.of_value(item) for item in value]
-        return self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
+        return value.replace(file, self.of(file)) if (file := _file_in(value)) else value
 
     def files_in(self, value: Any) -> dict[str, str]:
         """Files in a value, such as a request, and their hashes."""
         if isinstance(value, dict | list):
             items = value.values() if isinstance(value, dict) else value
             return {path: content for item in items for path, content in self.files_in(item).items()}
-        keyed = self.of_value(value)
-        return {} if keyed == value else {value: keyed}
+        file = _file_in(value)
+        return {file: self.of(file)} if file and self.of(file) != file else {}
+
+
+def _file_in(value: Any) -> str:
+    """The absolute path in an option's value; empty for other values."""
+    file = value.removeprefix(NOT) if isinstance(value, str) else ""
+    return file if Path(file).is_absolute() else ""
 
 
 def task_key(version: str, kind: str, *parts: Any) -> str:

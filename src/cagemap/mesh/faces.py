@@ -76,6 +76,14 @@ def duplicate_faces(mesh: ControlMesh) -> IndexArray:
     return np.sort(np.concatenate(copies))
 
 
+def reversed_corners(face_offsets: IndexArray) -> IndexArray:
+    """(c,) corners of all faces in reversed order; the first corner of each face stays first."""
+    first, sizes = face_offsets[:-1], np.diff(face_offsets)
+    starts, size = np.repeat(first, sizes), np.repeat(sizes, sizes)
+    within = np.arange(len(starts)) - starts
+    return np.asarray(starts + (size - within) % size)
+
+
 def merged_corners(vertices: IndexArray, values: FloatArray) -> tuple[FloatArray, IndexArray]:
     """Merge equal value pairs (c, 2) of face corners at one vertex (c,): merged pairs, and their index (c,)."""
     _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)

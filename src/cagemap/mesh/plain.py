@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_areas, keep_faces, with_corners_of
+from cagemap.mesh.faces import (
+    degenerate_faces,
+    duplicate_faces,
+    face_areas,
+    keep_faces,
+    reversed_corners,
+    with_corners_of,
+)
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import extract_faces
@@ -266,12 +273,12 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 
 def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
-    """Reverse faces (m,) of a mesh with one face size, keeping first corners and quads' diagonals."""
+    """Reverse faces (m,) of a mesh, keeping first corners and quads' diagonals."""
     if not faces.any():
         return mesh
-    corners = np.arange(len(mesh.face_indices)).reshape(mesh.n_faces, -1)
-    corners[faces, 1:] = corners[faces, :0:-1]
-    return with_corners_of(mesh, np.arange(mesh.n_faces), mesh.face_offsets, corners.ravel())
+    corners = np.arange(len(mesh.face_indices))
+    corners = np.where(faces[mesh.corner_faces], reversed_corners(mesh.face_offsets), corners)
+    return with_corners_of(mesh, np.arange(mesh.n_faces), mesh.face_offsets, corners)
 
 
 def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:

@@ -100,8 +100,8 @@ def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Pa
     image = extract_texture(path, result.source.control, request.result)
     if image is None:
         raise ParameterError(
-            f"{path}: expected a colour image on most of {result.source.control.name}, found none. Give an image file, "
-            "or bake --material-colors."
+            f"{path}: expected a colour image on most of {result.source.control.name} that repeats over its UV set in "
+            "use, found none. Give an image file, match with another --source-uv-set, or bake --material-colors."
         )
     return image
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files import IMAGE_SUFFIXES
+from cagemap.files import IMAGE_SUFFIXES, MASK_SUFFIXES, NOT
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
@@ -22,7 +22,6 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.tasks.requests.options import MASK_FILES
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
@@ -39,8 +38,6 @@ from cagemap.tasks.requests.wrap import WrapRequest
 
 # Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02
-# Prefix of a name that inverts the mask.
-NOT = "not:"
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +83,7 @@ def mask_file(text: str | None) -> Path | None:
         return None
     path = Path(text.removeprefix(NOT))
     suffix = path.suffix.lower()
-    return path if suffix in MASK_FILES else None
+    return path if suffix in MASK_SUFFIXES else None
 
 
 def mask_inputs(request: Masked) -> dict[str, Path]:

@@ -252,9 +252,9 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
     image = read_material_image(document, found)
     source = result.source.control.with_uv_set(found.uv_set)
     assert source.uvs is not None
-    transfer = _transfer(result, source, found.on_image(source.uvs))
+    pixels, uvs = found.repeating(image.pixels, found.on_image(source.uvs))
+    transfer = _transfer(result, source, uvs)
     height, width = image.size if size is None else (size, size)
-    pixels = image.pixels
     bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
     return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())
 

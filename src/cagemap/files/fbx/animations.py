@@ -24,14 +24,15 @@ def animation_entry(
     nodes: Sequence[Mapping[str, Any]],
     before: Mapping[int, Mapping[str, Any]],
     numbers: Mapping[int, int],
-    channels: Mapping[int, tuple[int, int, int]],
+    channels: Mapping[int, tuple[int, int, list[float]]],
 ) -> dict[str, Any]:
     """Entry of ``animations`` for an animation stack; without channels if nothing moves.
 
     ``nodes``: entries of the nodes, at rest.
     ``before``: transforms in the file of nodes whose entries were changed; used where no track moves such a node.
     ``numbers``: number of each node by its ``typed_id``.
-    ``channels``: by ``element_id`` of a blend channel: node of the mesh, number of the shape, number of its shapes.
+    ``channels``: by ``element_id`` of a blend channel: node of the mesh, number of the shape, weights of
+        all its shapes at rest.
     """
     baked = held(
         ufbx.bake_anim(
@@ -65,7 +66,9 @@ def animation_entry(
     return entry
 
 
-def _weights(baked: Any, channels: Mapping[int, tuple[int, int, int]]) -> dict[int, tuple[FloatArray, FloatArray]]:
+def _weights(
+    baked: Any, channels: Mapping[int, tuple[int, int, list[float]]]
+) -> dict[int, tuple[FloatArray, FloatArray]]:
     """Times (k,) and weights (k, shapes) of the shapes of every mesh node with moving shapes."""
     keys_of: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
     for element in items(baked, "elements"):
@@ -75,11 +78,11 @@ def _weights(baked: Any, channels: Mapping[int, tuple[int, int, int]]) -> dict[i
                 if get(prop, "name") == "DeformPercent":
                     times, values = _keys(prop, "keys")
                     keys_of.setdefault(node, {})[place] = times, values[:, 0] / 100.0
-    counts = {node: count for node, _, count in channels.values()}
+    at_rest = {node: amounts for node, _, amounts in channels.values()}
     tracks = {}
     for node, keys in keys_of.items():
         times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))
-        amounts = np.zeros((len(times), counts[node]))
+        amounts = np.tile(at_rest[node], (len(times), 1))
         for place, (key_times, values) in keys.items():
             amounts[:, place] = np.interp(times, key_times, values)
         tracks[node] = times, amounts

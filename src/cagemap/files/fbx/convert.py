@@ -111,7 +111,7 @@ class _Scene:
             "nodes": entries,
         }
         channels = {
-            get(channel, "element_id"): (number, place, len(mesh.channels))
+            get(channel, "element_id"): (number, place, mesh.amounts)
             for number, node in enumerate(self._nodes)
             if "mesh" in entries[number] and (mesh := self._mesh(node)) is not None
             for place, channel in enumerate(mesh.channels)
@@ -217,8 +217,7 @@ class _Scene:
         entry = mesh_entry(
             self._binary, mesh.control, numbers, weights=mesh.weights, shapes=mesh.shapes, normals=mesh.normals
         )
-        amounts = [float(get(channel, "weight")) for channel in mesh.channels]
-        return entry | ({"weights": amounts} if any(amounts) else {})
+        return entry | ({"weights": mesh.amounts} if any(mesh.amounts) else {})
 
     def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:
         inverse = mesh.inverse_bind.reshape(-1, 16).astype("<f4")

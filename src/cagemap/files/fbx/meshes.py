@@ -67,6 +67,11 @@ class FbxMesh:
     channels: tuple[Any, ...] = ()  # the blend channel of each shape
     normals: FloatArray | None = field(default=None, repr=False)  # (c, 3) of the face corners
 
+    @property
+    def amounts(self) -> list[float]:
+        """Weight of each shape at rest."""
+        return [float(get(channel, "weight")) for channel in self.channels]
+
 
 def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
     """A mesh of a scene; None if it has no polygons."""

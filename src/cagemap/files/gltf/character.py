@@ -13,7 +13,7 @@ from cagemap.character.values import Animation, Channel, Character, Interpolatio
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
-from cagemap.files.gltf.nodes import Joints, distinct, read_nodes
+from cagemap.files.gltf.nodes import Joints, distinct, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.numerics.arrays import FloatArray
 
@@ -97,6 +97,11 @@ def _track(
     if keys == 3:
         values = values.reshape(len(times), 3, -1)
     values = in_rig(values, channel, joints.above[node], tangents=keys == 3)
+    signs = scale_signs(document, node)
+    if channel == "scale":
+        values = values * signs
+    elif channel == "rotation" and (signs < 0.0).any():  # two of them: half a turn about the third axis
+        values = _after(np.append(signs > 0.0, 0.0), values)
     if channel == "rotation" and keys == 1:
         lengths = np.linalg.norm(values, axis=-1, keepdims=True)
         if not (lengths > 0.0).all():
@@ -198,7 +203,7 @@ def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents:
     """
     if np.array_equal(above, np.eye(4)):
         return values
-    size = float(np.cbrt(abs(np.linalg.det(above[:3, :3]))))
+    size = float(np.cbrt(np.linalg.det(above[:3, :3])))  # negative for a mirror: its scales are negative too
     if channel == "scale":
         return values * size
     if channel == "translation":
@@ -218,10 +223,10 @@ def _to_node(track: Track, above: FloatArray) -> FloatArray:
 
 def _after(first: FloatArray, then: FloatArray) -> FloatArray:
     """(..., 4) quaternions of the rotations ``first``, followed by ``then``; linear in both."""
-    axis, angle = then[:3], then[3]
+    axis, angle = then[..., :3], then[..., 3:]
     inner, w = first[..., :3], first[..., 3:]
     turned = angle * inner + w * axis + np.cross(axis, inner)
-    return np.concatenate([turned, angle * w - inner @ axis[:, None]], axis=-1)
+    return np.concatenate([turned, angle * w - (inner * axis).sum(-1, keepdims=True)], axis=-1)
 
 
 def _quaternion(turn: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
-from cagemap.files.images.image import Image, image_of_bytes, write_image
+from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
@@ -27,6 +27,7 @@ from cagemap.numerics.arrays import FloatArray
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
 _COLOR_SLOT = "baseColorTexture"
+_REPEAT, _MIRROR = 10497, 33648  # glTF's numbers of wrap modes; the third clamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,7 @@ class MaterialImage:
     uv_set: str  # name of the UV set that it belongs to
     # (3, 3) transform of texture coordinates (u, v, 1), as rows, v down, to coordinates of the image
     transform: FloatArray = field(repr=False)
+    wraps: tuple[int, int]  # glTF's numbers of how the image continues along u and v
 
     @property
     def is_normal_map(self) -> bool:
@@ -51,6 +53,28 @@ class MaterialImage:
         down = np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1], np.ones(len(uvs))]) @ self.transform
         return np.column_stack([down[:, 0], 1.0 - down[:, 1]])
 
+    def repeats(self, uvs: FloatArray, axes: slice = slice(2)) -> bool:
+        """Whether the image repeats at texture coordinates (m, 2), or they lie on it."""
+        inside = (uvs.min(axis=0) >= 0.0) & (uvs.max(axis=0) <= 1.0)
+        return bool((inside | (np.array(self.wraps) == _REPEAT))[axes].all())
+
+    def repeating(self, pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray]:
+        """Pixels and texture coordinates on the image, enlarged so that repeating them continues it by its sampler."""
+        for axis, wrap in enumerate(self.wraps):
+            size = pixels.shape[1 - axis]
+            if self.repeats(uvs, slice(axis, axis + 1)):
+                continue
+            # Mirrored images repeat after two; of clamped ones, one image on each side is enough.
+            first, end = (0, 2) if wrap == _MIRROR else (-1, 2)
+            texels = np.arange(first * size, end * size)
+            texels = np.minimum(texels, 2 * size - 1 - texels) if wrap == _MIRROR else texels.clip(0, size - 1)
+            # Rows run down, v up.
+            pixels = pixels.take(texels if axis == 0 else size - 1 - texels[::-1], axis=1 - axis)
+            place = uvs[:, axis] if wrap == _MIRROR else uvs[:, axis].clip(first, end)
+            uvs = np.array(uvs)
+            uvs[:, axis] = (place - first) / (end - first)
+        return pixels, uvs
+
 
 def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
     """All textures of a material."""
@@ -60,15 +84,16 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
 
 
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
-    """Write the colour texture of most of a mesh's faces from a glTF or FBX file; None without one."""
+    """Write the colour texture of most of a mesh's faces from a glTF or FBX file.
+
+    None without one that a repeated image over the mesh's UV set in use shows.
+    """
     if path.suffix.lower() not in SCENE_SUFFIXES or control.face_materials is None or control.uvs is None:
         return None
     document, names = read_document(path), control.material_names
     most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     slots = material_images(document, most) if most in material_names(document) else ()
-    texture = next(
-        (slot for slot in slots if slot.slot == _COLOR_SLOT and np.allclose(slot.transform, np.eye(3))), None
-    )
+    texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _lies_over(slot, control)), None)
     if texture is None:
         return None
     data, suffix = image_bytes(document, texture.image)
@@ -79,6 +104,14 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
     if is_own(file) or not file.exists():
         write_whole(file, data)
     return file
+
+
+def _lies_over(texture: MaterialImage, control: ControlMesh) -> bool:
+    """Whether a texture's image, repeated over a mesh's UV set in use, is the texture."""
+    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
+    assert control.uvs is not None
+    is_plain = np.allclose(texture.transform, np.eye(3)) and texture.repeats(control.uvs)
+    return texture.uv_set == in_use and is_plain
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
@@ -131,8 +164,10 @@ def _image(document: Document, material: str, slot: str, holder: dict[str, Any])
     document.entry("images", source, where)
     stated = document.table(document.table(holder, "extensions", where), _TRANSFORM, where)
     uv_set = document.whole(stated.get("texCoord", holder.get("texCoord", 0)), f"{where}: texCoord", 0, 15)
+    sampler = {} if texture.get("sampler") is None else document.entry("samplers", texture["sampler"], where)
+    wraps = sampler.get("wrapS", _REPEAT), sampler.get("wrapT", _REPEAT)
     assert source is not None
-    return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where))
+    return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where), wraps)
 
 
 def _transform(document: Document, stated: dict[str, Any], where: str) -> FloatArray:

@@ -109,6 +109,14 @@ def _local(document: Document, number: int) -> FloatArray:
     return transform(*(document.numbers(stated[name], f"{where}: {name}", len(rest)) for name, rest in _REST.items()))
 
 
+def scale_signs(document: Document, number: int) -> FloatArray:
+    """(3,) signs of a node's stated scale over the signs that `decomposed` gives its transform."""
+    stated = document.entry("nodes", number).get("scale")
+    scale = document.numbers(_REST["scale"] if stated is None else stated, f"nodes {number}: scale", 3)
+    signs = np.where(scale < 0.0, -1.0, 1.0)
+    return np.asarray(signs * signs.prod())
+
+
 def rotation_matrix(quaternion: FloatArray) -> FloatArray:
     """(..., 3, 3) rotations, for points as rows, of quaternions (..., 4) x, y, z, w of any length but 0."""
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)

@@ -20,11 +20,13 @@ from cagemap.files.gltf.character import animation_entries, character_of
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
-from cagemap.files.gltf.nodes import decomposed
+from cagemap.files.gltf.nodes import decomposed, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import NO_UV, UvSet
+from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
@@ -148,10 +150,10 @@ class _Made:
             to_node = np.linalg.inv(self._scene.nodes.world[node])
             mesh = mesh.with_positions(mesh.positions @ to_node[:3, :3] + to_node[3, :3])
             shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
+            normals = None if normals is None else turned_normals(normals, to_node[:3, :3])
             if np.linalg.det(to_node[:3, :3]) < 0.0:
-                mesh, normals = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), None
-            elif normals is not None:
-                normals = turned_normals(normals, to_node[:3, :3])
+                normals = None if normals is None else normals[reversed_corners(mesh.face_offsets)]
+                mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
         weights = part.weights if skinned else None
         mesh_data = mesh_entry(
             self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals
@@ -245,7 +247,9 @@ class _Made:
             joints, nodes = self._scene.joints, self._scene.nodes
             above = np.eye(4) if joints is None else joints.above[node]
             local = local @ np.linalg.inv(above)
-            if np.abs(local - nodes.local[node]).max() <= _SAME * np.abs(local).max():
+            # Tracks are those of `decomposed`.
+            same_signs = (scale_signs(self._scene.document, node) > 0.0).all()
+            if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME * np.abs(local).max():
                 return
         entry = self._nodes[node]
         for name in ("matrix", "translation", "rotation", "scale"):
@@ -259,8 +263,9 @@ _log = logging.getLogger(__name__)
 def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
     """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file if vertices and faces match.
 
-    The file's materials, textures, skins, blend shapes, animations and extensions are kept then. A mesh that does not
-    match is written alone, with a warning if the file has a skeleton, shapes or animations.
+    Positions and the UV set in use are those of the mesh. The file's materials, textures, skins, blend shapes,
+    animations and extensions are kept then. A mesh that does not match is written alone, with a warning if the file has
+    a skeleton, shapes or animations.
     """
     try:
         document = read_document(like)
@@ -282,4 +287,21 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
         return
     places = np.split(mesh.positions, starts[1:-1])
     parts = tuple(move_vertices(part, own) for part, own in zip(character.parts, places, strict=True))
+    if mesh.uvs is not None and mesh.uv_indices is not None:
+        ends = np.cumsum([len(part.mesh.face_indices) for part in parts])
+        uvs = np.split(mesh.uvs[mesh.uv_indices], ends[:-1])
+        name = mesh.uv_name or "TEXCOORD_0"
+        parts = tuple(_with_uvs(part, name, of_part) for part, of_part in zip(parts, uvs, strict=True))
     write_document(path, character_glb(replace(character, parts=parts), document), force=force)
+
+
+def _with_uvs(part: Part, name: str, uvs: FloatArray) -> Part:
+    """A part with texture coordinates (c, 2) of its corners in a UV set; unchanged if they are `NO_UV`."""
+    if (uvs == NO_UV).all():
+        return part
+    mesh = part.mesh
+    sets = {uv_set.name: uv_set for uv_set in mesh.all_uv_sets}
+    sets[name] = UvSet(name, *merged_corners(mesh.face_indices, uvs))
+    first, *others = sets.values()
+    mesh = replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_name=first.name, uv_sets=tuple(others))
+    return replace(part, mesh=mesh)

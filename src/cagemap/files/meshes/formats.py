@@ -5,8 +5,10 @@ A new format is an entry of `_READERS` or `_WRITERS`; help lines that list forma
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -14,12 +16,13 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb, write_glb_like
-from cagemap.files.meshes.obj import read_obj
+from cagemap.files.meshes.obj import material_files, read_obj
 from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
-from cagemap.files.usd.read import USD_SUFFIXES, read_usd
+from cagemap.files.text import read_text
+from cagemap.files.usd.read import USD_SUFFIXES, layer_files, read_usd
 from cagemap.files.usd.space import stage_space, to_standard
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
@@ -70,8 +73,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
     like : path, optional
         The file that the mesh was read from. From USD to USD, units, up axis and the prim's transform are kept; a
-        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything else in it,
-        if vertices and faces are the same.
+        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything in it but
+        positions and the UV set in use, if vertices and faces are the same.
     force : bool
 
     Raises
@@ -96,6 +99,23 @@ def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
     """Files that `write_mesh` writes for a mesh, materials included."""
     file = Path(path)
     return obj_files(file, mesh) if _extension(file, _WRITERS) == ".obj" else [file]
+
+
+def referred_files(path: Path) -> list[Path]:
+    """Existing files that a mesh file refers to: materials of an OBJ, buffers and images of a .gltf, layers of USD.
+
+    Empty for other files, and if the file cannot be read.
+    """
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".obj":
+            return material_files(path)
+        if suffix == ".gltf":
+            names = re.findall(r'"uri"\s*:\s*"([^"]{1,1000})"', read_text(path, "a glTF file"))
+            return [file for name in names if (file := path.parent / unquote(name)).is_file()]
+        return layer_files(path) if suffix in USD_SUFFIXES else []
+    except FormatError:  # its reader reports it
+        return []
 
 
 def check_mesh_path(path: str | Path) -> None:

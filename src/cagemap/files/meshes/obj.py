@@ -338,6 +338,12 @@ def _material_names(line: str) -> list[str]:
     return [stated, *stated.split()]
 
 
+def material_files(path: Path) -> list[Path]:
+    """Existing material files of an OBJ file."""
+    lines = re.findall(r"(?m)^[ \t]*(mtllib[ \t].*)$", read_text(path, "an OBJ file"))
+    return [file for line in lines for file in _material_files(path.parent, line.replace("\t", " "))]
+
+
 def named_material_files(name: str, content: bytes) -> list[str]:
     """All names of material files that `read_obj` would search for an OBJ file of this content."""
     statements = _split_statements(Path(name), decoded(content, Path(name), "an OBJ file"))

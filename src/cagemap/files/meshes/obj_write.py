@@ -178,9 +178,10 @@ def _renumbered(line: str, numbers: Iterator[int]) -> str:
 
 
 def _moved(stated: str, before: Path, after: Path) -> str:
-    """The name of a material library relative to another folder; unchanged if there is no such file."""
+    """Names of material libraries relative to another folder; unchanged if there are no such files."""
     if not (before / stated.replace("\\", "/")).is_file():
-        return stated
+        words = stated.split()
+        return " ".join(_moved(word, before, after) for word in words) if len(words) > 1 else stated
     try:
         return Path(os.path.relpath(before / stated.replace("\\", "/"), after)).as_posix()
     except ValueError:  # another drive

@@ -39,9 +39,10 @@ from cagemap.files.usd.prims import (
 )
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import reversed_corners as reversed_corners
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision import default_scheme
 
 logger = logging.getLogger(__name__)
@@ -117,6 +118,12 @@ def open_stage(path: str | Path) -> Any:
         return stage
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
+
+
+def layer_files(path: str | Path) -> list[Path]:
+    """Files of all layers that a USD file is composed of, itself included."""
+    stage = open_stage(path)  # its layers end with it
+    return sorted(Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath)
 
 
 def _reason(error: Exception) -> str:
@@ -326,14 +333,6 @@ def _turned_round(
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
     return turned, attributes | {name: attributes[name][mirrored] for name in of_corners & set(attributes)}
-
-
-def reversed_corners(face_offsets: IndexArray) -> IndexArray:
-    """(c,) corners of all faces in reversed order; the first corner of each face stays first."""
-    first, sizes = face_offsets[:-1], np.diff(face_offsets)
-    starts, size = np.repeat(first, sizes), np.repeat(sizes, sizes)
-    within = np.arange(len(starts)) - starts
-    return np.asarray(starts + (size - within) % size)
 
 
 def _floats(values: Any) -> FloatArray:

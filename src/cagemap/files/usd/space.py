@@ -66,7 +66,8 @@ def upright_turn(path: Path) -> FloatArray | None:
     if not _is_usd(path):
         return None
     left, _, right = np.linalg.svd(to_standard(path)[:3, :3])
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+    # Of a mirror, left and right are exchanged: up stays up.
+    return np.asarray(left @ right @ np.diag([np.linalg.det(left @ right), 1.0, 1.0]))
 
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from cagemap.files import IMAGE_SUFFIXES, VALUE_SUFFIXES
+from cagemap.files import MASK_SUFFIXES
 from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
 # Headings of `--help`.
@@ -78,10 +78,6 @@ class NameOrFile:
     """An option that is a file if it ends in one of ``suffixes``, and a name otherwise."""
 
     suffixes: tuple[str, ...]
-
-
-# Suffixes of mask files.
-MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 
 
 Space = Annotated[
@@ -157,12 +153,12 @@ TargetMaskOption = Annotated[
         group=INPUT,
         help="Only this part of the target: name, values or image; not:... inverts.  [default: all]",
     ),
-    NameOrFile(MASK_FILES),
+    NameOrFile(MASK_SUFFIXES),
 ]
 SourceMaskOption = Annotated[
     str | None,
     Option(group=INPUT, help="Only this part of the source, see --target-mask.  [default: all]"),
-    NameOrFile(MASK_FILES),
+    NameOrFile(MASK_SUFFIXES),
 ]
 MaskEdgeOption = Annotated[
     float | None,
