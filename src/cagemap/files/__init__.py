@@ -7,4 +7,4 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 VALUE_SUFFIXES = (".npy", ".npz", ".csv", ".json")
 # Suffixes of mask files, and the prefix of a mask's name that inverts it.
 MASK_SUFFIXES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
-NOT = "not:"
+INVERT_PREFIX = "not:"

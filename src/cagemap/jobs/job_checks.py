@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from cagemap.files import NOT
+from cagemap.files import INVERT_PREFIX
 from cagemap.files.images.image import texture_files
 from cagemap.jobs.job_schema import ALL_ASSETS, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, asset_names
 
@@ -199,7 +199,7 @@ def _file_problems(
     for name, value in options.items():
         for text, resolved in zip(_texts(value), _texts(resolve_files(value, kinds.get(name), folder)), strict=True):
             is_file = resolved != text or (kinds.get(name) is Path and Path(text).is_absolute())
-            if is_file and "{" not in text and not _exists(Path(resolved.removeprefix(NOT))):
+            if is_file and "{" not in text and not _exists(Path(resolved.removeprefix(INVERT_PREFIX))):
                 entry = (*key_path, name)
                 yield entry, f"{'.'.join(map(str, entry))}: {text} does not exist. Check the path."
 
@@ -230,7 +230,7 @@ def resolve_files(value: Any, kind: Any, folder: Path) -> Any:
     """
     kind, *annotations = get_args(kind) if get_origin(kind) is Annotated else (kind,)
     if isinstance(value, str):
-        file = value.removeprefix(NOT)
+        file = value.removeprefix(INVERT_PREFIX)
         if any(Path(file).suffix.lower() in getattr(annotation, "suffixes", ()) for annotation in annotations):
             return value.removesuffix(file) + str(folder / file)
         return (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError
-from cagemap.files import NOT
+from cagemap.files import INVERT_PREFIX
 from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
@@ -225,7 +225,7 @@ class _FileHashes:
 
 def _file_in(value: Any) -> str:
     """The absolute path in an option's value; empty for other values."""
-    file = value.removeprefix(NOT) if isinstance(value, str) else ""
+    file = value.removeprefix(INVERT_PREFIX) if isinstance(value, str) else ""
     return file if Path(file).is_absolute() else ""
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files import IMAGE_SUFFIXES, MASK_SUFFIXES, NOT
+from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
@@ -81,7 +81,7 @@ def mask_file(text: str | None) -> Path | None:
     """The file of a mask; None if the text is a part's name."""
     if text is None:
         return None
-    path = Path(text.removeprefix(NOT))
+    path = Path(text.removeprefix(INVERT_PREFIX))
     suffix = path.suffix.lower()
     return path if suffix in MASK_SUFFIXES else None
 
@@ -161,8 +161,8 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
         primvar, or names of objects, groups, materials or components; ``not:`` before it inverts the mask.
     ``edge``: width of the soft edge; default: `DEFAULT_EDGE` for sets of faces, 0 for values.
     """
-    inverted = text.startswith(NOT)
-    name = text.removeprefix(NOT)
+    inverted = text.startswith(INVERT_PREFIX)
+    name = text.removeprefix(INVERT_PREFIX)
     path = mask_file(text)
     if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
         if control.uvs is None:
