@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -185,6 +186,12 @@ def test_a_match_of_a_name_that_is_no_text_has_no_job_file(tmp_path: Path, caplo
     note_match(MatchRequest(tmp_path / "a\udc80.obj", tmp_path / "b.obj", None, tmp_path / "R"))
     assert "no text" in caplog.text
     assert list((tmp_path / "R").iterdir()) == []
+
+
+def test_a_result_with_a_name_that_is_no_text_is_written(tmp_path: Path) -> None:
+    stage = "prepare a\udc80.obj"
+    write_result(tmp_path / "R", replace(identity_result(), timings={stage: 1.0}))
+    assert list(read_result(tmp_path / "R").timings) == [r"prepare a\udc80.obj"]
 
 
 def test_a_cache_knows_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
