@@ -258,3 +258,11 @@ def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
         fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
     assert (final / "manifest.json").read_text() == "old"
     assert list(tmp_path.iterdir()) == [final]
+
+
+def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder"), atomic_folder(tmp_path, ["a.txt"]):
+        pass

@@ -217,13 +217,14 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
         return
     if not target.is_dir():
         raise FormatError(f"{folder}: expected a folder to write the result to, got a file. Give another name.")
-    require_writable_folder(folder / "file")
-    present = [name for name in names if os.path.lexists(target / name)]
+    known = list(names)
+    require_writable_folder(folder / known[0])
+    present = [name for name in known if os.path.lexists(target / name)]
     for name in present:
         require_replaceable(folder / name, force=force, owned=owned)
     if not force and not present and any(target.iterdir()):
         raise FormatError(
-            f"{folder}: the folder holds files but no {' and '.join(names)}, so it is not a result of an earlier run "
+            f"{folder}: the folder holds files but no {' and '.join(known)}, so it is not a result of an earlier run "
             "and nothing is written to it. Give another name, or allow it (`force=True`)."
         )
 
