@@ -169,12 +169,17 @@ def atomic_folder(
                 seal(temporary / name)
                 _flush(temporary / name)
             require_own_folder(final, names, force=force, owned=owned)
-            if target.is_dir():
+            try:
+                if not target.is_dir():
+                    os.replace(temporary, target)
+            except OSError:  # another process may have created the folder just now
+                require_own_folder(final, names, force=force, owned=owned)
+                if not target.is_dir():
+                    raise
+            if temporary.is_dir():
                 with one_at_a_time(target):
                     for name in names:
                         os.replace(temporary / name, _real(target / name))
-            else:
-                os.replace(temporary, target)
             _tell(*(Path(final) / name for name in names))
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
