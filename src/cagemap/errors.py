@@ -72,7 +72,9 @@ def explain_error(error: Exception) -> str:
         )
     reason = error.strerror or error
     if error.filename:
-        return f"{error.filename}: {reason}. Check the path and the space left on the disk."
+        return f"{error.filename}: {reason}. Check the path, its permissions and the space left on the disk."
+    if isinstance(error, FileNotFoundError):  # of a relative path
+        return "the current folder was removed. Change to another one."
     return (  # without a name: a file of a library
         f"a file that a library keeps could not be read or written: {reason}. Is there room in the temporary folder "
         "(TMPDIR), and where compiled code is kept (NUMBA_CACHE_DIR, else beside cagemap or in ~/.cache)?"

@@ -98,7 +98,19 @@ def test_landmark_functions_are_columns_of_the_descriptor_matrix(itself):
         np.testing.assert_allclose(found[:, j], (phi * rho) @ phi[4], rtol=1e-9, atol=1e-12)
 
 
+def test_a_level_without_functions_has_descriptors_of_zero():
+    surface = research.prepare(shapes.cube(), 2, BasisConfig(schedule=(0, 0, 8)))
+    filters = research.heat_and_wave_filters(surface, surface, heat=2, wave=1)
+    coarse, count = surface.refinement.levels[0].n_vertices, 3
+    np.testing.assert_array_equal(research.signature_functions(surface, filters, 0), np.zeros((coarse, count)))
+    found = research.landmark_functions(surface, filters, [1, 4], 0)
+    np.testing.assert_array_equal(found, np.zeros((coarse, 2 * count)))
+
+
 def test_what_does_not_fit_is_refused(itself):
+    filters = research.heat_and_wave_filters(itself.target, itself.source)
+    with pytest.raises(ParameterError, match="expected a level from 0 to 1, got 2"):
+        research.signature_functions(itself.target, filters, 2)
     with pytest.raises(ParameterError, match="at most"):
         research.point_map(itself, np.eye(40))
     with pytest.raises(ParameterError, match="has 20 of 30 functions"):

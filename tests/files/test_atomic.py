@@ -24,7 +24,7 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import all_or_nothing, atomic_folder, atomic_path, write_whole
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.ownership import mark
+from cagemap.files.ownership import mark, seal
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import write_attributes
@@ -258,3 +258,29 @@ def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
         fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
     assert (final / "manifest.json").read_text() == "old"
     assert list(tmp_path.iterdir()) == [final]
+
+
+def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder"), atomic_folder(tmp_path, ["a.txt"]):
+        pass
+
+
+def test_of_two_writers_of_a_new_folder_both_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other one creates the folder between the last look and the move."""
+    honest, folder = os.replace, tmp_path / "R"
+
+    def meanwhile(source: Path, target: Path) -> None:
+        if Path(target) == folder and not folder.exists():
+            folder.mkdir()
+            (folder / "a.txt").write_text(f"{mark()}\n")
+            seal(folder / "a.txt")
+        honest(source, target)
+
+    monkeypatch.setattr("os.replace", meanwhile)
+    with atomic_folder(folder, ["a.txt"]) as temporary:
+        (temporary / "a.txt").write_text(f"{mark()} ours\n")
+    assert "ours" in (folder / "a.txt").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["R"]

@@ -127,6 +127,15 @@ def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
         read_job(tmp_path / "job.toml", COMMANDS)
 
 
+def test_a_job_file_that_may_not_be_read_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, **_: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    with pytest.raises(FormatError, match=r"cannot be read.*Check its permissions"):
+        read_job(folder / "job.toml", COMMANDS)
+
+
 def test_lines_are_found_in_nested_tables() -> None:
     text = "a = 1\n[b.c]\nd = 2\n[[e]]\nf = 3\n[[e]]\n[e.g]\nh = 4\n"
     assert [

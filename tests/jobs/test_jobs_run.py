@@ -247,3 +247,19 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
         connect()
     assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
     assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)
+
+
+def test_an_interrupted_start_of_dask_has_nothing_to_close_at_exit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closing workers that have not started ended in a traceback after the message."""
+    import distributed
+    from distributed.deploy.spec import close_clusters
+
+    def interrupted(**_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(distributed, "LocalCluster", interrupted)
+    left_out: list[object] = []
+    monkeypatch.setattr("atexit.unregister", left_out.append)
+    with pytest.raises(KeyboardInterrupt), open_client(None, 1) as connect:
+        connect()
+    assert left_out == [close_clusters]

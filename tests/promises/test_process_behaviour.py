@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from examples.shapes import cube
 
 from cagemap.cli import main
 from cagemap.cli.console import escape_unprintable_output, say, set_verbosity, warn
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, explain_error
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result, write_result
@@ -185,6 +186,29 @@ def test_a_match_of_a_name_that_is_no_text_has_no_job_file(tmp_path: Path, caplo
     note_match(MatchRequest(tmp_path / "a\udc80.obj", tmp_path / "b.obj", None, tmp_path / "R"))
     assert "no text" in caplog.text
     assert list((tmp_path / "R").iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_outputs_on_a_full_disk_are_named_and_exit_with_2(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "b.obj", cube())
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        words = [*COMMAND, "check", "b.obj"]
+        told = subprocess.run(words, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        silent = subprocess.run([*COMMAND, "refine", "none.obj"], cwd=tmp_path, stderr=full, check=False)
+        wrong = [*COMMAND, "refine", "none.obj", "-l", "1", "-o", "c.obj"]
+        untold = subprocess.run(wrong, cwd=tmp_path, stdout=subprocess.PIPE, stderr=full, check=False)
+    assert (told.returncode, silent.returncode, untold.returncode) == (2, 2, 2)
+    assert told.stderr.startswith("cagemap: error: standard output: cannot be written (No space left on device)")
+
+
+def test_a_folder_that_was_removed_meanwhile_is_named() -> None:
+    assert explain_error(FileNotFoundError(2, "No such file or directory")).startswith("the current folder was removed")
+
+
+def test_a_result_with_a_name_that_is_no_text_is_written(tmp_path: Path) -> None:
+    stage = "prepare a\udc80.obj"
+    write_result(tmp_path / "R", replace(identity_result(), timings={stage: 1.0}))
+    assert list(read_result(tmp_path / "R").timings) == [r"prepare a\udc80.obj"]
 
 
 def test_a_cache_knows_the_code(monkeypatch: pytest.MonkeyPatch) -> None:

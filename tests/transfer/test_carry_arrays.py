@@ -34,6 +34,15 @@ def test_values_of_every_place_come_back(itself: cagemap.MatchResult) -> None:
     np.testing.assert_array_equal(one, values["labels"])
 
 
+@pytest.mark.parametrize("shape", [(), (1,), (2,), (3, 3)])
+@pytest.mark.parametrize("kind", [float, int, bool, np.float32])
+def test_rows_of_any_shape_come_back(itself: cagemap.MatchResult, kind: type, shape: tuple[int, ...]) -> None:
+    mesh = itself.source.control
+    for count in (mesh.n_vertices, mesh.n_faces, len(mesh.face_indices), len(itself.source.vertices)):
+        values = RANDOM.integers(0, 9, (count, *shape)).astype(kind)
+        np.testing.assert_allclose(cagemap.carry_values(itself, values), values, atol=1e-12)
+
+
 def test_as_many_vertices_as_faces_are_told_apart_by_word() -> None:
     """A torus of quads has as many vertices as faces; labels of faces are not those of vertices under a shifted map."""
     result = identity_result(1, (torus(6, 5), torus(6, 5)))

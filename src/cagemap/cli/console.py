@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterable
 
-from cagemap.errors import use_option_names
+from cagemap.errors import FormatError, use_option_names
 
 _log = logging.getLogger("cagemap.cli")
 
@@ -32,11 +32,11 @@ class _StatusHandler(logging.Handler):
 
 
 def write_status(text: str) -> None:
-    """Write a line to standard error; a closed pipe is no error."""
+    """Write a line to standard error; a closed pipe or a full disk is no error."""
     try:
         sys.stderr.write(f"cagemap: {text}\n")
         sys.stderr.flush()
-    except BrokenPipeError:
+    except OSError:
         _discard_output(sys.stderr.fileno())
 
 
@@ -66,6 +66,11 @@ def say(text: str, *, always: bool = False) -> None:
         sys.stdout.flush()
     except BrokenPipeError:
         _discard_output(sys.stdout.fileno())
+    except OSError as error:
+        _discard_output(sys.stdout.fileno())
+        raise FormatError(
+            f"standard output: cannot be written ({error.strerror}). Check the disk that it goes to."
+        ) from None
 
 
 def warn(messages: Iterable[str]) -> None:
@@ -86,7 +91,7 @@ def escape_unprintable_output() -> None:
 
 
 def _discard_output(descriptor: int) -> None:
-    """Redirect a closed pipe to the null device: the interpreter would fail on it."""
+    """Redirect an output that cannot be written to the null device: the interpreter would fail on it at its end."""
     null_device = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null_device, descriptor)
     os.close(null_device)

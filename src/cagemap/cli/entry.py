@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from cagemap.cli.console import escape_unprintable_output, say, set_verbosity
+from cagemap.cli.console import escape_unprintable_output, say, set_verbosity, write_status
 from cagemap.errors import CagemapError, ParameterError, explain_error
 from cagemap.numerics.process import set_up_process
 
@@ -97,5 +97,5 @@ def _check_words(words: list[str]) -> None:
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    sys.stderr.write(f"cagemap: error: {message}\n")
+    write_status(f"error: {message}")
     raise SystemExit(code)

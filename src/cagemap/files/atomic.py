@@ -169,12 +169,17 @@ def atomic_folder(
                 seal(temporary / name)
                 _flush(temporary / name)
             require_own_folder(final, names, force=force, owned=owned)
-            if target.is_dir():
+            try:
+                if not target.is_dir():
+                    os.replace(temporary, target)
+            except OSError:  # another process may have created the folder just now
+                require_own_folder(final, names, force=force, owned=owned)
+                if not target.is_dir():
+                    raise
+            if temporary.is_dir():
                 with one_at_a_time(target):
                     for name in names:
                         os.replace(temporary / name, _real(target / name))
-            else:
-                os.replace(temporary, target)
             _tell(*(Path(final) / name for name in names))
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -217,13 +222,14 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
         return
     if not target.is_dir():
         raise FormatError(f"{folder}: expected a folder to write the result to, got a file. Give another name.")
-    require_writable_folder(folder / "file")
-    present = [name for name in names if os.path.lexists(target / name)]
+    known = list(names)
+    require_writable_folder(folder / known[0])
+    present = [name for name in known if os.path.lexists(target / name)]
     for name in present:
         require_replaceable(folder / name, force=force, owned=owned)
     if not force and not present and any(target.iterdir()):
         raise FormatError(
-            f"{folder}: the folder holds files but no {' and '.join(names)}, so it is not a result of an earlier run "
+            f"{folder}: the folder holds files but no {' and '.join(known)}, so it is not a result of an earlier run "
             "and nothing is written to it. Give another name, or allow it (`force=True`)."
         )
 

@@ -29,6 +29,7 @@ A job file is TOML. Options have the names of the command line's options, with u
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -120,7 +121,7 @@ def read_job(
         text = file.read_bytes().decode("utf-8")
         data = tomllib.loads(text)
     except FormatError as error:
-        inside = f" {file / 'job.toml'} is one." if (file / "job.toml").is_file() else ""
+        inside = f" {file / 'job.toml'} is one." if os.path.isfile(file / "job.toml") else ""
         raise FormatError(f"{error}{inside}") from None
     except RecursionError:
         raise FormatError(f"{file}: expected a TOML file, got brackets within brackets without end.") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib.util
 import json
 import logging
@@ -289,6 +290,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     _require_dask()
     import dask
     from distributed import Client, LocalCluster
+    from distributed.deploy.spec import close_clusters
     from distributed.system import MEMORY_LIMIT
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
@@ -298,14 +300,18 @@ def _local(stack: ExitStack, workers: int) -> Client:
     }
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
-    # Any free port, so that a second cluster on this machine causes no warning.
-    cluster = LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        memory_limit=MEMORY_LIMIT // workers,
-        dashboard_address="127.0.0.1:0",
-    )
+    try:
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=MEMORY_LIMIT // workers,
+            # Any free port, so that a second cluster on this machine causes no warning.
+            dashboard_address="127.0.0.1:0",
+        )
+    except KeyboardInterrupt:
+        atexit.unregister(close_clusters)  # Dask cannot close workers that have not started; they end with us
+        raise
     return stack.enter_context(Client(stack.enter_context(cluster)))
 
 

@@ -157,10 +157,7 @@ def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()
 def signature_functions(surface: Surface, filters: Filters, level: int) -> FloatArray:
     """(n_level, q) signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3)."""
     at_eigenvalues = filters.at(surface.basis.eigenvalues[: surface.basis.size(level)])
-    values = np.empty((surface.hierarchy.levels[level].n_vertices, at_eigenvalues.shape[1]))
-    for part, block in surface.basis.row_blocks(level):
-        values[part] = signatures(block, at_eigenvalues)
-    return values
+    return np.concatenate([signatures(block, at_eigenvalues) for _, block in surface.basis.row_blocks(level)])
 
 
 def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:

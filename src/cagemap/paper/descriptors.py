@@ -87,7 +87,7 @@ def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
     k = rows.shape[1]
     if filters.shape[0] != k:
         raise ParameterError(f"expected {k} filter rows, one for each basis function, got {filters.shape[0]}")
-    return (rows.T[:, :, None] * filters[:, None, :]).reshape(k, -1)
+    return (rows.T[:, :, None] * filters[:, None, :]).reshape(k, len(rows) * filters.shape[1])
 
 
 def signatures(rows: FloatArray, filters: FloatArray) -> FloatArray:

@@ -90,6 +90,7 @@ class ShowPosed:
 
     pair_files: PairFiles
     pose: str
+    preview_map: PreviewMap | None
 
 
 Task = OpenModels | FindMap | ShowBaked | ShowPosed
@@ -197,7 +198,7 @@ def run_task(
         case ShowBaked():
             return cache, _baked_skin(target, source, task)
         case ShowPosed():
-            return cache, _posed_skins(cache, task.pose)
+            return cache, _posed_skins(cache, task)
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
@@ -326,8 +327,8 @@ def _landmark_strain(result: MatchResult) -> dict[str, float]:
     return strain | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
-def _posed_skins(cache: PreviewCache, name: str) -> tuple[bytes, bytes]:
-    """Target and source in a pose of the source's animations.
+def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
+    """Target and source in a pose of the source's animations, with the task's map: a cancelled match drops the cache's.
 
     Raises
     ------
@@ -335,15 +336,17 @@ def _posed_skins(cache: PreviewCache, name: str) -> tuple[bytes, bytes]:
         If there is no such pose.
     """
     target, source = _opened_models(cache)
-    shapes, preview_map, result = (target.shape, source.shape), None, cache.result
-    if result is not None:
-        preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    if name:
-        character = cache.character or NO_CHARACTER
-        pose = animation_poses(character).get(name)
-        if pose is None or result is None or preview_map is None:
-            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {name!r}. Choose another.")
-        shapes = pose_shapes(character, pose, *shapes, preview_map, result.point_map)
+    preview_map = task.preview_map
+    shapes = target.shape, align_facing(source.shape, target.shape, preview_map)
+    if task.pose:
+        assert cache.pair_files is not None
+        character = cache.character or animated_character(cache.pair_files.source)
+        pose = animation_poses(character).get(task.pose)
+        if pose is None or preview_map is None:
+            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {task.pose!r}. Choose another.")
+        surfaces = target.shape.surface, source.shape.surface
+        point_map = PointMap.from_arrays(*surfaces, preview_map.triangle, preview_map.barycentric)
+        shapes = pose_shapes(character, pose, *shapes, preview_map, point_map)
     skin = target_skin(shapes[0], target.look, shapes[1], source.look, preview_map)
     return skin, source_skin(shapes[1], source.look)
 

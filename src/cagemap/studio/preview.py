@@ -164,7 +164,7 @@ class Preview:
         if fresh is not None or answer is not None:
             return FindMap(pair_files, landmarks, bool(fresh), answer if fresh is None else None)
         if pose is not None:
-            return ShowPosed(pair_files, pose)
+            return ShowPosed(pair_files, pose, preview_map)
         assert baked is not None
         return ShowBaked(pair_files, *baked, preview_map)
 

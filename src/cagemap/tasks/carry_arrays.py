@@ -46,7 +46,7 @@ def carry_values(
     Parameters
     ----------
     result : MatchResult
-    values : (m,) or (m, q) array, or dict of name to such arrays
+    values : (m,) or (m, ...) array, or dict of name to such arrays
         One row for each place of the source.
     at : str, optional
         "vertices" (control vertices), "faces" (control faces), "corners" (of the control faces, face by face) or
@@ -72,6 +72,8 @@ def carry_values(
 
     def carried(name: str, given: ArrayLike) -> NDArray[Any]:
         array = array_of(given)
+        if array.ndim > 2 and len(array):  # a matrix for each place
+            return carried(name, array.reshape(len(array), -1)).reshape(-1, *array.shape[1:])
         array = array if array.dtype.kind in "biuf" else real_numbers(given, name)
         rows = array.shape[0] if array.ndim else 0
         place = next((place for place, n in zip(PLACES, counts, strict=True) if n == rows and at in (None, place)), "")

@@ -25,12 +25,13 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     """Pull values of the source's control faces back to the target's control faces.
 
     Each refined target triangle takes the value at its centre's image. A control face takes the area-weighted mean of
-    its triangles' values, or, if values are integers (materials, groups), the one with the largest area.
+    its triangles' values. Integers (materials, groups) are labels, also a row of several: the one with the largest
+    area is taken.
 
     Parameters
     ----------
     transfer : Transfer
-    values : (m2,) integers, or (m2,) or (m2, q) floats
+    values : (m2,) or (m2, q) array
         At the source's control faces.
     n_target_faces : int, optional
         Default: number of control faces of the target's level.
@@ -47,13 +48,14 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     values = np.asarray(values)
     _require_rows(values, transfer)
     source, target = transfer.source, transfer.target
-    hits = values[source.face_parents[source.triangle_faces[locate_centers(transfer.mapped)]]]
+    hits = source.face_parents[source.triangle_faces[locate_centers(transfer.mapped)]]
     faces = target.face_parents[target.triangle_faces]
     areas = triangle_areas(target.positions, target.triangles)
     n_faces = n_target_faces or int(faces.max()) + 1
     if values.dtype.kind in "iub":
-        return largest_share(faces, hits, areas, n_faces)
-    columns = hits.reshape(len(hits), -1)
+        distinct, number = np.unique(values, axis=0, return_inverse=True)
+        return distinct[largest_share(faces, number.ravel()[hits], areas, n_faces)]
+    columns = values[hits].reshape(len(hits), -1)
     totals = np.bincount(faces, areas, minlength=n_faces)
     means = grouped_sums(faces, areas[:, None] * columns, n_faces) / np.where(totals > 0, totals, 1.0)[:, None]
     return means.reshape(n_faces, *values.shape[1:])

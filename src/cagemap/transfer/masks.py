@@ -13,7 +13,7 @@ from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, to_dtype, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
-from cagemap.transfer.texture import Pixels, lay_texture, look_up
+from cagemap.transfer.texture import Pixels, as_pixels, lay_texture, look_up
 from cagemap.transfer.textured_surface import TexturedSurface
 
 # Rows of an image that are blended at a time.
@@ -94,9 +94,10 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     Raises
     ------
     ParameterError
-        If sizes, channels or number types differ.
+        If sizes, channels or number types differ, or the images are of signed integers.
     """
-    baked, base, weight = array_of(baked), array_of(base), array_of(weight)
+    baked, weight = _checked(baked, weight)
+    base = as_pixels(base)
     if baked.shape != base.shape or baked.dtype != base.dtype:
         raise ParameterError(
             f"base image: expected {baked.shape[0]} x {baked.shape[1]} texels of {baked.shape[2]} channels, "
@@ -122,16 +123,21 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     Raises
     ------
     ParameterError
-        If the weight has another size.
+        If the weight has another size, or the image is of signed integers.
     """
-    baked, weight = array_of(baked), array_of(weight)
-    if np.ndim(baked) != 3 or np.shape(weight) != (*np.shape(baked)[:2], 1):
-        raise ParameterError(
-            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {np.shape(baked)} and "
-            f"{np.shape(weight)}"
-        )
+    baked, weight = _checked(baked, weight)
     full = unit(baked.dtype)
     has_alpha = baked.shape[2] in (2, 4)
     alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else full)
     colors = baked[..., :-1] if has_alpha else baked
     return np.concatenate([colors, to_dtype(alpha, baked.dtype)], axis=2)
+
+
+def _checked(baked: Pixels, weight: Pixels) -> tuple[Pixels, Pixels]:
+    """An image (h, w, c) and its weight (h, w, 1) as arrays."""
+    shapes = np.shape(array_of(baked)), np.shape(array_of(weight))
+    if len(shapes[0]) != 3 or shapes[1] != (*shapes[0][:2], 1):
+        raise ParameterError(
+            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {shapes[0]} and {shapes[1]}"
+        )
+    return as_pixels(baked), array_of(weight)
