@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +35,8 @@ from cagemap.maps.pair import Pair
 from cagemap.paper.levels import ladder, search_levels
 from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface
+
+from quick_match import QUICK
 
 BASIS = BasisConfig(count=60)
 
@@ -217,3 +221,15 @@ def test_ground_truth_on_humans(shared_data, method, bound, direction):
         image, places = found.point_map.images.positions, found.point_map.source.positions
         np.testing.assert_allclose(image[landmarks.target], places[landmarks.source], atol=1e-9)
         assert figures.flipped_area < 0.0025
+
+
+def test_a_result_can_be_pickled_and_copied(pony):
+    """Worker processes return results by pickle: factorisations stay behind, and are made again where needed."""
+    mesh = shapes.creature()
+    marks = landmarks_of(mesh, np.arange(mesh.n_vertices))
+    taller = mesh.with_positions(mesh.positions * [1.0, 1.2, 1.0])
+    found = match(prepare_surface(mesh, 2), prepare_surface(taller, 2), marks, QUICK)
+    for other in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
+        assert np.array_equal(other.point_map.triangle, found.point_map.triangle)
+        assert np.array_equal(other.spectral.functional_map, found.spectral.functional_map)
+        assert update_match(other, marks).landmark_errors.max() < 1e-9

@@ -102,6 +102,10 @@ class MatchResult:
         sides = f"target {self.target.control.name!r}, source {self.source.control.name!r}"
         return f"MatchResult({sides}, {len(self.triangle)} target vertices, {self.landmarks})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickles and deep copies are like a result that was read: without the factorisations of this process."""
+        return dict(vars(replace(self, prepared=None)))
+
     @kept
     def spectral(self) -> SpectralMap:
         """Functional map and eigenvalues of both bases: stored, from the method, or computed from the map."""

@@ -169,8 +169,14 @@ else:
         """Cached property: computed once, when first read; other threads wait.
 
         `functools.cached_property` has one lock for all instances of a class, and none from Python 3.12 on. Here every
-        instance has its own lock during the computation.
+        instance has its own lock during the computation. Pickles and deep copies leave such values out.
         """
+
+        def __set_name__(self, owner, name):
+            """Note the name, and leave the value out of pickles of the owner."""
+            super().__set_name__(owner, name)
+            if "__getstate__" not in vars(owner):
+                owner.__getstate__ = _state_without_kept
 
         def __get__(self, instance, owner=None):
             """Return the cached value, or compute it."""
@@ -184,6 +190,13 @@ else:
                 finally:
                     known.pop(lock, None)
                 return known[name]
+
+    def _state_without_kept(instance):
+        """Attributes of an instance but those that can be computed again, which may hold factorisations and locks."""
+        owner = type(instance)
+        return {
+            name: value for name, value in vars(instance).items() if not isinstance(getattr(owner, name, None), kept)
+        }
 
 
 def row_slices(count: int, size: int) -> list[slice]:
