@@ -147,6 +147,12 @@ def test_a_mesh_with_the_source_s_uvs_is_noted_by_a_relative_name(run: Run, resu
     assert entry["output"] == "../laid.obj"
 
 
+def test_a_mesh_that_lacks_what_its_missing_file_held_is_warned_of(run: Run, result_folder: Path) -> None:
+    name = read_result(result_folder).target.control.name
+    outcome = run.done("transfer R --source-uvs -o laid.obj")
+    assert f"{name}: the file is no longer where the match read it" in outcome.err
+
+
 def test_a_base_of_another_colour_space_is_warned_of(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     np.save(place / "mask.npy", np.repeat([0.0, 1.0], 4))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import cast
 
 from cagemap.character.passenger_pieces import PassengerKind
@@ -20,7 +19,6 @@ from cagemap.files.atomic import (
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import file_rows, other_rows
@@ -41,7 +39,7 @@ from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
-from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
+from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
@@ -199,9 +197,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     write_mesh(request.output, laid_out, like=original, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output})
     count = len(carried.crossed)
-    warnings = []
-    if original is None and {path.suffix.lower() for path in (request.output, Path(control.name))} <= set(USD_SUFFIXES):
-        warnings.append(f"{control.name}: {NO_UNITS}")
+    warnings = missing_file_warnings(original, control.name, request.output)
     if count:
         warnings.append(
             f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "

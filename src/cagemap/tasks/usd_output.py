@@ -21,7 +21,21 @@ NO_UNITS = (
     "the file is no longer where the match read it, or has changed: units, up axis and transform are not known, "
     "and metres with Y up are written"
 )
+NO_GROUPS = (
+    "the file is no longer where the match read it, or has changed; what cagemap does not keep of it (such as group "
+    "names, and parts that were not matched) is not in the new mesh"
+)
 _KEPT = ", and what earlier commands wrote there"
+
+
+def missing_file_warnings(original: Path | None, name: str, output: Path) -> list[str]:
+    """Warnings that a mesh was written without the target's file, which holds more than cagemap keeps."""
+    if original is not None:
+        return []
+    suffix = output.suffix.lower()
+    if {suffix, Path(name).suffix.lower()} <= set(USD_SUFFIXES):
+        return [f"{name}: {NO_UNITS}"]
+    return [f"{name}: {NO_GROUPS}"] if suffix == ".obj" else []
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:

@@ -39,7 +39,7 @@ from cagemap.tasks.requests.options import said
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
-from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
+from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
 from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
 
@@ -235,15 +235,9 @@ def _write(
         write_usd_results(output, request.results[0], result, points, force=request.force)
         return []
     write_mesh(output, mesh, like=original, force=request.force)
-    name = result.target.control.name
-    if original is None and {output.suffix.lower(), Path(name).suffix.lower()} <= set(USD_SUFFIXES):
-        return [f"{name}: {NO_UNITS}"]
-    if wrapped.level or output.suffix.lower() != ".obj":
+    if wrapped.level and output.suffix.lower() == ".obj":  # a refined cage has no groups of the file
         return []
-    return [
-        f"{name}: the file is no longer where the match read it, or has changed; what cagemap "
-        "does not keep of it (such as group names, and parts that were not matched) is not in the new mesh"
-    ]
+    return missing_file_warnings(original, result.target.control.name, output)
 
 
 def _to_target(folder: Path, result: MatchResult) -> FloatArray:
