@@ -10,7 +10,7 @@ from examples.shapes import creature
 
 from cagemap.deform import multi_start, refit
 from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
-from cagemap.deform.fit import coarse_fit, fine_stage
+from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
 from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
@@ -167,7 +167,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
 
     monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.rest, truth) > POSES_DIFFER
-    slid = fine_stage(problem, truth)
+    slid = fine_fit(problem, truth)
     found = fit_in_pose(problem, slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.004  # the minimum beside the truth
@@ -188,7 +188,7 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
 
     monkeypatch.setattr(refit, "pose_difference", lambda rest, positions: angle)
     monkeypatch.setattr(refit, "fit_in_pose", fitted)
-    monkeypatch.setattr(refit, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
     landmarks = problem.pair.landmarks
     first = finish_placement(problem, ended)

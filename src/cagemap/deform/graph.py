@@ -104,6 +104,35 @@ class ElasticGraph:
         """(n, 3) ``B^T A / 2`` of the moments B and maps A (n, 3, 3): ``sum_j w_ij A_ij e_ij``."""
         return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
 
+    @kept
+    def _block_pattern(self) -> tuple[sparse.csc_array, IndexArray]:
+        """L for three coordinates with zeros at all entries of (3, 3) diagonal blocks, and where these are stored."""
+        n = self.n
+        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
+        elastic = sparse.csc_array(sparse.kron(self.laplacian, sparse.eye_array(3)))
+        pattern = sparse.csc_array(abs(elastic) + ones)
+        pattern.sort_indices()
+        # Find the entries of both parts in the common pattern: number them, and read the numbers back.
+        numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
+
+        def places(rows: IndexArray, columns: IndexArray) -> IndexArray:
+            return np.asarray(numbered[rows, columns]).ravel().astype(np.int64) - 1
+
+        elastic.sort_indices()
+        rows = elastic.indices.astype(np.int64)
+        values, every = np.zeros(pattern.nnz), np.arange(3 * n)
+        values[places(rows, np.repeat(every, np.diff(elastic.indptr)))] = elastic.data
+        columns = np.repeat(every.reshape(n, 1, 3), 3, axis=1).ravel()
+        padded = sparse.csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return padded, places(np.repeat(every, 3), columns)
+
+    def block_matrix(self, alpha: float, blocks: FloatArray) -> sparse.csc_array:
+        """(3 n, 3 n) matrix alpha L + block diagonal (n, 3, 3); its pattern is the same for all alpha and blocks."""
+        elastic, places = self._block_pattern
+        values = alpha * elastic.data
+        values[places] += blocks.ravel()
+        return sparse.csc_array((values, elastic.indices, elastic.indptr), shape=elastic.shape)
+
     def smoother(self, length: float, masses: FloatArray | None = None) -> Factorization:
         """Factors of ``M + length^2 L``: screened Poisson smoothing over a length, masses M (n,), default areas."""
         masses = self.areas if masses is None else masses

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.energy import deformed_normals
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_stage
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance
 from cagemap.deform.problem import CoarseShape, Problem
@@ -180,7 +180,7 @@ def refine_cheapest(
     mixed = best_parts(prepared.rest.graph, fine, config)
     if mixed is None:
         return fine
-    return sort_by_cost([*fine, evaluate_placement(prepared, fine_stage(problem, mixed))])
+    return sort_by_cost([*fine, evaluate_placement(prepared, fine_fit(problem, mixed))])
 
 
 def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:

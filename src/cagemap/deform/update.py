@@ -14,9 +14,8 @@ import numpy as np
 
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.constraints import add_curves, with_clusters
-from cagemap.deform.energy import ElasticEnergy, VertexTerms, any_map
+from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
 from cagemap.deform.graph import ElasticGraph, cluster_graph, extrapolate
-from cagemap.deform.minimise import minimise
 from cagemap.deform.problem import Problem
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -45,9 +44,7 @@ def displacement_response(
     blocks[held] = landmark_weight * np.eye(3)
     right[held] = landmark_weight * offsets
     constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))
-    displacements = minimise(
-        energy, VertexTerms(energy, blocks, right, constant=True), np.zeros((graph.n, 3)), constant
-    )
+    displacements = minimise_constant(energy, blocks, right, np.zeros((graph.n, 3)), constant)
     return displacements, energy.maps(displacements)
 
 
