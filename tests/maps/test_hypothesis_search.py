@@ -9,7 +9,6 @@ import pytest
 from examples.shapes import creature
 
 from cagemap.deform.fit import evaluate_placement
-from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.files.landmarks.pairs import read_landmarks
@@ -41,9 +40,8 @@ def found(
         asked.append(rigid)
         return [], []
 
-    fits = AnchoredFits(problem.shape, (), (beside,), agree)
-    monkeypatch.setattr(AnchoredFits, "of", lambda *given: fits)
-    monkeypatch.setattr(AnchoredFits, "upsampled", lambda self, problem: self)
+    monkeypatch.setattr(search, "fit_held", lambda *given: ([beside], [] if agree else [beside]))
+    monkeypatch.setattr(search, "more_starts", lambda problem, shape, refined, soft: refined)
     monkeypatch.setattr(search, "rough_fits", rough_fits)
     monkeypatch.setattr(search, "fit_released", lambda problem, rough: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_to_tips", lambda problem, tips, placed: placed)

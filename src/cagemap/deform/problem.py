@@ -68,8 +68,10 @@ class CoarseShape:
     rest: RestShape  # of the k clusters
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
-    # Landmarks are the first clusters, vertices of curves the next ones
+    # Held points are the first clusters, vertices of curves the next ones
     constraints: Constraints
+    # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
+    held: tuple[IndexArray, IndexArray]
 
     def smoothed(self, smoothing: float) -> CoarseShape:
         """The clusters with another smoothing of differentials."""
@@ -211,19 +213,24 @@ class Problem:
     @kept
     def shape(self) -> CoarseShape:
         """Clusters of the target's mesh, with a cluster for every landmark."""
-        return self.holding(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+        none = np.zeros(0, dtype=np.int64)
+        return self.holding(none, none)
 
-    def holding(self, vertices: IndexArray, places: FloatArray) -> CoarseShape:
-        """Clusters with vertices (q,) of the target's mesh held at places (q, 3), besides the landmarks."""
-        rest, landmarks, config = self.prepared.rest, self.pair.landmarks, self.prepared.elastic
-        held = np.concatenate([self.landmark_vertices[0], vertices])
-        every, curves = with_clusters(self.prepared.curves(landmarks), held, config.coarse_vertices, config.data)
+    def holding(self, target: IndexArray, source: IndexArray) -> CoarseShape:
+        """Clusters with vertices (q,) of the target held at vertices (q,) of the source, besides the landmarks.
+
+        Both are numbers of the searched levels.
+        """
+        prepared, rest, landmarks = self.prepared, self.prepared.rest, self.pair.landmarks
+        config, (on_target, on_source) = prepared.elastic, self.landmark_vertices
+        held = np.concatenate([on_target, target]), np.concatenate([on_source, source])
+        places = prepared.source.triangles(prepared.levels[1]).positions[source]
+        every, curves = with_clusters(prepared.curves(landmarks), held[0], config.coarse_vertices, config.data)
         coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
-        anchors = Anchors.of_vertices(np.arange(len(held)))
-        return CoarseShape(
-            clusters, chosen, Constraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        )
+        anchors = Anchors.of_vertices(np.arange(len(held[0])))
+        constraints = Constraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
+        return CoarseShape(clusters, chosen, constraints, held)
 
     @kept
     def constraints(self) -> Constraints:
