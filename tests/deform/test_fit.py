@@ -38,7 +38,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
     config = ElasticConfig(coarse_vertices=400)
     pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
-    graph, problem = prepared.rest.graph, Problem(prepared, pair)
+    graph, problem = prepared.rest.graph, Problem(prepared, pair.landmarks)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
     started = [coarse_fit(problem, first) for first in (start[problem.shape.vertices], None)]
     found = fine_fit(problem, min(started, key=lambda ended: ended.cost))
@@ -222,7 +222,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     )
     config = ElasticConfig()
     prepared = prepared_at(pair.target, pair.source, 2, config)
-    problem = Problem(prepared, pair)
+    problem = Problem(prepared, pair.landmarks)
     fitted = fine_fit(problem, coarse_fit(problem, None))
     found = map_of_places(prepared, fitted, pair.landmarks)
     assert measure_quality(found).flipped_area < 1e-4
@@ -234,6 +234,6 @@ def test_what_cannot_be_fitted_is_refused(creature_at_3: tuple[Refinement, float
     with pytest.raises(InvalidLandmarksError, match="repeated"):
         landmark_coordinates(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
     prepared = prepared_at(surface, surface, 1, ElasticConfig(coarse_vertices=200))
-    problem = Problem(prepared, Pair.of_vertices(surface, surface, one, one))
+    problem = Problem(prepared, Pair.of_vertices(surface, surface, one, one).landmarks)
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
         coarse_fit(problem, prepared.rest.graph.positions)

@@ -154,7 +154,7 @@ def bent() -> PreparedPair:
 def problem_of(prepared: PreparedPair) -> Problem:
     """With every twelfth vertex a landmark."""
     vertices = np.arange(0, prepared.target.control.n_vertices, 12)
-    return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices))
+    return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices).landmarks)
 
 
 def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,14 +183,14 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     asked: list[tuple[PreparedPair, list[float], int]] = []
 
     def fitted(given: Problem, positions: FloatArray, times: int = RefitConfig.rounds) -> FloatArray:
-        asked.append((given.prepared, given.pair.landmarks.target.positions[0].tolist(), times))
+        asked.append((given.prepared, given.landmarks.target.positions[0].tolist(), times))
         return positions
 
     monkeypatch.setattr(refit, "pose_difference", lambda rest, positions: angle)
     monkeypatch.setattr(refit, "fit_in_pose", fitted)
     monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
-    landmarks = problem.pair.landmarks
+    landmarks = problem.landmarks
     first = finish_placement(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
     assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reversed, back, 1)])

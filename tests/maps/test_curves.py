@@ -212,7 +212,7 @@ def test_curves_give_the_start_coordinates_and_no_vertex_twice(surfaces: tuple) 
     again = Curves(("again",), rings.target.at([0]), rings.source.at([0]))
     landmarks = replace(landmarks, curves=rings.joined_with(again))
     pair = Pair(*surfaces, point_pairs(*surfaces, landmarks))
-    problem = Problem(PreparedPair.build(*surfaces), pair)
+    problem = Problem(PreparedPair.build(*surfaces), pair.landmarks)
     for side, near, surface, level in zip(
         curve_vertices(problem), problem.landmark_vertices, surfaces, problem.prepared.levels, strict=True
     ):

@@ -16,7 +16,7 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses import search
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray
-from cagemap.pipeline import match, pair_of, prepare_pair, prepare_surface
+from cagemap.pipeline import match, prepare_pair, prepare_surface
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +30,7 @@ def found(
 ) -> tuple[list[Placement], list[bool]]:
     """What `search` finds where limbs lead to the truth and landmarks beside it; of rough fits whether rigid starts."""
     vertices, asked = np.array([0, 40, 80]), list[bool]()
-    problem = Problem(
-        prepared, pair_of(prepared.target, prepared.source, Landmarks(("a", "b", "c"), vertices, vertices))
-    )
+    problem = Problem.of_landmarks(prepared, Landmarks(("a", "b", "c"), vertices, vertices))
     places = prepared.rest.graph.positions
     beside = evaluate_placement(prepared, places + np.array([0.05, 0.0, 0.0]))
 

@@ -99,7 +99,7 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
     cage = surface.triangles(surface.finest).positions[: surface.control.n_vertices]
     nose = int(np.linalg.norm(cage / surface.triangles(surface.finest).scale - ENDS[NOSE], axis=1).argmin())
     pair = pair_of(surface, surface, Landmarks(("nose",), np.array([nose]), np.array([nose])))
-    found = find_tips(Problem(prepared, pair))
+    found = find_tips(Problem(prepared, pair.landmarks))
     assert set(range(8)) - set(ends_of(surface, positions[found[0]])) == {NOSE}
     assert set(range(8)) - set(ends_of(surface, positions[found[1]])) == {NOSE, TAIL}
 
@@ -114,7 +114,7 @@ def test_a_fit_is_led_to_tips_that_it_missed(
         return coarse_fit(problem, start, shape, samples)
 
     monkeypatch.setattr("cagemap.maps.hypotheses.limbs.coarse_fit", fitted)
-    problem = Problem(prepared, pair_of(surface, surface, Landmarks.none()))
+    problem = Problem.of_landmarks(prepared, Landmarks.none())
     found, rest = find_tips(problem), prepared.rest.graph.positions
     ends = prepared.graphs[1].positions[found[1]]
     there = Placement(rest, 1e-4)
@@ -135,13 +135,13 @@ def test_a_fit_is_led_to_tips_that_it_missed(
 
 def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
     pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
-    problem = Problem(prepared, pair)
+    problem = Problem(prepared, pair.landmarks)
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
     moved = finish_placement(problem, Placement(bent, 1.0)).answer
     assert 0.0 < np.abs(moved - bent).max() < 0.1
     assert finish_placement(problem, Placement(bent, 1.1e-4)).answer is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
-    assert finish_placement(Problem(masked, pair), Placement(bent, 1.0)).answer is bent
+    assert finish_placement(Problem(masked, pair.landmarks), Placement(bent, 1.0)).answer is bent
 
 
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
@@ -150,7 +150,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     height = cage.positions[:, 1:2]
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
-    problem = Problem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none())).staged(CONFIG.led)
+    problem = Problem.of_landmarks(prepared, Landmarks.none()).staged(CONFIG.led)
     sheet, shape = prepared.source_surface, problem.shape
     start = shape.rest.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()

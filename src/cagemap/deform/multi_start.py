@@ -58,7 +58,7 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
     prepared, taken = problem.prepared, list(problem.landmark_vertices)
     found: tuple[list[IndexArray], list[IndexArray]] = ([], [])
     count = prepared.start.curve_points
-    for pair in problem.pair.landmarks.curves:
+    for pair in problem.landmarks.curves:
         own = []
         sides = (prepared.target, prepared.levels[0], pair.target), (prepared.source, prepared.levels[1], pair.source)
         for side, (surface, level, curve) in enumerate(sides):

@@ -13,12 +13,14 @@ from cagemap.deform.constraints import Anchors, Constraints, CurveConstraint, wi
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
+from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import Pair, PointPairs, vertices_near
+from cagemap.maps.pair import PointPairs, point_pairs, vertices_near
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
-from cagemap.numerics.threads import ThreadPool, kept
+from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -144,6 +146,26 @@ class PreparedPair:
         rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, part)
         return cls(target, source, start, elastic, levels, rest, source.triangles(fitted), masks)
 
+    def require_same(self, start: StartConfig, elastic: ElasticConfig, masks: Masks) -> None:
+        """Raise ParameterError unless configs and masks are those of the pair, or defaults, which stand for these."""
+        counts = [len(side.vertices) for side in (self.target, self.source)]
+        masks.require_fit(*counts)
+        own = self.masks
+        same_masks = np.array_equal(masks.of_target(counts[0]), own.of_target(counts[0])) and np.array_equal(
+            masks.of_source(counts[1]), own.of_source(counts[1])
+        )
+        followed = {
+            "start": start in (self.start, StartConfig()),
+            "elastic": elastic in (self.elastic, ElasticConfig()),
+            "masks": same_masks or not masks.any,
+        }
+        fields = [name for name, same in followed.items() if not same]
+        if fields:
+            raise ParameterError(
+                f"match_pair: expected the {' and '.join(fields)} that the pair was prepared with, got others; prepare "
+                "the pair again with this config (cagemap.prepare_pair)"
+            )
+
     @kept
     def source_samples(self) -> SourceSamples:
         """Vertices of the source that should lie on the target's mesh."""
@@ -201,12 +223,17 @@ class Problem:
     """A prepared pair with landmarks; what depends on both is computed on first access and kept."""
 
     prepared: PreparedPair
-    pair: Pair  # the surfaces with their landmarks
+    landmarks: PointPairs  # landmarks and curves on both surfaces
+
+    @classmethod
+    def of_landmarks(cls, prepared: PreparedPair, landmarks: Landmarks) -> Problem:
+        """The problem with landmarks of the control meshes."""
+        return cls(prepared, point_pairs(prepared.target, prepared.source, landmarks))
 
     @kept
     def landmark_vertices(self) -> tuple[IndexArray, IndexArray]:
         """(p,) vertices of target and source at or near landmarks, on the searched levels."""
-        prepared, landmarks = self.prepared, self.pair.landmarks
+        prepared, landmarks = self.prepared, self.landmarks
         target = vertices_near(landmarks.target, prepared.target, prepared.levels[0])
         return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
@@ -221,7 +248,7 @@ class Problem:
 
         Both are numbers of the searched levels.
         """
-        prepared, rest, landmarks = self.prepared, self.prepared.rest, self.pair.landmarks
+        prepared, rest, landmarks = self.prepared, self.prepared.rest, self.landmarks
         config, (on_target, on_source) = prepared.elastic, self.landmark_vertices
         held = np.concatenate([on_target, target]), np.concatenate([on_source, source])
         places = prepared.source.triangles(prepared.levels[1]).positions[source]
@@ -233,21 +260,32 @@ class Problem:
         return CoarseShape(clusters, chosen, constraints, held)
 
     @kept
+    def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
+        """Geodesic distances (p, m) on both surfaces, from landmarks to vertices of a coarse graph, landmarks first."""
+        count = self.prepared.elastic.landmarks.distance_vertices
+
+        def measured(side: tuple[ElasticGraph, IndexArray]) -> FloatArray:
+            coarse, _ = cluster_graph(side[0], count, side[1])
+            return coarse.distances(np.arange(len(side[1])))
+
+        target, source = in_threads(measured, list(zip(self.prepared.graphs, self.landmark_vertices, strict=True)))
+        return target, source
+
+    @kept
     def constraints(self) -> Constraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
-        prepared, landmarks = self.prepared, self.pair.landmarks
+        prepared, landmarks = self.prepared, self.landmarks
         anchors = Anchors.on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
         return Constraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept
     def reversed(self) -> Problem:
         """The reverse problem: the source is deformed onto the target."""
-        pair = Pair(self.pair.source, self.pair.target, self.pair.landmarks.reversed())
-        return Problem(self.prepared.reversed, pair)
+        return Problem(self.prepared.reversed, self.landmarks.reversed())
 
     def without(self, left_out: Collection[int]) -> Problem:
-        """The problem without some of the landmarks."""
-        return replace(self, pair=self.pair.without(left_out))
+        """The problem without some of the landmarks; itself if none is left out."""
+        return replace(self, landmarks=self.landmarks.without(left_out)) if left_out else self
 
     @kept
     def stiff(self) -> Problem:

@@ -50,7 +50,7 @@ def displacement_response(
 
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
-    prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.landmark_vertices[0]
+    prepared, landmarks, held = problem.prepared, problem.landmarks, problem.landmark_vertices[0]
     graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)
     every, curves = with_clusters(prepared.curves(landmarks), held, size, config.data)

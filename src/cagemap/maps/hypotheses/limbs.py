@@ -36,7 +36,7 @@ def find_tips(
 
     None is masked, at a landmark or at a boundary.
     """
-    prepared, landmarks = problem.prepared, problem.pair.landmarks
+    prepared, landmarks = problem.prepared, problem.landmarks
     config, (target, source) = prepared.elastic.search, prepared.graphs
     least, tips = config.tip_height if least is None else least, []
     searched = prepared.source.hierarchy.on_finest(prepared.levels[1])

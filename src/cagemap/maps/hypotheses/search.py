@@ -29,8 +29,9 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_name,
 )
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Progress, no_progress
+from cagemap.maps.pair import Pair, Progress, no_progress
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
@@ -149,7 +150,7 @@ def search(
     Places ``start`` (k, 3) of the coarse shape's vertices replace the landmarks' functional map; then nothing else is
     tried. ``show`` is called with placements of the small graph.
     """
-    has_start = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
+    has_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
     # Fits that hold points, each with its shape, refined placements, and soft ones where more starts are needed
     held, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
     if has_start:
@@ -195,13 +196,19 @@ def search(
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
 
-def find_answers(
-    problem: Problem, progress: Progress, show: Callable[[Placement], None] = lambda _: None
-) -> tuple[Placement, ...]:
-    """Different alignments of the target with the source, best first, by `search`."""
-    prepared, answers = problem.prepared, dict[str, Placement]()
-    different = prepared.elastic.search.different
-    for placed in distinct_placements(search(problem, progress, show=show), prepared.rest.graph.areas, different):
+@kinds_checked
+def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
+    """(n, 3) fitted positions of the target's deformed level near the source: the first of `search`.
+
+    In the unit in which the source has area 1.
+    """
+    return search(Problem(prepared, pair.landmarks), progress)[0].answer
+
+
+def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) -> tuple[Placement, ...]:
+    """Different alignments of the target with the source, in the order of placements, each with its own name."""
+    answers, different = dict[str, Placement](), prepared.elastic.search.different
+    for placed in distinct_placements(placements, prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY
