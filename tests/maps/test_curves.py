@@ -10,7 +10,7 @@ import pytest
 from examples.shapes import cube, icosahedron
 
 from cagemap.deform.config import StartConfig
-from cagemap.deform.constraints import Anchors, CurveConstraint
+from cagemap.deform.constraints import CurveConstraint
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import FormatError
@@ -18,6 +18,7 @@ from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
@@ -145,7 +146,7 @@ def test_points_that_lie_on_the_other_curve_do_not_pull() -> None:
     circle = Polyline(np.column_stack([np.cos(angles), np.sin(angles), 0 * angles]), closed=True)
     rows = np.sort(np.random.default_rng(3).choice(400, 120, replace=False))
     on = circle.positions[rows]
-    curve = CurveConstraint(Anchors.of_vertices(np.arange(120)), Polyline(on, closed=True), circle)
+    curve = CurveConstraint(CagePoints.of_vertices(np.arange(120)), Polyline(on, closed=True), circle)
     blocks, forces = curve.terms(on)
     # Chords of the target lie inside the circle, by squares of their lengths.
     assert np.abs(forces).max() < 2e-3 * np.abs(blocks).max()
@@ -157,7 +158,7 @@ def test_points_that_lie_on_the_other_curve_do_not_pull() -> None:
 def test_ends_of_open_curves_pull_at_each_other() -> None:
     line = Polyline(np.column_stack([np.linspace(0, 1, 21), np.zeros(21), np.zeros(21)]), closed=False)
     short = line.positions[4:17:4]
-    curve = CurveConstraint(Anchors.of_vertices(np.arange(4)), Polyline(short, closed=False), line)
+    curve = CurveConstraint(CagePoints.of_vertices(np.arange(4)), Polyline(short, closed=False), line)
     _, forces = curve.terms(short)
     assert forces[0, 0] < -1e-3
     assert forces[-1, 0] > 1e-3

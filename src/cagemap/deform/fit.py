@@ -11,7 +11,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import Constraints
+from cagemap.deform.constraints import Constraints, hold_points
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
 from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
 from cagemap.deform.minimise import Differentials, Terms, minimise
@@ -137,7 +137,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     rotation, scale, shift = fit_similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
-    shape.constraints.anchors.hold(blocks, right, start, places, config.landmark_weight)
+    hold_points(shape.constraints.anchors, places, blocks, right, start, config.landmark_weight)
     return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
 
 

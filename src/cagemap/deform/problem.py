@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import Anchors, Constraints, CurveConstraint, with_clusters
+from cagemap.deform.constraints import Constraints, CurveConstraint, points_on_level, with_clusters
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
@@ -17,6 +17,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs, point_pairs, vertices_near
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
@@ -186,7 +187,7 @@ class PreparedPair:
         """Constraints on `mesh` of the landmarks' curves."""
         constraints = []
         for pair in landmarks.curves:
-            anchors = Anchors.on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
+            anchors = points_on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
             rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
             constraints.append(CurveConstraint(anchors, rest, pair.source.line))
         return tuple(constraints)
@@ -255,7 +256,7 @@ class Problem:
         every, curves = with_clusters(prepared.curves(landmarks), held[0], config.coarse_vertices, config.data)
         coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
-        anchors = Anchors.of_vertices(np.arange(len(held[0])))
+        anchors = CagePoints.of_vertices(np.arange(len(held[0])))
         constraints = Constraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
         return CoarseShape(clusters, chosen, constraints, held)
 
@@ -275,7 +276,7 @@ class Problem:
     def constraints(self) -> Constraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
         prepared, landmarks = self.prepared, self.landmarks
-        anchors = Anchors.on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
+        anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
         return Constraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept
