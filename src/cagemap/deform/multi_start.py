@@ -23,7 +23,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced_vertices, nearest_coordinates, zoomout
+from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, nearest_rows, zoomout
 
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
@@ -39,17 +39,20 @@ def start_map(problem: Problem, shape: CoarseShape | None = None) -> FloatArray:
     candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), held[1])
     of_curves = curve_vertices(problem)
 
-    def samples(side: int, chosen: IndexArray, areas: FloatArray) -> Samples:
+    def sampled(side: int, chosen: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Basis rows and landmark coordinates of chosen vertices."""
         surface, level = (prepared.target, prepared.source)[side], levels[side]
         operators = surface.operators
         coordinates = landmark_coordinates(
             operators.stiffness[level], operators.mass[level], held[side], of_curves[side]
         )
-        return Samples(basis_rows(surface, level, chosen), areas, coordinates[chosen])
+        return basis_rows(surface, level, chosen), coordinates[chosen]
 
-    sides = (0, vertices, areas), (1, candidates, np.ones(len(candidates)))
-    target, source = in_threads(lambda side: samples(*side), sides)
-    match = zoomout(target, source, nearest_coordinates(target, source), prepared.start.zoomout)
+    sides = in_threads(lambda side: sampled(*side), ((0, vertices), (1, candidates)))
+    (target, on_target), (source, on_source) = sides
+    coordinates = on_target, on_source
+    match = nearest_rows(*(values.astype(np.float32) for values in coordinates))
+    match = zoomout(target, areas, source, match, prepared.start.zoomout, coordinates)
     return prepared.source.triangles(levels[1]).positions[candidates[match]]
 
 
@@ -83,13 +86,8 @@ def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Calla
     vertices = evenly_spaced_vertices(surface.n, config.places)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
-    sides = (
-        (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
-        (prepared.source, level, vertices, np.ones(len(vertices))),
-    )
-    target, source = (
-        Samples(basis_rows(side, on, chosen), areas, np.zeros((len(chosen), 0))) for side, on, chosen, areas in sides
-    )
+    target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
+    source, areas = basis_rows(prepared.source, level, vertices), shape.rest.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:
@@ -97,7 +95,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Calla
         normals = deformed_normals(fitted.graph.normals, fitted.maps)
         near = tree.query(np.hstack([fitted.positions, config.normal_length * normals]))[1]
         match = np.asarray(near, dtype=np.int64)
-        return [places[zoomout(target, source, match, schedule)] for schedule in schedules]
+        return [places[zoomout(target, areas, source, match, schedule)] for schedule in schedules]
 
     return starts
 
