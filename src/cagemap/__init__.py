@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cagemap.maps.regions import RegionFigures as RegionFigures
     from cagemap.maps.regions import region_figures as region_figures
     from cagemap.maps.result import MatchResult as MatchResult
+    from cagemap.match_config import MatchConfig as MatchConfig
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh import Plain as Plain
     from cagemap.mesh.checks import check_mesh as check_mesh
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from cagemap.numerics.threads import thread_limit as thread_limit
     from cagemap.operators import Operators as Operators
     from cagemap.operators import build_operators as build_operators
-    from cagemap.pipeline import MatchConfig as MatchConfig
     from cagemap.pipeline import choose_level as choose_level
     from cagemap.pipeline import default_basis as default_basis
     from cagemap.pipeline import match as match
@@ -110,6 +110,7 @@ _PACKAGES = {
     "maps.quality": ("QualityFigures", "judge"),
     "maps.regions": ("RegionFigures", "region_figures"),
     "maps.result": ("MatchResult",),
+    "match_config": ("MatchConfig",),
     "mesh": ("ControlMesh", "Plain"),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
@@ -118,7 +119,6 @@ _PACKAGES = {
     "numerics.threads": ("thread_limit",),
     "operators": ("Operators", "build_operators"),
     "pipeline": (
-        "MatchConfig",
         "choose_level",
         "default_basis",
         "match",

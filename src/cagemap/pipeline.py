@@ -6,9 +6,8 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
@@ -28,20 +27,20 @@ from cagemap.maps.landmarks.check import (
     landmark_outliers,
 )
 from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limbs
-from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import Pair, Progress, SymmetryPair, point_pairs
+from cagemap.maps.pair import Pair, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import judge, unshared_warnings
 from cagemap.maps.result import MatchResult as MatchResult
+from cagemap.match_config import MatchConfig as MatchConfig
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.numerics.kinds import Brief, kinds_checked
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
-from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.hfm import hfm_map
 from cagemap.paper.levels import search_levels
-from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.method import paper_map
 from cagemap.paper.operators import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
@@ -54,65 +53,6 @@ from cagemap.spectral.surface import prepare_surface as prepare_surface
 from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, repr=False)
-class MatchConfig(Brief):
-    """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
-
-    Attributes
-    ----------
-    method : str
-        "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
-        "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
-        "paper": the paper's hierarchical functional map; starts at level 0 and needs a fixed schedule.
-    hfm : HfmConfig
-        Parameters of "hfm".
-    paper : PaperConfig
-        Parameters of "paper".
-    start : StartConfig
-        Starts of "elastic".
-    elastic : ElasticConfig
-        Parameters of the elastic fit.
-    use_symmetry : bool
-        "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
-        symmetries are given.
-    symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
-        "hfm" and "paper" only: self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
-    answer : int
-        Index of the answer to return if there are several (few or mirrored landmarks); 0 is the best.
-    check_landmarks : bool
-        Leave out landmark outliers ("elastic" only); otherwise all landmarks are met exactly.
-    masks : Masks
-        Weights of the finest vertices of both surfaces ("elastic" only); landmarks are met in masked area too.
-    """
-
-    method: str = "elastic"
-    hfm: HfmConfig = HfmConfig()
-    paper: PaperConfig = PaperConfig()
-    start: StartConfig = StartConfig()
-    elastic: ElasticConfig = ElasticConfig()
-    use_symmetry: bool = True
-    symmetries: tuple[SymmetryPair, ...] = ()
-    answer: int = 0
-    check_landmarks: bool = True
-    masks: Masks = WHOLE
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in self.symmetries):
-            raise ParameterError(
-                "symmetries: expected pairs of arrays, the target's images and the source's, got others"
-            )
-        if self.answer < 0:
-            raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
-        if self.answer and self.method != "elastic":
-            raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
-        if self.symmetries and self.method == "elastic":
-            raise ParameterError("symmetries: expected the method paper or hfm, which use them, got 'elastic'")
-        if self.masks.any and self.method != "elastic":
-            raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
 
 
 @kinds_checked
