@@ -10,7 +10,7 @@ from cagemap.maps.pair import LevelPair, Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.paper.search import (
+from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
     spectral_rows,
