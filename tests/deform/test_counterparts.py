@@ -8,7 +8,7 @@ from examples.shapes import creature
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig, ElasticConfig, Stage
-from cagemap.deform.constraints import Constraints
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import received_weights, round_trip_weights
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.deform.problem import RestShape
@@ -73,7 +73,7 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
             RestShape.build(pocketed, pocket, stage.smoothing),
             mesh,
             pocketed.positions,
-            Constraints(CagePoints.of_vertices(landmarks), smooth.positions[landmarks]),
+            PlacementConstraints(CagePoints.of_vertices(landmarks), smooth.positions[landmarks]),
             stage,
             config,
         )

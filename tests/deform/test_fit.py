@@ -10,7 +10,7 @@ from examples.shapes import creature
 from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig, Stage
-from cagemap.deform.constraints import Constraints
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import SourceSamples, curved_points, round_trip_weights, source_to_target
 from cagemap.deform.energy import LinearSystem
 from cagemap.deform.fit import coarse_fit, fine_fit
@@ -128,7 +128,7 @@ def fitted_from(
     """The creature's level 2 fitted onto itself from a start, with every sixth control vertex held."""
     graph, sheet = graph_of(*refined, 2)
     landmarks = np.arange(0, refined[0].levels[0].n_vertices, 6)
-    held = Constraints(CagePoints.of_vertices(landmarks), graph.positions[landmarks])
+    held = PlacementConstraints(CagePoints.of_vertices(landmarks), graph.positions[landmarks])
     return minimised(RestShape.build(graph, sheet, stage.smoothing), sheet, start(graph), held, stage)
 
 

@@ -53,7 +53,7 @@ def errors(found: MatchResult) -> tuple[np.ndarray, np.ndarray]:
     target = found.target.triangles(found.target.finest)
     true = found.source.triangles(found.source.finest).positions
     rings = curve_pairs(found.target, found.source, rings_of(found.target.control))
-    feet = [pair.target.line.nearest(target.positions).places for pair in rings]
+    feet = [pair.target.line.nearest(target.positions)[0] for pair in rings]
     near = np.min([np.linalg.norm(places - target.positions, axis=1) for places in feet], axis=0)
     return np.linalg.norm(found.point_map.images.positions - true, axis=1), near
 
@@ -196,7 +196,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
     pair = curve_pairs(surfaces[0], surfaces[0], landmarks.curves)[0]
     vertices = curve_pairs(surfaces[0], surfaces[0], rings_of(mesh).only([1]))[0]
     assert len(pair.target.points) == 4 * 8
-    away = vertices.target.line.nearest(pair.target.line.positions).places - pair.target.line.positions
+    away = vertices.target.line.nearest(pair.target.line.positions)[0] - pair.target.line.positions
     assert np.linalg.norm(away, axis=1).max() < 0.05
 
 

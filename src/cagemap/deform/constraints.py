@@ -12,7 +12,7 @@ from cagemap.maps.pair import vertices_at
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral.surface import Surface
-from cagemap.surface.polylines import Polyline
+from cagemap.surface.polylines import Polyline, normal_projections
 from cagemap.surface.surface_points import SurfacePoints
 
 
@@ -85,16 +85,16 @@ class CurveConstraint:
         residual is given to the two points beside its closest point, as in `source_to_target`. Ends correspond to ends.
         """
         polyline = Polyline(self.anchors.of(positions), self.source.closed)
-        closest = self.source.nearest(polyline.positions)
-        blocks = self.rest.shares[:, None, None] * closest.across()
-        moved = np.einsum("mab,mb->ma", blocks, closest.places - polyline.positions)
-        back = polyline.nearest(self.source.positions)
-        lengths = self.source.shares * (self.rest.length / self.source.length)
-        weights = lengths[:, None, None] * back.across()
-        residual = np.einsum("mab,mb->ma", weights, self.source.positions - back.places)
-        for side, weight in enumerate((1.0 - back.share, back.share)):
-            np.add.at(blocks, back.ends[:, side], weight[:, None, None] * weights)
-            np.add.at(moved, back.ends[:, side], weight[:, None] * residual)
+        places, _, _, tangents = self.source.nearest(polyline.positions)
+        blocks = self.rest.point_lengths[:, None, None] * normal_projections(tangents)
+        moved = np.einsum("mab,mb->ma", blocks, places - polyline.positions)
+        places, ends, share, tangents = polyline.nearest(self.source.positions)
+        lengths = self.source.point_lengths * (self.rest.length / self.source.length)
+        weights = lengths[:, None, None] * normal_projections(tangents)
+        residual = np.einsum("mab,mb->ma", weights, self.source.positions - places)
+        for side, weight in enumerate((1.0 - share, share)):
+            np.add.at(blocks, ends[:, side], weight[:, None, None] * weights)
+            np.add.at(moved, ends[:, side], weight[:, None] * residual)
         return blocks, moved
 
     def thinned(self, count: int) -> CurveConstraint:
@@ -132,7 +132,7 @@ def with_clusters(
 
 
 @dataclass(frozen=True, eq=False)
-class Constraints:
+class PlacementConstraints:
     """Points and curves of a graph with their counterparts on the source."""
 
     anchors: CagePoints  # (p,) points of the graph's mesh that are held

@@ -52,6 +52,10 @@ class LinearSystem:
         return np.asarray(step)
 
 
+# Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
+# of its map. The smoothing does; this is for safety.
+RIDGE = 1e-9
+
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
 NONE = np.zeros(0, dtype=np.int64)
@@ -75,8 +79,7 @@ class ElasticEnergy:
         edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
         blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
-        # A flat ring does not determine the normal direction: the smoothing does, and a small ridge for safety.
-        blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
+        blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible or bounded_maps)
 
     def maps(self, positions: FloatArray) -> FloatArray:
@@ -180,7 +183,6 @@ def energy_matrix(graph: ElasticGraph, smoothing: float) -> sparse.csr_array:
     residual = sparse.csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(heads), 4 * graph.n))
     stretch = residual.T @ sparse.diags_array(weights) @ residual
     maps_only = sparse.diags_array([0.0, 1.0, 1.0, 1.0])
-    # A flat ring does not determine the normal direction of its map, see `ElasticEnergy.build`.
-    ridge = 1e-9 * float(stretch.diagonal().mean())
+    ridge = RIDGE * float(stretch.diagonal().mean())
     change = sparse.kron(smoothing * graph.laplacian + ridge * sparse.eye_array(graph.n), maps_only)
     return sparse.csr_array(stretch + change)

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import Constraints, hold_points
+from cagemap.deform.constraints import PlacementConstraints, hold_points
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
 from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
 from cagemap.deform.minimise import Differentials, Terms, minimise
@@ -28,7 +28,7 @@ from cagemap.surface.triangles import vertex_normals
 def cluster_terms(
     rest: RestShape,
     source: TriangleSurface,
-    constraints: Constraints,
+    constraints: PlacementConstraints,
     config: ElasticConfig,
     samples: SourceSamples | None = None,
 ) -> Terms:
@@ -55,7 +55,7 @@ def cluster_terms(
 def mesh_terms(
     rest: RestShape,
     source: TriangleSurface,
-    constraints: Constraints,
+    constraints: PlacementConstraints,
     config: ElasticConfig,
     samples: SourceSamples,
 ) -> Terms:

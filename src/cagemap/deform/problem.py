@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import Constraints, CurveConstraint, points_on_level, with_clusters
+from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, points_on_level, with_clusters
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
@@ -72,7 +72,7 @@ class CoarseShape:
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
     # Held points are the first clusters, vertices of curves the next ones
-    constraints: Constraints
+    constraints: PlacementConstraints
     # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
     held: tuple[IndexArray, IndexArray]
 
@@ -257,7 +257,7 @@ class Problem:
         coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
         anchors = CagePoints.of_vertices(np.arange(len(held[0])))
-        constraints = Constraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
+        constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
         return CoarseShape(clusters, chosen, constraints, held)
 
     @kept
@@ -273,11 +273,11 @@ class Problem:
         return target, source
 
     @kept
-    def constraints(self) -> Constraints:
+    def constraints(self) -> PlacementConstraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
         prepared, landmarks = self.prepared, self.landmarks
         anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
-        return Constraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
+        return PlacementConstraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept
     def reversed(self) -> Problem:

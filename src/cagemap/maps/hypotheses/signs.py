@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.constraints import Constraints
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem
@@ -164,7 +164,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
-    def least(side: TriangleSurface, held: Constraints, *known: FloatArray) -> float:
+    def least(side: TriangleSurface, held: PlacementConstraints, *known: FloatArray) -> float:
         onto = replace(rough, prepared=replace(rough.prepared, source_surface=side))
         shape = replace(rough.shape, constraints=held)
 
