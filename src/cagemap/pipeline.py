@@ -109,8 +109,11 @@ def match(
     timings: dict[str, float] = {}
 
     def prepare(side: Surface | ControlMesh) -> Surface:
-        level = 0 if isinstance(side, Surface) else choose_level(side, DEFAULT_VERTICES)
-        return side if isinstance(side, Surface) else prepare_surface(side, level, default_basis(config.method, level))
+        """Prepare a mesh at the default size; a surface is returned unchanged."""
+        if isinstance(side, Surface):
+            return side
+        level = choose_level(side, DEFAULT_VERTICES)
+        return prepare_surface(side, level, default_basis(config.method, level))
 
     target, source = in_threads(prepare, [target, source])
     if config.method == "elastic":

@@ -293,6 +293,12 @@ class Problem:
         """The problem with the stiff coarse stage."""
         return self.staged(self.prepared.elastic.stiff_coarse)
 
+    @kept
+    def rough(self) -> Problem:
+        """The problem on the small graph on which many starts are tried."""
+        config = self.prepared.elastic.search
+        return self.staged(config.rough, config.rough_vertices)
+
     def staged(self, coarse: Stage, vertices: int | None = None) -> Problem:
         """The problem with another coarse stage, and about ``vertices`` clusters for it."""
         elastic = self.prepared.elastic

@@ -55,14 +55,18 @@ def find_tips(
 
 def pair_tips(images: FloatArray, places: FloatArray, config: SearchConfig) -> IndexArray:
     """(q, 2) tips that are mutually nearest, the target's by their images (e, 3), the source's by places (e2, 3)."""
-    if not len(images) or not len(places):
-        return np.zeros((0, 2), dtype=np.int64)
-    distance, nearest = (np.asarray(column) for column in cKDTree(places).query(images))
-    back = np.asarray(cKDTree(images).query(places)[1])
-    mutual = (distance < config.tips_near) & (back[nearest] == np.arange(len(images)))
-    if not np.any(distance[mutual] > config.tips_met):
-        return np.zeros((0, 2), dtype=np.int64)
-    return np.column_stack([np.flatnonzero(mutual), nearest[mutual]])
+    pairs, distances = mutually_nearest(images, places, config.tips_near)
+    return pairs if np.any(distances > config.tips_met) else pairs[:0]
+
+
+def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> tuple[IndexArray, FloatArray]:
+    """(q, 2) points (n, 3) and others (m, 3) that are mutually nearest and nearer than a distance; distances (q,)."""
+    if not len(points) or not len(others):
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    distance, nearest = (np.asarray(column) for column in cKDTree(others).query(points))
+    back = np.asarray(cKDTree(points).query(others)[1])
+    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(points))))
+    return np.column_stack([rows, nearest[rows]]).astype(np.int64), distance[rows]
 
 
 def refit_to_tips(problem: Problem, tips: tuple[IndexArray, IndexArray], placed: Placement) -> Placement:

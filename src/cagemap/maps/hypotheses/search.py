@@ -53,12 +53,6 @@ def least_cost(prepared: PreparedPair) -> float:
     return float(min(counts)) * evaluate_placement(on_itself, rest.graph.positions).cost
 
 
-def rough_problem(problem: Problem) -> Problem:
-    """The problem on the small graph on which all starts are tried."""
-    config = problem.prepared.elastic.search
-    return problem.staged(config.rough, config.rough_vertices)
-
-
 def rough_fits(
     problem: Problem, rigid: bool, show: Callable[[Placement], None]
 ) -> tuple[list[tuple[Tips, Placement]], list[Placement]]:
@@ -68,7 +62,7 @@ def rough_fits(
     rotated starts are tried where no assignment is plausible, and rotations are doubted. ``show`` gets the best fit
     that keeps the files' axes, then the best of all.
     """
-    small, config = rough_problem(problem), problem.prepared.elastic.search
+    small, config = problem.rough, problem.prepared.elastic.search
     graph = small.shape.rest.graph
 
     def fit(start: FloatArray, shape: CoarseShape) -> Placement:

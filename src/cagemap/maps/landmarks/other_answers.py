@@ -12,6 +12,7 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, cost_signs
+from cagemap.maps.hypotheses.limbs import mutually_nearest
 from cagemap.maps.hypotheses.search import search
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
@@ -62,9 +63,4 @@ def mirrored_answers(
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
     """(q, 2) landmarks i, j with the image of i near the source point of j, one-to-one."""
     near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
-    images, wanted = images[near], landmarks.source.positions
-    distance, nearest = cKDTree(wanted).query(images)
-    back = np.asarray(cKDTree(images).query(wanted)[1])
-    nearest = np.asarray(nearest)
-    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(nearest))))
-    return np.column_stack([rows, nearest[rows]]).astype(np.int64)
+    return mutually_nearest(images[near], landmarks.source.positions, within)[0]
