@@ -23,7 +23,7 @@ from cagemap.paper.descriptors import landmark_descriptors, normalise_columns
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.pipeline import MatchConfig, pair_of, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.spectral.zoomout import Samples, fit_functional_map
+from cagemap.spectral.zoomout import fit_functional_map
 
 KEYS = ("female1605__male1591", "anny10pc__anny5pc")
 FUNCTIONS = 150
@@ -74,9 +74,10 @@ def case(key: str, first: int) -> Case:
     source, target = (prepare_surface(mesh, 1, config) for mesh in HUMANS[key].meshes())
     judged = Judged.of(HUMANS[key], target, source)
     rows, known = target.basis.at(1), judged.known
-    samples = Samples(rows[known], target.operators.areas(1)[known], np.zeros((int(known.sum()), 0)))
     match = cKDTree(judged.places).query(judged.images[known])[1]
-    return Case(target, source, judged, fit_functional_map(samples, source.basis.at(1)[match], FUNCTIONS), key)
+    areas = target.operators.areas(1)[known]
+    truth = fit_functional_map(rows[known][:, :FUNCTIONS], areas, source.basis.at(1)[match])
+    return Case(target, source, judged, truth, key)
 
 
 def of_truth(truth: np.ndarray) -> Callable[..., np.ndarray]:

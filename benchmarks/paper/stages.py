@@ -91,16 +91,15 @@ def displaced(other: Callable[[np.ndarray], np.ndarray]) -> Callable[..., hfm.Di
     fit = hfm.fit_displacement
 
     def changed(*given: Any) -> hfm.Displacement:
-        found = fit(*given)
-        constant, rest = found.coefficients[:1], found.coefficients[1:]
-        return replace(found, coefficients=np.vstack([constant, other(rest)]))
+        rotation, coefficients = fit(*given)
+        return rotation, np.vstack([coefficients[:1], other(coefficients[1:])])
 
     return changed
 
 
-def target_alone(target: hfm.LevelSamples, _: hfm.LevelSamples, matches: tuple[np.ndarray, np.ndarray]) -> Any:
+def target_alone(areas: tuple[np.ndarray, np.ndarray], matches: tuple[np.ndarray, np.ndarray]) -> Any:
     """Matches of the target's samples only."""
-    return np.arange(len(matches[0])), matches[0], target.areas
+    return np.arange(len(matches[0])), matches[0], areas[0]
 
 
 def variants_of_hfm() -> list[Variant]:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from cagemap.files.meshes.formats import write_mesh as write_mesh
     from cagemap.files.result.folder import read_result as read_result
     from cagemap.files.result.folder import write_result as write_result
-    from cagemap.maps.elastic import fit as fit
     from cagemap.maps.functional_maps import functional_map_of as functional_map_of
     from cagemap.maps.geodesic import geodesic_error as geodesic_error
+    from cagemap.maps.hypotheses.search import fit as fit
     from cagemap.maps.masks import Masks as Masks
     from cagemap.maps.masks import face_mask as face_mask
     from cagemap.maps.masks import soft_edge as soft_edge
@@ -35,9 +35,11 @@ if TYPE_CHECKING:
     from cagemap.maps.projection.project import project as project
     from cagemap.maps.projection.project import unfold as unfold
     from cagemap.maps.quality import QualityFigures as QualityFigures
+    from cagemap.maps.quality import judge as judge
     from cagemap.maps.regions import RegionFigures as RegionFigures
     from cagemap.maps.regions import region_figures as region_figures
     from cagemap.maps.result import MatchResult as MatchResult
+    from cagemap.match_config import MatchConfig as MatchConfig
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh import Plain as Plain
     from cagemap.mesh.checks import check_mesh as check_mesh
@@ -49,10 +51,8 @@ if TYPE_CHECKING:
     from cagemap.numerics.threads import thread_limit as thread_limit
     from cagemap.operators import Operators as Operators
     from cagemap.operators import build_operators as build_operators
-    from cagemap.pipeline import MatchConfig as MatchConfig
     from cagemap.pipeline import choose_level as choose_level
     from cagemap.pipeline import default_basis as default_basis
-    from cagemap.pipeline import judge as judge
     from cagemap.pipeline import match as match
     from cagemap.pipeline import match_pair as match_pair
     from cagemap.pipeline import pair_of as pair_of
@@ -100,16 +100,17 @@ _PACKAGES = {
     "files.result.folder": ("read_result", "write_result"),
     "surface.surface_points": ("SurfacePoints",),
     "surface.triangle_surface": ("TriangleSurface",),
-    "maps.elastic": ("fit",),
+    "maps.hypotheses.search": ("fit",),
     "maps.geodesic": ("geodesic_error",),
     "maps.functional_maps": ("functional_map_of",),
     "maps.masks": ("Masks", "face_mask", "soft_edge", "vertex_mask"),
     "maps.pair": ("Pair", "PointPairs"),
     "maps.point_map": ("PointMap",),
     "maps.projection.project": ("project", "unfold"),
-    "maps.quality": ("QualityFigures",),
+    "maps.quality": ("QualityFigures", "judge"),
     "maps.regions": ("RegionFigures", "region_figures"),
     "maps.result": ("MatchResult",),
+    "match_config": ("MatchConfig",),
     "mesh": ("ControlMesh", "Plain"),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
@@ -118,10 +119,8 @@ _PACKAGES = {
     "numerics.threads": ("thread_limit",),
     "operators": ("Operators", "build_operators"),
     "pipeline": (
-        "MatchConfig",
         "choose_level",
         "default_basis",
-        "judge",
         "match",
         "match_pair",
         "pair_of",

@@ -4,37 +4,43 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numpy as np
-
-from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.elastic import elastic_map, hypothesis_map, known_map
-from cagemap.maps.hypotheses.confidence import prolong_answers
+from cagemap.maps.coincident_map import coincident_map
+from cagemap.maps.hypotheses.confidence import judge_answers, prolong_answers
+from cagemap.maps.hypotheses.search import distinct_answers, search
 from cagemap.maps.hypotheses.signs import jump_warnings
-from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
+from cagemap.maps.landmarks.check import (
+    MIRRORED_NOTE,
+    LandmarkCheck,
+    check_on_map,
+    checked_changes,
+    confirmed_pairs,
+    landmark_outliers,
+)
 from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limbs
-from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
+from cagemap.maps.pair import Pair, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
-from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality, unshared_warnings
+from cagemap.maps.quality import judge, unshared_warnings
 from cagemap.maps.result import MatchResult as MatchResult
+from cagemap.match_config import MatchConfig as MatchConfig
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.numerics.kinds import Brief, kinds_checked
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
-from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.hfm import hfm_map
 from cagemap.paper.levels import search_levels
-from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.method import paper_map
 from cagemap.paper.operators import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
@@ -47,73 +53,6 @@ from cagemap.spectral.surface import prepare_surface as prepare_surface
 from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, repr=False)
-class MatchConfig(Brief):
-    """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
-
-    Attributes
-    ----------
-    method : str
-        "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
-        "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
-        "paper": the paper's hierarchical functional map; starts at level 0 and needs a fixed schedule.
-    hfm : HfmConfig
-        Parameters of "hfm".
-    paper : PaperConfig
-        Parameters of "paper".
-    start : StartConfig
-        Starts of "elastic".
-    elastic : ElasticConfig
-        Parameters of the elastic fit.
-    use_symmetry : bool
-        "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
-        symmetries are given.
-    symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
-        "hfm" and "paper" only: self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
-    answer : int
-        Index of the answer to return if there are several (few or mirrored landmarks); 0 is the best.
-    check_landmarks : bool
-        Leave out landmark outliers ("elastic" only); otherwise all landmarks are met exactly.
-    masks : Masks
-        Weights of the finest vertices of both surfaces ("elastic" only); landmarks are met in masked area too.
-    """
-
-    method: str = "elastic"
-    hfm: HfmConfig = HfmConfig()
-    paper: PaperConfig = PaperConfig()
-    start: StartConfig = StartConfig()
-    elastic: ElasticConfig = ElasticConfig()
-    use_symmetry: bool = True
-    symmetries: tuple[SymmetryPair, ...] = ()
-    answer: int = 0
-    check_landmarks: bool = True
-    masks: Masks = WHOLE
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in self.symmetries):
-            raise ParameterError(
-                "symmetries: expected pairs of arrays, the target's images and the source's, got others"
-            )
-        if self.answer < 0:
-            raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
-        if self.answer and self.method != "elastic":
-            raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
-        if self.symmetries and self.method == "elastic":
-            raise ParameterError("symmetries: expected the method paper or hfm, which use them, got 'elastic'")
-        if self.masks.any and self.method != "elastic":
-            raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
-
-
-def _prepared(side: Surface | ControlMesh, config: MatchConfig) -> Surface:
-    """Prepare a mesh at the default size; a surface is returned unchanged."""
-    if isinstance(side, Surface):
-        return side
-    level = choose_level(side, DEFAULT_VERTICES)
-    return prepare_surface(side, level, default_basis(config.method, level))
 
 
 @kinds_checked
@@ -168,7 +107,15 @@ def match(
             "pairs, or use the method elastic, which needs none."
         )
     timings: dict[str, float] = {}
-    target, source = in_threads(lambda side: _prepared(side, config), [target, source])
+
+    def prepare(side: Surface | ControlMesh) -> Surface:
+        """Prepare a mesh at the default size; a surface is returned unchanged."""
+        if isinstance(side, Surface):
+            return side
+        level = choose_level(side, DEFAULT_VERTICES)
+        return prepare_surface(side, level, default_basis(config.method, level))
+
+    target, source = in_threads(prepare, [target, source])
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
@@ -224,28 +171,56 @@ def match_pair(
     ParameterError
         If the config asks for another method, start, elastic fit or masks than the pair was prepared for.
     """
-    _require_prepared_for(prepared, config)
+    if config.method != "elastic":
+        raise ParameterError(
+            f"match_pair: expected the method elastic, which alone has prepared pairs, got {config.method!r}; "
+            "cagemap.match runs all methods"
+        )
+    prepared.require_same(config.start, config.elastic, config.masks)
     target, source = prepared.target, prepared.source
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, target.control, source.control)
     check, confidence, timings = LandmarkCheck(), None, {} if timings is None else timings
-    problem = Problem(prepared, Pair(target, source, point_pairs(target, source, landmarks)))
+    problem = Problem.of_landmarks(prepared, landmarks)
+
+    def show(rough: Placement) -> None:
+        if preview is not None:
+            places = rough.on(prepared.rest.graph, prepared.elastic.graph)
+            preview(map_of_places(prepared, places, problem.landmarks))
+
     with one_blas_thread():
         with _timed(timings, "map"):
-            known = known_map(problem)
-            if known is None and len(landmarks) < FEWEST_LANDMARKS:
-                known = hypothesis_map(problem, progress, preview)
+            known = coincident_map(problem)
             if known is not None:
                 point_map, confidence = known
-                placements = list(confidence.answers)
-            elif config.check_landmarks:
-                point_map, check, placements = checked_map(problem, landmarks.names, progress)
-                confidence = turned_limbs(placements, prepared)
+                placements: Sequence[Placement] = confidence.answers
+            elif len(landmarks) < FEWEST_LANDMARKS:
+                answers = distinct_answers(prepared, search(problem, progress, show=show))
+                progress("closest points")
+                point_map = map_of_places(prepared, answers[0].answer, problem.landmarks)
+                confidence, placements = judge_answers(problem, point_map, answers), answers
+            else:
+                outliers, notes = dict[int, str](), list[str]()
+                if config.check_landmarks:
+                    outliers, notes = landmark_outliers(problem, landmarks.names, progress)
+                trusted = problem.without(outliers)
+                placements = search(trusted, progress)
+                progress("closest points")
+                point_map = map_of_places(prepared, placements[0].answer, trusted.landmarks)
+                confirmed = confirmed_pairs(problem, point_map, outliers)
+                if confirmed:
+                    outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
+                    trusted = problem.without(outliers)
+                    placements = search(trusted, progress)
+                    progress("closest points")
+                    point_map = map_of_places(prepared, placements[0].answer, trusted.landmarks)
+                if config.check_landmarks:
+                    progress("test landmarks on the map")
+                    check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
+                    confidence = turned_limbs(placements, prepared)
                 if MIRRORED_NOTE in check.notes:
                     mirrored, check = mirrored_answers(problem, placements[0], check, progress)
                     confidence = mirrored or confidence
-            else:
-                point_map, placements = elastic_map(problem, progress)
         shared = SharedArea.of_fit(prepared, placements[0].answer)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
     result = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
@@ -290,19 +265,18 @@ def update_match(
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.check_landmarks:
-                all_problem = Problem(prepared, Pair(target, source, point_pairs(target, source, landmarks)))
                 changed = landmarks.new_since(before.landmarks)
-                check = checked_changes(all_problem, landmarks.names, changed, check, point_map)
-            trusted = check.trusted(landmarks)
-            problem = Problem(prepared, Pair(target, source, point_pairs(target, source, trusted)))
-            known = known_map(problem)
+                all_given = Problem.of_landmarks(prepared, landmarks)
+                check = checked_changes(all_given, landmarks.names, changed, check, point_map)
+            problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
+            known = coincident_map(problem)
             if known is not None:
                 point_map = known[0]
             else:
                 progress("elastic update")
                 places = linear_update(problem, point_map)
                 progress("closest points")
-                point_map = map_of_places(prepared, places, problem.pair.landmarks)
+                point_map = map_of_places(prepared, places, problem.landmarks)
         return _judged(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 
@@ -354,68 +328,6 @@ def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: 
     if symmetries:
         logger.info("both surfaces are mirrored in %d planes that landmarks agree with: used", len(symmetries))
     return replace(pair, symmetries=symmetries)
-
-
-@kinds_checked
-def judge(
-    target: Surface,
-    point_map: PointMap,
-    landmarks: PointPairs | None = None,
-    names: tuple[str, ...] = (),
-    masks: Masks = WHOLE,
-) -> QualityFigures:
-    """Quality figures of a map between finest levels, without ground truth.
-
-    Parameters
-    ----------
-    target : Surface
-    point_map : PointMap
-        Any point map of the target's finest level.
-    landmarks : PointPairs, optional
-    names : tuple of str
-        Names of the landmarks, for warnings.
-    masks : Masks
-        Weights of both surfaces' vertices in the figures.
-
-    Raises
-    ------
-    ParameterError
-        If the map is not one of the target's finest level.
-    """
-    if point_map.target.n != len(target.vertices):
-        raise ParameterError(
-            f"judge: expected a map of the {len(target.vertices)} finest vertices of {target.control.name}, got one of "
-            f"{point_map.target.n}: target and source may be exchanged, or the map belongs to another level"
-        )
-    level = target.hierarchy.coarsest_level(COVERAGE_SAMPLES)
-    asked = target.hierarchy.on_finest(level)[target.triangles(level).triangles]
-    return measure_quality(point_map, landmarks, names, coarse_triangles=asked, masks=masks)
-
-
-def _require_prepared_for(prepared: PreparedPair, config: MatchConfig) -> None:
-    """Refuse a config that differs from that of the prepared pair."""
-    if config.method != "elastic":
-        raise ParameterError(
-            f"match_pair: expected the method elastic, which alone has prepared pairs, got {config.method!r}; "
-            "cagemap.match runs all methods"
-        )
-    counts = [len(side.vertices) for side in (prepared.target, prepared.source)]
-    config.masks.require_fit(*counts)
-    asked, known = config.masks, prepared.masks
-    same_masks = np.array_equal(asked.of_target(counts[0]), known.of_target(counts[0])) and np.array_equal(
-        asked.of_source(counts[1]), known.of_source(counts[1])
-    )
-    followed = {
-        "start": config.start in (prepared.start, StartConfig()),
-        "elastic": config.elastic in (prepared.elastic, ElasticConfig()),
-        "masks": same_masks or not config.masks.any,
-    }
-    fields = [name for name, same in followed.items() if not same]
-    if fields:
-        raise ParameterError(
-            f"match_pair: expected the {' and '.join(fields)} that the pair was prepared with, got others; prepare the "
-            "pair again with this config (cagemap.prepare_pair)"
-        )
 
 
 def _judged(

@@ -17,7 +17,6 @@ from scipy import sparse
 
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
-from cagemap.maps.elastic import elastic_map
 from cagemap.maps.functional_maps import (
     MapLike,
     check_map,
@@ -27,13 +26,15 @@ from cagemap.maps.functional_maps import (
     to_bases,
     zoomout_of_map,
 )
+from cagemap.maps.hypotheses.search import search
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import held_vertices
+from cagemap.maps.projection.project import held_vertices, map_of_places
 from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
+from cagemap.maps.quality import judge as _judge
 from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -46,7 +47,6 @@ from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_ful
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
-from cagemap.pipeline import judge as _judge
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
@@ -226,11 +226,11 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     ParameterError
         If the start is not a map of this pair.
     """
-    problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair)
+    problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair.landmarks)
     places = None
     if start is not None:
         places = image_positions(pair, start, problem.prepared.vertices[problem.shape.vertices])
-    return elastic_map(problem, start=places)[0]
+    return map_of_places(problem.prepared, search(problem, start=places)[0].answer, pair.landmarks)
 
 
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:

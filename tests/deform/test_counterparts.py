@@ -8,11 +8,12 @@ from examples.shapes import creature
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig, ElasticConfig, Stage
-from cagemap.deform.constraints import Anchors, Constraints
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import received_weights, round_trip_weights
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.deform.problem import RestShape
 from cagemap.maps.projection.project import facing_points
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.subdivision import refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -72,7 +73,7 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
             RestShape.build(pocketed, pocket, stage.smoothing),
             mesh,
             pocketed.positions,
-            Constraints(Anchors.of_vertices(landmarks), smooth.positions[landmarks]),
+            PlacementConstraints(CagePoints.of_vertices(landmarks), smooth.positions[landmarks]),
             stage,
             config,
         )

@@ -10,7 +10,7 @@ from examples.shapes import creature
 from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig, Stage
-from cagemap.deform.constraints import Anchors, Constraints
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import SourceSamples, curved_points, round_trip_weights, source_to_target
 from cagemap.deform.energy import LinearSystem
 from cagemap.deform.fit import coarse_fit, fine_fit
@@ -21,6 +21,7 @@ from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import build_operators
@@ -38,7 +39,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
     config = ElasticConfig(coarse_vertices=400)
     pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
-    graph, problem = prepared.rest.graph, Problem(prepared, pair)
+    graph, problem = prepared.rest.graph, Problem(prepared, pair.landmarks)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
     started = [coarse_fit(problem, first) for first in (start[problem.shape.vertices], None)]
     found = fine_fit(problem, min(started, key=lambda ended: ended.cost))
@@ -127,7 +128,7 @@ def fitted_from(
     """The creature's level 2 fitted onto itself from a start, with every sixth control vertex held."""
     graph, sheet = graph_of(*refined, 2)
     landmarks = np.arange(0, refined[0].levels[0].n_vertices, 6)
-    held = Constraints(Anchors.of_vertices(landmarks), graph.positions[landmarks])
+    held = PlacementConstraints(CagePoints.of_vertices(landmarks), graph.positions[landmarks])
     return minimised(RestShape.build(graph, sheet, stage.smoothing), sheet, start(graph), held, stage)
 
 
@@ -222,7 +223,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     )
     config = ElasticConfig()
     prepared = prepared_at(pair.target, pair.source, 2, config)
-    problem = Problem(prepared, pair)
+    problem = Problem(prepared, pair.landmarks)
     fitted = fine_fit(problem, coarse_fit(problem, None))
     found = map_of_places(prepared, fitted, pair.landmarks)
     assert measure_quality(found).flipped_area < 1e-4
@@ -234,6 +235,6 @@ def test_what_cannot_be_fitted_is_refused(creature_at_3: tuple[Refinement, float
     with pytest.raises(InvalidLandmarksError, match="repeated"):
         landmark_coordinates(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
     prepared = prepared_at(surface, surface, 1, ElasticConfig(coarse_vertices=200))
-    problem = Problem(prepared, Pair.of_vertices(surface, surface, one, one))
+    problem = Problem(prepared, Pair.of_vertices(surface, surface, one, one).landmarks)
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
         coarse_fit(problem, prepared.rest.graph.positions)

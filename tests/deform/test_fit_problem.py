@@ -17,12 +17,12 @@ TARGET, SOURCE = np.array([40, 3, 17]), np.array([41, 5, 16])
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     body = prepare_surface(creature(), 2)
-    return Problem(prepare_pair(body, body), Pair.of_vertices(body, body, TARGET, SOURCE))
+    return Problem(prepare_pair(body, body), Pair.of_vertices(body, body, TARGET, SOURCE).landmarks)
 
 
 def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
     places = problem.prepared.source.finest_triangles.positions
-    shape = problem.holding(np.array([60, 9]), places[[61, 8]])
+    shape = problem.holding(np.array([60, 9]), np.array([61, 8]))
     np.testing.assert_array_equal(shape.vertices[:5], [*TARGET, 60, 9])
     np.testing.assert_array_equal(shape.constraints.anchors.corners[:, 0], np.arange(5))
     np.testing.assert_array_equal(shape.constraints.places, places[[*SOURCE, 61, 8]])

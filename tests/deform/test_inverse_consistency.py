@@ -10,7 +10,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import inverse_consistent, inverse_positions, smooth_shifts
 from cagemap.maps.masks import Masks
-from cagemap.maps.pair import Pair, PointPairs
+from cagemap.maps.pair import PointPairs
 from cagemap.maps.places import CurvePair, SurfaceCurve
 from cagemap.mesh.parts import extract_faces
 from cagemap.operators import build_operators
@@ -54,7 +54,7 @@ def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
     landmarks = np.arange(0, prepared.target.refinement.levels[0].n_vertices, 4)
     on = prepared.source.finest_triangles
     pairs = PointPairs.of_vertices(on, on, landmarks, landmarks)
-    problem = Problem(prepared, Pair(prepared.target, prepared.source, pairs))
+    problem = Problem(prepared, pairs)
     start = slid(prepared, 0.01)
     start[landmarks] = prepared.mesh.positions[landmarks]
     before = np.linalg.norm(start - prepared.mesh.positions, axis=1).mean()
@@ -113,7 +113,7 @@ def test_a_whole_body_is_not_fitted_back_from_a_part_of_it(prepared: PreparedPai
     landmarks = PointPairs.of_vertices(
         prepared.source.finest_triangles, pair.source.finest_triangles, part.file_vertices[corners], corners
     )
-    problem = Problem(pair, Pair(pair.target, pair.source, landmarks))
+    problem = Problem(pair, landmarks)
     # All of the body in the size of the part, and what the part lacks on its edge.
     at_home = prepared.mesh.positions * pair.mesh.positions.std() / prepared.mesh.positions.std()
     at, barycentric, _ = closest_points(pair.source_surface.tree, at_home)

@@ -72,8 +72,7 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(
     def with_cost(prepared: object, positions: np.ndarray) -> Placement:
         return placed(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
 
-    monkeypatch.setattr(multi_start, "fine_fit", lambda problem, coarse: coarse.positions)
-    monkeypatch.setattr(multi_start, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(multi_start, "fine_fit", lambda problem, start: getattr(start, "positions", start))
     monkeypatch.setattr(multi_start, "evaluate_placement", with_cost)
     rest = SimpleNamespace(graph=graph)
     prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())

@@ -10,9 +10,9 @@ from examples.shapes import creature
 
 from cagemap.deform import multi_start, refit
 from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
-from cagemap.deform.fit import coarse_fit, fine_stage
+from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
-from cagemap.deform.multi_start import AnchoredFits
+from cagemap.deform.multi_start import fit_held
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem, RestShape
 from cagemap.deform.refit import (
@@ -106,7 +106,7 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     monkeypatch.setattr(multi_start, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
     problem = problem_of(bent)
-    assert AnchoredFits.of(problem, problem.shape, problem.landmark_vertices).agree == (angle < LIMB_POSED)
+    assert (not fit_held(problem, problem.shape)[1]) == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: RestShape) -> None:
@@ -154,7 +154,7 @@ def bent() -> PreparedPair:
 def problem_of(prepared: PreparedPair) -> Problem:
     """With every twelfth vertex a landmark."""
     vertices = np.arange(0, prepared.target.control.n_vertices, 12)
-    return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices))
+    return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices).landmarks)
 
 
 def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,7 +167,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
 
     monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.rest, truth) > POSES_DIFFER
-    slid = fine_stage(problem, truth)
+    slid = fine_fit(problem, truth)
     found = fit_in_pose(problem, slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.004  # the minimum beside the truth
@@ -183,14 +183,14 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     asked: list[tuple[PreparedPair, list[float], int]] = []
 
     def fitted(given: Problem, positions: FloatArray, times: int = RefitConfig.rounds) -> FloatArray:
-        asked.append((given.prepared, given.pair.landmarks.target.positions[0].tolist(), times))
+        asked.append((given.prepared, given.landmarks.target.positions[0].tolist(), times))
         return positions
 
     monkeypatch.setattr(refit, "pose_difference", lambda rest, positions: angle)
     monkeypatch.setattr(refit, "fit_in_pose", fitted)
-    monkeypatch.setattr(refit, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
-    landmarks = problem.pair.landmarks
+    landmarks = problem.landmarks
     first = finish_placement(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
     assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reversed, back, 1)])

@@ -17,6 +17,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain
 from cagemap.pipeline import MatchResult, match, prepare_surface, update_match
 from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
 # Height on the unit sphere where the cap is cut off; the share of the sphere's area above it is 0.6.
@@ -73,8 +74,14 @@ def test_what_lies_beyond_the_source_has_no_data_term() -> None:
     whole = surface(points, triangles)
     part = TriangleSurface(whole.scale * part_points, part_triangles, whole.scale)
     graph, places = mesh_graph(whole, triangles), 1.02 * whole.positions
-    on_part = target_to_source(graph.areas, part, places, whole.vertex_normals, None, 0.01)
-    on_whole = target_to_source(graph.areas, whole, places, whole.vertex_normals, None, 0.01)
+    on_part, on_whole = (
+        target_to_source(
+            graph.areas,
+            SurfacePoints.nearest(source, places, whole.vertex_normals, normal_weight=0.01),
+            whole.vertex_normals,
+        )
+        for source in (part, whole)
+    )
     beyond = np.setdiff1d(np.arange(whole.n), kept)
     assert np.all(on_part.weights[beyond] == 0)
     inside = kept[~part.boundary_vertices]

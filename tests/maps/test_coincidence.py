@@ -15,7 +15,7 @@ from cagemap.deform.problem import Problem
 from cagemap.example import example_pair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.coincidence import Coincidence
-from cagemap.maps.elastic import known_map, same_surface
+from cagemap.maps.coincident_map import coincident_map, same_surface
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, point_pairs
@@ -85,19 +85,19 @@ def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: Contr
     others = prepare_surface(ControlMesh.from_faces(pony.positions, [face.tolist() for face in faces]), 1)
     elsewhere = MARKS + np.array([1, 0, 0, 0, 0])
     same = marked(MARKS, MARKS)
-    assert same_surface(pair_of(surface, surface, same))
-    assert not same_surface(pair_of(thicker, surface, same))
-    assert not same_surface(pair_of(others, surface, same))
-    assert not same_surface(pair_of(surface, surface, marked(MARKS, elsewhere)))
+    assert same_surface(pair_of(surface, surface, same).landmarks)
+    assert not same_surface(pair_of(thicker, surface, same).landmarks)
+    assert not same_surface(pair_of(others, surface, same).landmarks)
+    assert not same_surface(pair_of(surface, surface, marked(MARKS, elsewhere)).landmarks)
 
 
 def test_masks_that_keep_different_parts_are_no_identity(surface: Surface) -> None:
     """One side of one animal on the other side of another of the same cage: nothing of either would be matched."""
     pair = pair_of(surface, surface, marked(MARKS[:0], MARKS[:0]))
     left = (surface.refinement.finest.positions[:, 0] > 0).astype(float)
-    assert same_surface(pair, Masks(left, left))
-    assert same_surface(pair, Masks(left, None))
-    assert not same_surface(pair, Masks(left, 1.0 - left))
+    assert same_surface(pair.landmarks, Masks(left, left))
+    assert same_surface(pair.landmarks, Masks(left, None))
+    assert not same_surface(pair.landmarks, Masks(left, 1.0 - left))
 
 
 def unprepared(mesh: ControlMesh, vertices: int = 6000) -> Surface:
@@ -141,7 +141,7 @@ def test_landmarks_move_closest_points_or_contradict_them(surface: Surface, reto
     def known(targets: np.ndarray, sources: np.ndarray) -> np.ndarray | None:
         landmarks = point_pairs(prepared.target, prepared.source, marked(targets, sources))
         pair = Pair(prepared.target, prepared.source, landmarks)
-        found = known_map(Problem(prepared, pair))
+        found = coincident_map(Problem(prepared, pair.landmarks))
         return None if found is None else landmark_errors(found[0], landmarks)
 
     off = known(np.array([*MARKS, middle]), np.array([*MARKS, vertex]))
@@ -160,7 +160,7 @@ def test_masks_that_keep_different_parts_contradict_closest_points(surface: Surf
         masks = Masks(left.astype(float), source.astype(float))
         prepared = prepare_pair(retopology, surface, MatchConfig(masks=masks))
         pair = Pair(retopology, surface, point_pairs(retopology, surface, Landmarks.none()))
-        assert (known_map(Problem(prepared, pair)) is not None) == lies
+        assert (coincident_map(Problem(prepared, pair.landmarks)) is not None) == lies
 
 
 def test_both_sides_of_a_thin_part_stay_apart() -> None:

@@ -10,7 +10,7 @@ import pytest
 from examples.shapes import cube, icosahedron
 
 from cagemap.deform.config import StartConfig
-from cagemap.deform.constraints import Anchors, CurveConstraint
+from cagemap.deform.constraints import CurveConstraint
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import FormatError
@@ -18,6 +18,7 @@ from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
@@ -52,7 +53,7 @@ def errors(found: MatchResult) -> tuple[np.ndarray, np.ndarray]:
     target = found.target.triangles(found.target.finest)
     true = found.source.triangles(found.source.finest).positions
     rings = curve_pairs(found.target, found.source, rings_of(found.target.control))
-    feet = [pair.target.line.nearest(target.positions).places for pair in rings]
+    feet = [pair.target.line.nearest(target.positions)[0] for pair in rings]
     near = np.min([np.linalg.norm(places - target.positions, axis=1) for places in feet], axis=0)
     return np.linalg.norm(found.point_map.images.positions - true, axis=1), near
 
@@ -145,7 +146,7 @@ def test_points_that_lie_on_the_other_curve_do_not_pull() -> None:
     circle = Polyline(np.column_stack([np.cos(angles), np.sin(angles), 0 * angles]), closed=True)
     rows = np.sort(np.random.default_rng(3).choice(400, 120, replace=False))
     on = circle.positions[rows]
-    curve = CurveConstraint(Anchors.of_vertices(np.arange(120)), Polyline(on, closed=True), circle)
+    curve = CurveConstraint(CagePoints.of_vertices(np.arange(120)), Polyline(on, closed=True), circle)
     blocks, forces = curve.terms(on)
     # Chords of the target lie inside the circle, by squares of their lengths.
     assert np.abs(forces).max() < 2e-3 * np.abs(blocks).max()
@@ -157,7 +158,7 @@ def test_points_that_lie_on_the_other_curve_do_not_pull() -> None:
 def test_ends_of_open_curves_pull_at_each_other() -> None:
     line = Polyline(np.column_stack([np.linspace(0, 1, 21), np.zeros(21), np.zeros(21)]), closed=False)
     short = line.positions[4:17:4]
-    curve = CurveConstraint(Anchors.of_vertices(np.arange(4)), Polyline(short, closed=False), line)
+    curve = CurveConstraint(CagePoints.of_vertices(np.arange(4)), Polyline(short, closed=False), line)
     _, forces = curve.terms(short)
     assert forces[0, 0] < -1e-3
     assert forces[-1, 0] > 1e-3
@@ -195,7 +196,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
     pair = curve_pairs(surfaces[0], surfaces[0], landmarks.curves)[0]
     vertices = curve_pairs(surfaces[0], surfaces[0], rings_of(mesh).only([1]))[0]
     assert len(pair.target.points) == 4 * 8
-    away = vertices.target.line.nearest(pair.target.line.positions).places - pair.target.line.positions
+    away = vertices.target.line.nearest(pair.target.line.positions)[0] - pair.target.line.positions
     assert np.linalg.norm(away, axis=1).max() < 0.05
 
 
@@ -212,7 +213,7 @@ def test_curves_give_the_start_coordinates_and_no_vertex_twice(surfaces: tuple) 
     again = Curves(("again",), rings.target.at([0]), rings.source.at([0]))
     landmarks = replace(landmarks, curves=rings.joined_with(again))
     pair = Pair(*surfaces, point_pairs(*surfaces, landmarks))
-    problem = Problem(PreparedPair.build(*surfaces), pair)
+    problem = Problem(PreparedPair.build(*surfaces), pair.landmarks)
     for side, near, surface, level in zip(
         curve_vertices(problem), problem.landmark_vertices, surfaces, problem.prepared.levels, strict=True
     ):

@@ -9,7 +9,6 @@ import pytest
 from examples.shapes import creature
 
 from cagemap.deform.fit import evaluate_placement
-from cagemap.deform.multi_start import AnchoredFits
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.files.landmarks.pairs import read_landmarks
@@ -17,7 +16,7 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses import search
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray
-from cagemap.pipeline import match, pair_of, prepare_pair, prepare_surface
+from cagemap.pipeline import match, prepare_pair, prepare_surface
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +30,7 @@ def found(
 ) -> tuple[list[Placement], list[bool]]:
     """What `search` finds where limbs lead to the truth and landmarks beside it; of rough fits whether rigid starts."""
     vertices, asked = np.array([0, 40, 80]), list[bool]()
-    problem = Problem(
-        prepared, pair_of(prepared.target, prepared.source, Landmarks(("a", "b", "c"), vertices, vertices))
-    )
+    problem = Problem.of_landmarks(prepared, Landmarks(("a", "b", "c"), vertices, vertices))
     places = prepared.rest.graph.positions
     beside = evaluate_placement(prepared, places + np.array([0.05, 0.0, 0.0]))
 
@@ -41,9 +38,8 @@ def found(
         asked.append(rigid)
         return [], []
 
-    fits = AnchoredFits(problem.shape, (), (beside,), agree)
-    monkeypatch.setattr(AnchoredFits, "of", lambda *given: fits)
-    monkeypatch.setattr(AnchoredFits, "upsampled", lambda self, problem: self)
+    monkeypatch.setattr(search, "fit_held", lambda *given: ([beside], [] if agree else [beside]))
+    monkeypatch.setattr(search, "more_starts", lambda problem, shape, refined, soft: refined)
     monkeypatch.setattr(search, "rough_fits", rough_fits)
     monkeypatch.setattr(search, "fit_released", lambda problem, rough: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_to_tips", lambda problem, tips, placed: placed)

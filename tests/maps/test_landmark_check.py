@@ -10,7 +10,7 @@ from examples.shapes import torus, voxels
 
 from cagemap import BasisConfig, Landmarks, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.deform.config import LandmarkConfig
-from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem, level_graph
 from cagemap.example import example_pair
@@ -19,7 +19,6 @@ from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check, other_answers
 from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.outliers import (
-    LandmarkDistances,
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
@@ -33,6 +32,7 @@ from cagemap.pipeline import match_pair, prepare_pair
 from quick_match import QUICK
 
 LEVEL = 1  # 1700 and 2200 vertices
+VERTICES = LandmarkConfig.distance_vertices
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +51,13 @@ def graphs(pair: tuple[Surface, Surface, Landmarks]) -> tuple[ElasticGraph, Elas
     return level_graph(pair[0], LEVEL), level_graph(pair[1], LEVEL)
 
 
+def measured(graph: ElasticGraph, landmarks: np.ndarray) -> np.ndarray:
+    """Distances from landmarks to the vertices of a coarse graph, as `Problem.landmark_distances` has them."""
+    return cluster_graph(graph, VERTICES, landmarks)[0].distances(np.arange(len(landmarks)))
+
+
 def misplaced(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> list[int]:
-    target = LandmarkDistances.measure(graphs[0], landmarks.target)
-    return misplaced_pairs(target, LandmarkDistances.measure(graphs[1], landmarks.source)).tolist()
+    return misplaced_pairs(measured(graphs[0], landmarks.target), measured(graphs[1], landmarks.source)).tolist()
 
 
 def with_source(landmarks: Landmarks, changes: dict[int, int]) -> Landmarks:
@@ -107,7 +111,7 @@ def turned(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> l
     vertices = landmarks.target, landmarks.source
     distances, marks = [], []
     for graph, at in zip(graphs, vertices, strict=True):
-        distances.append(LandmarkDistances.measure(graph, at))
+        distances.append(measured(graph, at))
         marks.append((graph.positions[at], graph.normals[at]))
     return sorted(landmarks.names[i] for i in exchanged_sides((distances[0], distances[1]), *marks) or ())
 
@@ -213,14 +217,13 @@ def test_fewer_than_six_pairs_are_not_judged(pair, graphs):
 def test_a_place_by_distances_does_not_ask_the_given_place(pair, graphs):
     """The other landmarks put a pair in the same place wherever it was given."""
     _, source, landmarks = pair
-    target = LandmarkDistances.measure(graphs[0], landmarks.target)
+    target = measured(graphs[0], landmarks.target)
     everywhere = np.arange(len(landmarks))
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
     found = []
     for given in (landmarks, wrong):
-        distances = LandmarkDistances.measure(graphs[1], given.source)
-        _, node, _ = place_by_distances(target, distances, everywhere)
-        found.append(graphs[1].positions[distances.vertices[node[3]]])
+        _, node, _ = place_by_distances(target, measured(graphs[1], given.source), everywhere)
+        found.append(cluster_graph(graphs[1], VERTICES, given.source)[0].positions[node[3]])
     assert np.linalg.norm(found[0] - found[1]) < 0.1  # two spacings of the coarse graph, whose cells differ
     assert np.linalg.norm(found[0] - graphs[1].positions[wrong.source[3]]) > 0.5
 
@@ -244,14 +247,14 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     found = match_pair(prepared, landmarks, QUICK).point_map
     near = np.asarray(found.images.positions[: prepared.mesh.n])
     other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
-    monkeypatch.setattr(other_answers, "find_answers", lambda problem, progress: (other,))
+    monkeypatch.setattr(other_answers, "search", lambda problem, progress: (other,))
     known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
-    doubt, kept = other_answers.mirrored_answers(Problem(prepared, points), dear, known)
+    doubt, kept = other_answers.mirrored_answers(Problem(prepared, points.landmarks), dear, known)
     assert (doubt.verdict, kept) == (TWO, known)
     assert [reading.cost for reading in doubt.answers] == [dear.cost, other.cost]
     assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
-    none, kept = other_answers.mirrored_answers(Problem(prepared, points), cheap, known)
+    none, kept = other_answers.mirrored_answers(Problem(prepared, points.landmarks), cheap, known)
     assert none is None
     assert kept.notes == ("another note",)
 

@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.deform.config import LandmarkConfig
 from cagemap.maps.landmarks import outliers
 from cagemap.maps.landmarks.outliers import (
-    LandmarkDistances,
+    Distances,
     Marks,
     agreement_around,
     best_exchanges,
@@ -23,22 +23,22 @@ CONFIG = LandmarkConfig()
 SHORT, MIRRORED = CONFIG.short, CONFIG.mirrored
 
 
-def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:
+def distances_of(points: np.ndarray, others: np.ndarray) -> Distances:
     """Straight-line distances from points to themselves and to others."""
     nodes = np.vstack([points, others])
-    return LandmarkDistances(np.linalg.norm(points[:, None] - nodes[None], axis=2), np.arange(len(nodes)))
+    return np.linalg.norm(points[:, None] - nodes[None], axis=2)
 
 
-def plain_exchange(target: LandmarkDistances, source: LandmarkDistances) -> tuple[int, int] | None:
+def plain_exchange(target: Distances, source: Distances) -> tuple[int, int] | None:
     """The pair with the largest gain, summed term by term."""
-    p = len(target.to_nodes)
-    wanted, found = np.log(target.between + SHORT), np.log(source.between + SHORT)
+    p = len(target)
+    wanted, found = np.log(target[:, :p] + SHORT), np.log(source[:, :p] + SHORT)
     off = ~np.eye(p, dtype=bool)
     shift = np.median((wanted - found)[off])
 
     def misfit(i: int, at: int, unasked: int) -> float:
         asked = [k for k in range(p) if k not in (i, unasked)]
-        weights = 1.0 / (target.between[i, asked] + SHORT)
+        weights = 1.0 / (target[i, asked] + SHORT)
         return float(
             weights @ np.minimum(np.abs(wanted[i, asked] - shift - found[at, asked]), CONFIG.max_misfit) / weights.sum()
         )
@@ -142,13 +142,13 @@ def test_landmarks_that_agree_as_they_are_were_not_exchanged() -> None:
     for positions, normals, upper in LEAPS:
         between = np.zeros((6, 6))
         between[np.triu_indices(6, 1)] = upper
-        distances.append(LandmarkDistances(between + between.T, np.arange(6)))
+        distances.append(between + between.T)
         marks.append((np.array(positions), np.array(normals)))
     assert exchanged_sides((distances[0], distances[1]), *marks) is None
     order = [0, 1, 2, 3, 5, 4]  # hind feet
     turned = (marks[1][0][order], marks[1][1][order])
-    between = distances[1].between[order][:, order]
-    assert exchanged_sides((distances[0], LandmarkDistances(between, np.arange(6))), marks[0], turned) == (4, 5)
+    between = distances[1][order][:, order]
+    assert exchanged_sides((distances[0], between), marks[0], turned) == (4, 5)
 
 
 def test_neighbours_that_a_hand_put_the_other_way_round_are_not_exchanged() -> None:
@@ -188,7 +188,7 @@ TRUNK = 1.0
 LIMBS = {"nose": 0.8, "fore left": 1.0, "fore right": 1.0, "tail": 0.4, "hind left": 1.1, "hind right": 1.1}
 
 
-def animal(tail: float, given: dict[str, tuple[str, float]]) -> LandmarkDistances:
+def animal(tail: float, given: dict[str, tuple[str, float]]) -> Distances:
     """Distances on limbs at both ends of a trunk, from points (limb, way out on it) to them and to all of the animal.
 
     Landmarks are the limbs' tips, but for those that are given.
@@ -200,7 +200,7 @@ def animal(tail: float, given: dict[str, tuple[str, float]]) -> LandmarkDistance
     limbs, ways = np.array([order.index(limb) for limb, _ in nodes]), np.array([way for _, way in nodes])
     between = ways[:, None] + ways + TRUNK * ((limbs[:, None] < 3) != (limbs < 3))
     apart = np.where(limbs[:, None] == limbs, np.abs(ways[:, None] - ways), between)
-    return LandmarkDistances(apart[: len(marks)], np.arange(len(nodes)))
+    return apart[: len(marks)]
 
 
 def test_a_short_tail_is_no_slip_on_a_long_one_but_a_wrong_limb_is() -> None:

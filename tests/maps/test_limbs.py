@@ -12,7 +12,7 @@ from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.limbs import assigned_limbs, limb_measures, rank_assignments
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
+from cagemap.pipeline import match, prepare_pair, prepare_surface
 
 from quick_match import SEARCHED
 
@@ -70,12 +70,12 @@ def test_the_surface_with_more_limbs_keeps_some_for_itself() -> None:
 def test_a_landmark_holds_its_limb_and_shapes_without_limbs_have_no_assignments() -> None:
     surface = prepare_surface(creature(), 2)
     prepared = prepare_pair(surface, surface)
-    problem = Problem(prepared, pair_of(surface, surface, Landmarks.none(), MatchConfig()))
+    problem = Problem.of_landmarks(prepared, Landmarks.none())
     starts = assigned_limbs(problem)
-    assert len(starts[0].places) >= 4
-    assert any(np.array_equal(*one.vertices) for one in starts)
+    assert len(starts[0][1]) >= 4
+    assert any(np.array_equal(*tips) for tips in starts)
     block = prepare_surface(cube(), 5)
-    other = Problem(prepare_pair(block, surface), pair_of(block, surface, Landmarks.none(), MatchConfig()))
+    other = Problem.of_landmarks(prepare_pair(block, surface), Landmarks.none())
     assert not assigned_limbs(other)
 
 

@@ -22,6 +22,7 @@ from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.pipeline import MatchConfig
 from cagemap.subdivision import refine
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.masks import mask_file, read_mask, read_masks
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -87,8 +88,9 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     moved = 1.05 * surface.positions
     low, left = (surface.positions[:, k] > 0 for k in (2, 0))
     masks = Masks(low.astype(float), left.astype(float))
-    plain = target_to_source(graph.areas, surface, moved, surface.vertex_normals, None, 0.03)
-    pull = target_to_source(graph.areas, surface, moved, surface.vertex_normals, None, 0.03, masks)
+    nearest = SurfacePoints.nearest(surface, moved, surface.vertex_normals, normal_weight=0.03)
+    plain = target_to_source(graph.areas, nearest, surface.vertex_normals)
+    pull = target_to_source(graph.areas, nearest, surface.vertex_normals, masks)
     ends = low * masks.source  # every vertex of the ball lies over itself
     np.testing.assert_allclose(pull.weights, plain.weights * ends, atol=1e-9)
     pullers = SourceSamples.choose(surface, surface.n, masks)

@@ -163,9 +163,8 @@ def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepare
 
 def test_maps_that_landmarks_decide_are_asked_too(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     wrong, _ = across(surface)
-    monkeypatch.setattr(
-        pipeline, "elastic_map", lambda problem, progress: (wrong, (Placement(wrong.images.positions),))
-    )
+    monkeypatch.setattr(pipeline, "search", lambda problem, progress: [Placement(wrong.images.positions)])
+    monkeypatch.setattr(pipeline, "map_of_places", lambda *given: wrong)
     given = Landmarks(("a", "b", "c"), np.array([0, 10, 20]), np.array([1, 10, 20]))  # not the identity
     result = match(surface, surface, given, MatchConfig(check_landmarks=False))
     assert result.quality.warnings[0].startswith(JUMPING)

@@ -19,8 +19,9 @@ from cagemap.deform.refit import finish_placement
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses.limbs import (
-    Tips,
+    find_tips,
     mean_distances,
+    pair_tips,
     prominences,
     refit_to_tips,
     tip_vertices,
@@ -98,9 +99,9 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
     cage = surface.triangles(surface.finest).positions[: surface.control.n_vertices]
     nose = int(np.linalg.norm(cage / surface.triangles(surface.finest).scale - ENDS[NOSE], axis=1).argmin())
     pair = pair_of(surface, surface, Landmarks(("nose",), np.array([nose]), np.array([nose])))
-    found = Tips.of(Problem(prepared, pair))
-    assert set(range(8)) - set(ends_of(surface, positions[found.vertices])) == {NOSE}
-    assert set(range(8)) - set(ends_of(surface, found.places)) == {NOSE, TAIL}
+    found = find_tips(Problem(prepared, pair.landmarks))
+    assert set(range(8)) - set(ends_of(surface, positions[found[0]])) == {NOSE}
+    assert set(range(8)) - set(ends_of(surface, positions[found[1]])) == {NOSE, TAIL}
 
 
 def test_a_fit_is_led_to_tips_that_it_missed(
@@ -113,19 +114,18 @@ def test_a_fit_is_led_to_tips_that_it_missed(
         return coarse_fit(problem, start, shape, samples)
 
     monkeypatch.setattr("cagemap.maps.hypotheses.limbs.coarse_fit", fitted)
-    problem = Problem(prepared, pair_of(surface, surface, Landmarks.none()))
-    found, rest = Tips.of(problem), prepared.rest.graph.positions
+    problem = Problem.of_landmarks(prepared, Landmarks.none())
+    found, rest = find_tips(problem), prepared.rest.graph.positions
+    ends = prepared.graphs[1].positions[found[1]]
     there = Placement(rest, 1e-4)
     assert refit_to_tips(problem, found, there) is there  # nothing is missed
-    tail = np.linalg.norm(rest - found.places[ends_of(surface, found.places) == TAIL], axis=1) < 0.12
+    tail = np.linalg.norm(rest - ends[ends_of(surface, ends) == TAIL], axis=1) < 0.12
     assert 3 * CONFIG.tips_met < 0.15 < CONFIG.tips_near
     bent = rest + tail[:, None] * np.array([0.15, 0.0, 0.0])
-    pairs = found.pairs(bent, CONFIG)
-    assert np.array_equal(
-        ends_of(surface, rest[found.vertices[pairs[:, 0]]]), ends_of(surface, found.places[pairs[:, 1]])
-    )
+    pairs = pair_tips(bent[found[0]], ends, CONFIG)
+    assert np.array_equal(ends_of(surface, rest[found[0][pairs[:, 0]]]), ends_of(surface, ends[pairs[:, 1]]))
     led = refit_to_tips(problem, found, Placement(bent, 1e-2))
-    assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < CONFIG.tips_met
+    assert np.linalg.norm(led.positions - rest, axis=1)[found[0]].max() < CONFIG.tips_met
     ((tips, places),) = held  # the same shape, so that every tip is held at its own place
     assert len(tips) == len(ENDS)
     assert np.linalg.norm(tips - places, axis=1).max() < CONFIG.tips_met
@@ -135,13 +135,13 @@ def test_a_fit_is_led_to_tips_that_it_missed(
 
 def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
     pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
-    problem = Problem(prepared, pair)
+    problem = Problem(prepared, pair.landmarks)
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
     moved = finish_placement(problem, Placement(bent, 1.0)).answer
     assert 0.0 < np.abs(moved - bent).max() < 0.1
     assert finish_placement(problem, Placement(bent, 1.1e-4)).answer is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
-    assert finish_placement(Problem(masked, pair), Placement(bent, 1.0)).answer is bent
+    assert finish_placement(Problem(masked, pair.landmarks), Placement(bent, 1.0)).answer is bent
 
 
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
@@ -150,7 +150,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     height = cage.positions[:, 1:2]
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
-    problem = Problem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none())).staged(CONFIG.led)
+    problem = Problem.of_landmarks(prepared, Landmarks.none()).staged(CONFIG.led)
     sheet, shape = prepared.source_surface, problem.shape
     start = shape.rest.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()

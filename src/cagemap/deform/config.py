@@ -47,6 +47,7 @@ class Stage:
     def ramped(self) -> FloatArray:
         """(iterations + patience,) stiffness alpha of every iteration."""
         first, last = self.stiffness
+        # With a ramp of 0 the second iteration has the last stiffness.
         steps = np.minimum(np.arange(self.iterations + self.patience) / max(self.ramp * self.iterations, 1e-9), 1.0)
         return np.asarray(first * (last / first) ** steps)
 
@@ -88,6 +89,8 @@ class GraphConfig:
     min_cell: float = 0.3  #: a piece of a cell with a smaller share of the mean cell's area joins a neighbour
     joining_rounds: int = 4  #: rounds of joining; in the first, two tiny pieces may join each other
     neighbours: int = 6  #: coarse vertices whose affine extrapolations are blended at a finer vertex
+    cell_counts: tuple[float, float] = (0.85, 1.2)  #: least and most cells, as shares of the number asked for
+    cell_rounds: int = 8  #: most widths of a cell that are tried for it
     flat: float = 0.2  #: a differential flattens the surface if its two tangential stretches have a smaller ratio
     min_stretch: float = 0.3  #: least singular value of a bounded differential, as a share of its largest
 

@@ -12,61 +12,69 @@ from cagemap.maps.pair import vertices_at
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral.surface import Surface
-from cagemap.surface.polylines import Polyline
+from cagemap.surface.polylines import Polyline, normal_projections
 from cagemap.surface.surface_points import SurfacePoints
 
 
-@dataclass(frozen=True, eq=False)
-class Anchors(CagePoints):
-    """Points of a level's mesh, or vertices of a graph, that are held or sample a curve."""
+def points_on_level(
+    surface: Surface, level: int, points: SurfacePoints, config: DataConfig = DataConfig()
+) -> CagePoints:
+    """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
+    vertices = surface.hierarchy.on_level(level, vertices_at(points))
+    on_level = CagePoints.of_vertices(vertices)
+    between = np.flatnonzero(vertices < 0)
+    if len(between):
+        mesh, weight = surface.triangles(level), config.anchor_normal_weight
+        near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=weight)
+        on_level.corners[between], on_level.weights[between] = near.corners, near.barycentric
+    return on_level
 
-    @classmethod
-    def on_level(
-        cls, surface: Surface, level: int, points: SurfacePoints, config: DataConfig = DataConfig()
-    ) -> Anchors:
-        """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
-        vertices = surface.hierarchy.on_level(level, vertices_at(points))
-        anchors = cls.of_vertices(vertices)
-        between = np.flatnonzero(vertices < 0)
-        if len(between):
-            mesh, weight = surface.triangles(level), config.anchor_normal_weight
-            near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=weight)
-            anchors.corners[between], anchors.weights[between] = near.corners, near.barycentric
-        return anchors
 
-    def hold(
-        self, blocks: FloatArray, right: FloatArray, positions: FloatArray, places: FloatArray, weight: float
-    ) -> None:
-        """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
+def hold_points(
+    points: CagePoints,
+    places: FloatArray,
+    blocks: FloatArray,
+    right: FloatArray,
+    positions: FloatArray,
+    weight: float,
+) -> None:
+    """Put the term ``weight |sum_k b_k x_k - y|^2`` of points at places y into a data term (n, 3, 3), (n, 3).
 
-        At a vertex it replaces the terms that are there. Between vertices every corner gets the residual with weight
-        b_k, as in `source_to_target`.
-        """
-        at_vertex = self.weights[:, 0] == 1.0
-        held = self.corners[at_vertex, 0]
-        blocks[held] = weight * np.eye(3)
-        right[held] = weight * places[at_vertex]
-        between = self.at(np.flatnonzero(~at_vertex))
-        moved = places[~at_vertex] - between.of(positions)
-        between.add(blocks, right, positions, np.tile(weight * np.eye(3), (len(moved), 1, 1)), weight * moved)
+    At a vertex it replaces the terms that are there. Between vertices every corner gets the residual with weight b_k,
+    as in `source_to_target`.
+    """
+    at_vertex = points.weights[:, 0] == 1.0
+    held = points.corners[at_vertex, 0]
+    blocks[held] = weight * np.eye(3)
+    right[held] = weight * places[at_vertex]
+    between = points.at(np.flatnonzero(~at_vertex))
+    moved = places[~at_vertex] - between.of(positions)
+    terms = np.tile(weight * np.eye(3), (len(moved), 1, 1))
+    add_to_corners(between, terms, weight * moved, blocks, right, positions)
 
-    def add(
-        self, blocks: FloatArray, right: FloatArray, positions: FloatArray, terms: FloatArray, forces: FloatArray
-    ) -> None:
-        """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of every point to a data term, by its corners.
 
-        ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
-        """
-        at_corners = np.einsum("pab,pkb->pka", terms, positions[self.corners]) + forces[:, None]
-        np.add.at(blocks, self.corners, self.weights[:, :, None, None] * terms[:, None])
-        np.add.at(right, self.corners, self.weights[:, :, None] * at_corners)
+def add_to_corners(
+    points: CagePoints,
+    terms: FloatArray,
+    forces: FloatArray,
+    blocks: FloatArray,
+    right: FloatArray,
+    positions: FloatArray,
+) -> None:
+    """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of points to a data term (n, 3, 3), (n, 3), by their corners.
+
+    ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
+    """
+    at_corners = np.einsum("pab,pkb->pka", terms, positions[points.corners]) + forces[:, None]
+    np.add.at(blocks, points.corners, points.weights[:, :, None, None] * terms[:, None])
+    np.add.at(right, points.corners, points.weights[:, :, None] * at_corners)
 
 
 @dataclass(frozen=True, eq=False)
 class CurveConstraint:
     """A curve of a graph, held on its source curve, along which it may slide."""
 
-    anchors: Anchors  # (m,) points along the curve
+    anchors: CagePoints  # (m,) points of the graph's mesh along the curve
     rest: Polyline  # their positions in the rest shape
     source: Polyline
 
@@ -77,16 +85,16 @@ class CurveConstraint:
         residual is given to the two points beside its closest point, as in `source_to_target`. Ends correspond to ends.
         """
         polyline = Polyline(self.anchors.of(positions), self.source.closed)
-        closest = self.source.nearest(polyline.positions)
-        blocks = self.rest.shares[:, None, None] * closest.across()
-        moved = np.einsum("mab,mb->ma", blocks, closest.places - polyline.positions)
-        back = polyline.nearest(self.source.positions)
-        lengths = self.source.shares * (self.rest.length / self.source.length)
-        weights = lengths[:, None, None] * back.across()
-        residual = np.einsum("mab,mb->ma", weights, self.source.positions - back.places)
-        for side, weight in enumerate((1.0 - back.share, back.share)):
-            np.add.at(blocks, back.ends[:, side], weight[:, None, None] * weights)
-            np.add.at(moved, back.ends[:, side], weight[:, None] * residual)
+        places, _, _, tangents = self.source.nearest(polyline.positions)
+        blocks = self.rest.point_lengths[:, None, None] * normal_projections(tangents)
+        moved = np.einsum("mab,mb->ma", blocks, places - polyline.positions)
+        places, ends, share, tangents = polyline.nearest(self.source.positions)
+        lengths = self.source.point_lengths * (self.rest.length / self.source.length)
+        weights = lengths[:, None, None] * normal_projections(tangents)
+        residual = np.einsum("mab,mb->ma", weights, self.source.positions - places)
+        for side, weight in enumerate((1.0 - share, share)):
+            np.add.at(blocks, ends[:, side], weight[:, None, None] * weights)
+            np.add.at(moved, ends[:, side], weight[:, None] * residual)
         return blocks, moved
 
     def thinned(self, count: int) -> CurveConstraint:
@@ -95,7 +103,7 @@ class CurveConstraint:
         vertices = self.anchors.at(chosen).nearest_vertices
         rows = np.sort(np.unique(vertices, return_index=True)[1])
         rest = Polyline(self.rest.positions[chosen][rows], self.rest.closed)
-        return CurveConstraint(Anchors.of_vertices(vertices[rows]), rest, self.source)
+        return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)
 
 
 def add_curves(
@@ -104,7 +112,7 @@ def add_curves(
     """Add the weighted term of every curve to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
     for curve in curves:
         terms, forces = curve.terms(positions)
-        curve.anchors.add(blocks, right, positions, weight * terms, weight * forces)
+        add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
 
 
 def with_clusters(
@@ -117,21 +125,21 @@ def with_clusters(
     values, first = np.unique(listed, return_index=True)
     place = np.argsort(np.argsort(first))  # position of every value among the vertices
     numbered = (
-        replace(curve, anchors=Anchors.of_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]))
+        replace(curve, anchors=CagePoints.of_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]))
         for curve in thinned
     )
     return listed[np.sort(first)], tuple(numbered)
 
 
 @dataclass(frozen=True, eq=False)
-class Constraints:
+class PlacementConstraints:
     """Points and curves of a graph with their counterparts on the source."""
 
-    anchors: Anchors  # (p,) points that are held
+    anchors: CagePoints  # (p,) points of the graph's mesh that are held
     places: FloatArray  # (p, 3) positions at which the points are held
     curves: tuple[CurveConstraint, ...] = ()
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
         """Add the constraints' terms to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
         add_curves(self.curves, blocks, right, positions, config.curve_weight)
-        self.anchors.hold(blocks, right, positions, self.places, config.landmark_weight)
+        hold_points(self.anchors, self.places, blocks, right, positions, config.landmark_weight)

@@ -72,24 +72,14 @@ class DataTerm:
 
 
 def target_to_source(
-    areas: FloatArray,
-    source: TriangleSurface,
-    positions: FloatArray,
-    normals: FloatArray,
-    guess: IndexArray | None,
-    normal_weight: float,
-    masks: Masks = WHOLE,
-    *,
-    beyond: bool = False,
+    areas: FloatArray, nearest: SurfacePoints, normals: FloatArray, masks: Masks = WHOLE, *, beyond: bool = False
 ) -> DataTerm:
-    """Point-to-plane term of the deformed vertices, to the tangent planes at their closest points.
+    """Point-to-plane term of the deformed vertices, to the tangent planes at their nearest points of the source.
 
-    Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search. Beyond
-    the source's boundary a vertex has a term only if ``beyond``: needed without source-to-target terms, where a target
-    could move off the source.
+    Normals (n, 3) are of the deformed target. Beyond the source's boundary a vertex has a term only if ``beyond``:
+    needed without source-to-target terms, where a target could move off the source.
     """
-    nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
-    corners = nearest.corners
+    source, corners = nearest.surface, nearest.corners
     closest = curved_points(source.positions[corners], source.vertex_normals[corners], nearest.barycentric)
     plane = normalize_rows(nearest.interpolate(source.vertex_normals))
     weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)

@@ -11,45 +11,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.minimise import minimise
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.surface.triangles import normalize_rows
-
-
-@dataclass(frozen=True, eq=False)
-class BlockPattern:
-    """Sparsity of the (3 n, 3 n) matrices alpha L + block diagonal, the same for all of one graph."""
-
-    matrix: sparse.csc_array
-    elastic: FloatArray  # values of L in the pattern
-    blocks: IndexArray  # indices of the blocks' entries in the pattern
-
-    @classmethod
-    def build(cls, laplacian: sparse.csr_array) -> BlockPattern:
-        """Lay out the pattern for an (n, n) Laplacian."""
-        n = laplacian.shape[0]
-        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
-        elastic = sparse.csc_array(sparse.kron(laplacian, sparse.eye_array(3)))
-        pattern = sparse.csc_array(abs(elastic) + ones)
-        pattern.sort_indices()
-        # Find the entries of both parts in the common pattern: number them, and read the numbers back.
-        numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
-
-        def places(rows: IndexArray, columns: IndexArray) -> IndexArray:
-            return np.asarray(numbered[rows, columns]).ravel().astype(np.int64) - 1
-
-        elastic.sort_indices()
-        rows = elastic.indices.astype(np.int64)
-        values, every = np.zeros(pattern.nnz), np.arange(3 * n)
-        values[places(rows, np.repeat(every, np.diff(elastic.indptr)))] = elastic.data
-        columns = np.repeat(every.reshape(n, 1, 3), 3, axis=1).ravel()
-        return cls(pattern, values, places(np.repeat(every, 3), columns))
-
-    def at(self, alpha: float, blocks: FloatArray) -> sparse.csc_array:
-        """The matrix alpha L + blocks (n, 3, 3)."""
-        values = alpha * self.elastic
-        values[self.blocks] += blocks.ravel()
-        return sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +52,10 @@ class LinearSystem:
         return np.asarray(step)
 
 
+# Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
+# of its map. The smoothing does; this is for safety.
+RIDGE = 1e-9
+
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
 NONE = np.zeros(0, dtype=np.int64)
@@ -101,7 +70,6 @@ class ElasticEnergy:
     """
 
     graph: ElasticGraph
-    pattern: BlockPattern  # of its Laplacian, and of the positions' matrices
     factors: Factorization  # of ``G + epsilon L``
     admissible: Admissible  # what differentials are restricted to: `bounded_maps`, `rotations` or `any_map`
 
@@ -111,10 +79,8 @@ class ElasticEnergy:
         edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
         blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
-        # A flat ring does not determine the normal direction: the smoothing does, and a small ridge for safety.
-        blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
-        pattern = BlockPattern.build(graph.laplacian)
-        return cls(graph, pattern, factor(pattern.at(smoothing, blocks)), admissible or bounded_maps)
+        blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
+        return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible or bounded_maps)
 
     def maps(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A that minimise the energy for positions x (n, 3)."""
@@ -138,18 +104,22 @@ class VertexTerms:
     guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
-    def at(self, *iterate: object) -> VertexTerms:
-        """The terms themselves: they are constant."""
-        return self
-
     def system(self, alpha: float, stage: Stage, before: LinearSystem | None) -> LinearSystem:
         """System alpha L + B with new factors, or with those of the system ``before``."""
-        matrix, like = self.energy.pattern.at(alpha, self.blocks), self.energy.factors
+        matrix, like = self.energy.graph.block_matrix(alpha, self.blocks), self.energy.factors
         if self.constant:
             return LinearSystem(factor(matrix, like=like))
         if before is not None:
             return LinearSystem(before.factors, matrix, stage)
         return LinearSystem(factor(matrix, like=like, dtype=np.float32), matrix)
+
+
+def minimise_constant(
+    energy: ElasticEnergy, blocks: FloatArray, right: FloatArray, start: FloatArray, stage: Stage
+) -> FloatArray:
+    """`minimise` with the same terms ``sum_i x_i^T B_i x_i - 2 b_i^T x_i`` in all iterations; B (n, 3, 3), b (n, 3)."""
+    terms = VertexTerms(energy, blocks, right, constant=True)
+    return minimise(energy.graph, energy.differentials, lambda *_: terms, start, stage)
 
 
 def any_map(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
@@ -213,7 +183,6 @@ def energy_matrix(graph: ElasticGraph, smoothing: float) -> sparse.csr_array:
     residual = sparse.csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(heads), 4 * graph.n))
     stretch = residual.T @ sparse.diags_array(weights) @ residual
     maps_only = sparse.diags_array([0.0, 1.0, 1.0, 1.0])
-    # A flat ring does not determine the normal direction of its map, see `ElasticEnergy.build`.
-    ridge = 1e-9 * float(stretch.diagonal().mean())
+    ridge = RIDGE * float(stretch.diagonal().mean())
     change = sparse.kron(smoothing * graph.laplacian + ridge * sparse.eye_array(graph.n), maps_only)
     return sparse.csr_array(stretch + change)

@@ -6,88 +6,91 @@ point-to-plane, so that only the energy resists tangential motion. Landmarks are
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from concurrent.futures import Future
 
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import Constraints
+from cagemap.deform.constraints import PlacementConstraints, hold_points
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
-from cagemap.deform.energy import VertexTerms, deformed_normals
-from cagemap.deform.minimise import Differentials, minimise
+from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
+from cagemap.deform.minimise import Differentials, Terms, minimise
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, RestShape
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
-# Triangles of closest points of the previous iteration, both ways.
-Guesses = tuple[IndexArray | None, IndexArray | None]
 
+def cluster_terms(
+    rest: RestShape,
+    source: TriangleSurface,
+    constraints: PlacementConstraints,
+    config: ElasticConfig,
+    samples: SourceSamples | None = None,
+) -> Terms:
+    """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
+    weight = config.normal_weight
 
-@dataclass(frozen=True, eq=False)
-class SurfaceTerms:
-    """Data terms and constraints of a rest shape on the source.
-
-    A mesh has data terms both ways: source-to-target terms extend it into fingers, ears and lips. Clusters have
-    source-to-target terms only if samples are given.
-    """
-
-    rest: RestShape
-    source: TriangleSurface
-    constraints: Constraints
-    config: ElasticConfig
-    samples: SourceSamples | None
-
-    def at(self, positions: FloatArray, found: Differentials, alpha: float, before: VertexTerms | None) -> VertexTerms:
-        """Terms at the closest points of positions."""
-        guesses = (None, None) if before is None else before.guesses
-        if self.rest.mesh is None:
-            terms = self._on_clusters(positions, found.result()[0], guesses[0])
-        else:
-            terms = self._on_mesh(self.rest.mesh, positions, alpha, guesses)
-        self.constraints.add(terms.blocks, terms.right, positions, self.config)
-        return terms
-
-    def _on_clusters(self, positions: FloatArray, maps: FloatArray, guess: IndexArray | None) -> VertexTerms:
-        rest, config, weight = self.rest, self.config, self.config.normal_weight
-        normals = deformed_normals(rest.graph.normals, maps)
-        term = target_to_source(
-            rest.graph.areas, self.source, positions, normals, guess, weight, rest.masks, beyond=True
-        )
+    def terms(
+        positions: FloatArray, found: Future[Differentials], alpha: float, before: VertexTerms | None
+    ) -> VertexTerms:
+        guess = None if before is None else before.guesses[0]
+        normals = deformed_normals(rest.graph.normals, found.result()[0])
+        nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
+        term = target_to_source(rest.graph.areas, nearest, normals, rest.masks, beyond=True)
         blocks, right = term.blocks, term.right
-        if self.samples is not None:
-            back = source_to_clusters(self.samples, positions, normals, weight, term.closest, rest.masks, config.data)
+        if samples is not None:
+            back = source_to_clusters(samples, positions, normals, weight, term.closest, rest.masks, config.data)
             blocks, right = blocks + back.blocks, right + back.right
+        constraints.add(blocks, right, positions, config)
         return VertexTerms(rest.energy, blocks, right, guesses=(term.triangles, None))
 
-    def _on_mesh(self, mesh: TriangleSurface, positions: FloatArray, alpha: float, guesses: Guesses) -> VertexTerms:
-        rest, config, normals = self.rest, self.config, vertex_normals(positions, mesh.triangles)
-        assert rest.received is not None
-        assert self.samples is not None
-        term = target_to_source(
-            rest.graph.areas, self.source, positions, normals, guesses[0], config.fine_normal_weight, rest.masks
-        )
+    return terms
+
+
+def mesh_terms(
+    rest: RestShape,
+    source: TriangleSurface,
+    constraints: PlacementConstraints,
+    config: ElasticConfig,
+    samples: SourceSamples,
+) -> Terms:
+    """Data terms both ways and constraints of a mesh: source-to-target terms extend it into fingers, ears and lips."""
+    mesh, received = rest.mesh, rest.received
+    assert mesh is not None
+    assert received is not None
+    of_parts = mesh.is_open or source.is_open
+
+    def terms(
+        positions: FloatArray, found: Future[Differentials], alpha: float, before: VertexTerms | None
+    ) -> VertexTerms:
+        guesses = (None, None) if before is None else before.guesses
+        normals, weights = vertex_normals(positions, mesh.triangles), (config.fine_normal_weight, config.normal_weight)
+        nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weights[0], guess=guesses[0])
+        term = target_to_source(rest.graph.areas, nearest, normals, rest.masks)
         back = source_to_target(
             mesh,
-            self.samples,
+            samples,
             positions,
             normals,
             guesses[1],
-            config.normal_weight,
+            weights[1],
             term.closest,
             alpha,
             rest.masks,
             config.data,
         )
         distance = term.distance(positions)
-        of_parts = mesh.is_open or self.source.is_open
-        term = term.scaled(received_weights(rest.received, back.weights, config.data, of_parts=of_parts))
+        term = term.scaled(received_weights(received, back.weights, config.data, of_parts=of_parts))
         blocks, right = term.blocks + back.blocks, term.right + back.right
+        constraints.add(blocks, right, positions, config)
         return VertexTerms(rest.energy, blocks, right, distance, (term.triangles, back.triangles))
+
+    return terms
 
 
 def coarse_fit(
@@ -108,28 +111,24 @@ def coarse_fit(
     """
     shape = problem.shape if shape is None else shape
     rest, source, config = shape.rest, problem.prepared.source_surface, problem.prepared.elastic
-    expected = rest.graph.positions.shape
+    graph, energy = rest.graph, rest.energy
+    expected = graph.positions.shape
     if start is not None and start.shape != expected:
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
     first = landmark_start(shape, config) if start is None else start
-    terms = SurfaceTerms(rest, source, shape.constraints, config, samples)
-    positions = minimise(rest.energy, terms, first, config.coarse)
-    maps, _ = rest.energy.differentials(positions)
+    terms = cluster_terms(rest, source, shape.constraints, config, samples)
+    positions = minimise(graph, energy.differentials, terms, first, config.coarse)
+    maps, _ = energy.differentials(positions)
     costs = vertex_costs(rest, source, positions, maps, config)
-    return Placement(positions, float(costs.sum()), costs, maps=maps, graph=rest.graph)
+    return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
 
 
-def fine_fit(problem: Problem, coarse: Placement) -> FloatArray:
-    """(n, 3) positions of the target's mesh near the source, by the fine stage from a coarse placement."""
-    prepared = problem.prepared
-    return fine_stage(problem, coarse.on(prepared.rest.graph, prepared.elastic.graph))
-
-
-def fine_stage(problem: Problem, start: FloatArray) -> FloatArray:
-    """(n, 3) positions of the target's mesh after the fine stage, from start positions (n, 3)."""
-    prepared, elastic = problem.prepared, problem.prepared.elastic
-    terms = SurfaceTerms(prepared.rest, prepared.source_surface, problem.constraints, elastic, prepared.source_samples)
-    return minimise(prepared.rest.energy, terms, start, elastic.fine)
+def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
+    """(n, 3) positions of the target's mesh by the fine stage, from a coarse placement or from positions (n, 3)."""
+    prepared, rest, elastic = problem.prepared, problem.prepared.rest, problem.prepared.elastic
+    terms = mesh_terms(rest, prepared.source_surface, problem.constraints, elastic, prepared.source_samples)
+    first = start.on(rest.graph, elastic.graph) if isinstance(start, Placement) else start
+    return minimise(rest.graph, rest.energy.differentials, terms, first, elastic.fine)
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
@@ -138,9 +137,8 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     rotation, scale, shift = fit_similarity(graph.positions[held], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
-    shape.constraints.anchors.hold(blocks, right, start, places, config.landmark_weight)
-    energy = shape.rest.energy
-    return minimise(energy, VertexTerms(energy, blocks, right, constant=True), start, config.landmark_start)
+    hold_points(shape.constraints.anchors, places, blocks, right, start, config.landmark_weight)
+    return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
 
 
 def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:

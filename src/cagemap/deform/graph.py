@@ -31,6 +31,8 @@ from cagemap.surface.triangles import normalize_rows
 STATIONS = 60
 # Connected pieces with less than this share of the mesh's area (eyes, teeth) have no stations.
 MIN_PIECE_AREA = 0.05
+# Least length and least weight, where vertices coincide.
+TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,35 @@ class ElasticGraph:
         """(n, 3) ``B^T A / 2`` of the moments B and maps A (n, 3, 3): ``sum_j w_ij A_ij e_ij``."""
         return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
 
+    @kept
+    def _block_pattern(self) -> tuple[sparse.csc_array, IndexArray]:
+        """L for three coordinates with zeros at all entries of (3, 3) diagonal blocks, and where these are stored."""
+        n = self.n
+        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
+        elastic = sparse.csc_array(sparse.kron(self.laplacian, sparse.eye_array(3)))
+        pattern = sparse.csc_array(abs(elastic) + ones)
+        pattern.sort_indices()
+        # Find the entries of both parts in the common pattern: number them, and read the numbers back.
+        numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
+
+        def places(rows: IndexArray, columns: IndexArray) -> IndexArray:
+            return np.asarray(numbered[rows, columns]).ravel().astype(np.int64) - 1
+
+        elastic.sort_indices()
+        rows = elastic.indices.astype(np.int64)
+        values, every = np.zeros(pattern.nnz), np.arange(3 * n)
+        values[places(rows, np.repeat(every, np.diff(elastic.indptr)))] = elastic.data
+        columns = np.repeat(every.reshape(n, 1, 3), 3, axis=1).ravel()
+        padded = sparse.csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return padded, places(np.repeat(every, 3), columns)
+
+    def block_matrix(self, alpha: float, blocks: FloatArray) -> sparse.csc_array:
+        """(3 n, 3 n) matrix alpha L + block diagonal (n, 3, 3); its pattern is the same for all alpha and blocks."""
+        elastic, places = self._block_pattern
+        values = alpha * elastic.data
+        values[places] += blocks.ravel()
+        return sparse.csc_array((values, elastic.indices, elastic.indptr), shape=elastic.shape)
+
     def smoother(self, length: float, masses: FloatArray | None = None) -> Factorization:
         """Factors of ``M + length^2 L``: screened Poisson smoothing over a length, masses M (n,), default areas."""
         masses = self.areas if masses is None else masses
@@ -173,7 +204,7 @@ def cluster_graph(
     heads, tails = cell[fine.heads[across]], cell[fine.tails[across]]
     summed = sparse.coo_array((fine.weights[across] * lengths**2, (heads, tails)), shape=(k, k)).tocsr().tocoo()
     coarse_lengths = np.linalg.norm(fine.positions[vertices[summed.row]] - fine.positions[vertices[summed.col]], axis=1)
-    weights = summed.data / np.maximum(coarse_lengths, 1e-9) ** 2
+    weights = summed.data / np.maximum(coarse_lengths, TINY) ** 2
     # A cell's fine edges cover a strip as wide as a fine edge, not the cell: rescale, so that coordinates keep their
     # energy.
     scale = 2.0 * fine.areas.sum() / max(float((weights * coarse_lengths**2).sum() / 2), 1e-30)
@@ -204,7 +235,8 @@ def extrapolate(
     count = min(config.neighbours, coarse.n)
     queried = tree.query(np.hstack([fine.positions, config.normal_length * size * fine.normals]), k=count)
     distance, nearest = (np.asarray(part).reshape(fine.n, count) for part in queried)
-    blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, 1e-9) ** 2
+    # The radius is a little larger than the last distance: all neighbours may be equally far.
+    blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, TINY) ** 2
     blend /= blend.sum(axis=1, keepdims=True)
     offsets = fine.positions[:, None] - coarse.positions[nearest]
     moved = positions[nearest] + np.einsum("vkab,vkb->vka", maps[nearest], offsets)
@@ -215,14 +247,15 @@ def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
     """(n,) connected grid cell in position and normal, for about ``count`` cells."""
     width = np.sqrt(1.0 / count)
     cell = np.zeros(graph.n, dtype=np.int64)
-    for _ in range(8):
+    least, most = config.cell_counts
+    for _ in range(config.cell_rounds):
         features = np.hstack([graph.positions, 0.5 * config.normal_length * width * graph.normals]) / width
         keys = np.floor(features - features.min(axis=0)).astype(np.int64)
         counts = keys.max(axis=0) + 1
         _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
         cell = connected_cells(graph, cell.ravel(), config)
         cell_count = int(cell.max()) + 1
-        if 0.85 * count <= cell_count <= 1.2 * count or (cell_count == graph.n and count >= graph.n):
+        if least * count <= cell_count <= most * count or (cell_count == graph.n and count >= graph.n):
             break
         width *= np.sqrt(cell_count / count)
     return cell

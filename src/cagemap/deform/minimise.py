@@ -1,6 +1,6 @@
 """Minimise an elastic energy with other terms: positions and differentials alternate.
 
-Every deformation is one call of `minimise` with its energy and terms: the coarse and the fine stage,
+Every deformation is one call of `minimise` with its graph, differentials and terms: the coarse and the fine stage,
 positions from landmarks alone, the pose of a placement, the response of a map to its landmarks, and the wrap of a net.
 """
 
@@ -17,19 +17,8 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 
-# Maps (n, 3, 3) of positions, and which of them were bounded; computed while data terms are searched.
-Differentials = Future[tuple[FloatArray, IndexArray]]
-
-
-class Energy(Protocol):
-    """Energy that gives differentials for positions, such as `cagemap.deform.energy.ElasticEnergy`."""
-
-    @property
-    def graph(self) -> ElasticGraph:
-        """Graph of the energy."""
-
-    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
-        """(n, 3, 3) maps for positions (n, 3), and which of them were bounded."""
+# Maps (n, 3, 3) of positions, and which of them were bounded (b,).
+Differentials = tuple[FloatArray, IndexArray]
 
 
 class System(Protocol):
@@ -54,21 +43,20 @@ class Quadratic(Protocol):
         """System ``alpha L + B``; reuses the factors of the system ``before``, if any."""
 
 
-class Terms(Protocol):
-    """Data terms and constraints that are added to the energy."""
-
-    def at(self, positions: FloatArray, found: Differentials, alpha: float, before: Any) -> Quadratic:
-        """Terms at positions (n, 3) and a stiffness alpha; ``before`` are those of the previous iteration, or None."""
+# Data terms and constraints at positions (n, 3), from their differentials (computed meanwhile), the stiffness alpha and
+# the terms of the previous iteration (None in the first).
+Terms = Callable[[FloatArray, Future[Differentials], float, Any], Quadratic]
 
 
 def minimise(
-    energy: Energy,
+    graph: ElasticGraph,
+    differentials: Callable[[FloatArray], Differentials],
     terms: Terms,
     start: FloatArray,
     stage: Stage,
     adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
 ) -> FloatArray:
-    """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials.
+    """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials A.
 
     Momentum makes the alternation three times faster. Where the mesh is on the source, the stiffness is the largest
     that keeps it there (Morozov's discrepancy principle): a softer mesh would slide. ``adjust`` is applied to the
@@ -83,15 +71,15 @@ def minimise(
             softer, alpha = alpha, float(ramped)
             if quadratic is not None and quadratic.distance <= stage.on_surface:
                 alpha = float(max(ramped, min(stage.stiffening * softer, stage.max_stiffness)))
-            found = aside.submit(energy.differentials, positions)
-            last, quadratic = quadratic, terms.at(positions, found, alpha, quadratic)
+            found = aside.submit(differentials, positions)
+            last, quadratic = quadratic, terms(positions, found, alpha, quadratic)
             if system is None or quadratic is not last or alpha != softer:
                 anew = (iteration - 1) % stage.factored == 0
                 system = quadratic.system(alpha, stage, None if anew else system)
             maps, bounded = found.result()
-            right = quadratic.right + alpha * energy.graph.divergence(maps)
+            right = quadratic.right + alpha * graph.divergence(maps)
             after = adjust(system.solve(right, positions))
-            if iteration >= stage.iterations and len(bounded) <= stage.max_bounded * energy.graph.n:
+            if iteration >= stage.iterations and len(bounded) <= stage.max_bounded * graph.n:
                 return after
             positions = after + stage.momentum * (after - before) if iteration > 1 else after
             before = after

@@ -7,7 +7,6 @@ the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.energy import deformed_normals
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_stage
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance
 from cagemap.deform.problem import CoarseShape, Problem
@@ -24,35 +23,36 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import Samples, ZoomOutSchedule, evenly_spaced_vertices, nearest_coordinates, zoomout
+from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, nearest_rows, zoomout
 
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
 
 
-def start_map(
-    problem: Problem, shape: CoarseShape | None = None, held: tuple[IndexArray, IndexArray] | None = None
-) -> FloatArray:
-    """(k, 3) places on the source of a coarse shape's vertices: nearest coordinates of held vertices, then ZoomOut."""
+def start_map(problem: Problem, shape: CoarseShape | None = None) -> FloatArray:
+    """(k, 3) places on the source of a coarse shape's vertices: nearest coordinates of held points, then ZoomOut."""
     prepared, shape = problem.prepared, shape or problem.shape
-    vertices, held = shape.vertices, held or problem.landmark_vertices
+    vertices, held = shape.vertices, shape.held
     levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
     candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), held[1])
     of_curves = curve_vertices(problem)
 
-    def samples(side: int, chosen: IndexArray, areas: FloatArray) -> Samples:
+    def sampled(side: int, chosen: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Basis rows and landmark coordinates of chosen vertices."""
         surface, level = (prepared.target, prepared.source)[side], levels[side]
         operators = surface.operators
         coordinates = landmark_coordinates(
             operators.stiffness[level], operators.mass[level], held[side], of_curves[side]
         )
-        return Samples(basis_rows(surface, level, chosen), areas, coordinates[chosen])
+        return basis_rows(surface, level, chosen), coordinates[chosen]
 
-    sides = (0, vertices, areas), (1, candidates, np.ones(len(candidates)))
-    target, source = in_threads(lambda side: samples(*side), sides)
-    match = zoomout(target, source, nearest_coordinates(target, source), prepared.start.zoomout)
+    sides = in_threads(lambda side: sampled(*side), ((0, vertices), (1, candidates)))
+    (target, on_target), (source, on_source) = sides
+    coordinates = on_target, on_source
+    match = nearest_rows(*(values.astype(np.float32) for values in coordinates))
+    match = zoomout(target, areas, source, match, prepared.start.zoomout, coordinates)
     return prepared.source.triangles(levels[1]).positions[candidates[match]]
 
 
@@ -61,7 +61,7 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
     prepared, taken = problem.prepared, list(problem.landmark_vertices)
     found: tuple[list[IndexArray], list[IndexArray]] = ([], [])
     count = prepared.start.curve_points
-    for pair in problem.pair.landmarks.curves:
+    for pair in problem.landmarks.curves:
         own = []
         sides = (prepared.target, prepared.levels[0], pair.target), (prepared.source, prepared.levels[1], pair.source)
         for side, (surface, level, curve) in enumerate(sides):
@@ -86,13 +86,8 @@ def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Calla
     vertices = evenly_spaced_vertices(surface.n, config.places)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
-    sides = (
-        (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
-        (prepared.source, level, vertices, np.ones(len(vertices))),
-    )
-    target, source = (
-        Samples(basis_rows(side, on, chosen), areas, np.zeros((len(chosen), 0))) for side, on, chosen, areas in sides
-    )
+    target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
+    source, areas = basis_rows(prepared.source, level, vertices), shape.rest.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:
@@ -100,7 +95,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Calla
         normals = deformed_normals(fitted.graph.normals, fitted.maps)
         near = tree.query(np.hstack([fitted.positions, config.normal_length * normals]))[1]
         match = np.asarray(near, dtype=np.int64)
-        return [places[zoomout(target, source, match, schedule)] for schedule in schedules]
+        return [places[zoomout(target, areas, source, match, schedule)] for schedule in schedules]
 
     return starts
 
@@ -111,60 +106,44 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
     return surface.basis.rows(fine, surface.hierarchy.vertices_on(fine, level)[vertices])
 
 
-@dataclass(frozen=True, eq=False)
-class AnchoredFits:
-    """Fits that hold points: landmarks, and tips of assigned limbs where there are any."""
+def fit_held(
+    problem: Problem, shape: CoarseShape, start: FloatArray | None = None
+) -> tuple[list[Placement], list[Placement]]:
+    """Refined placements from the functional map and from the held points, and the soft coarse ones of both.
 
-    shape: CoarseShape  # clusters, with the held points among them
-    soft: tuple[Placement, ...]  # of the soft coarse stage: from the functional map, and from the held points alone
-    refined: tuple[Placement, ...]  # fine placements from the stiff coarse stage, cheapest first
-    # Whether both starts end in one placement and no limb is in another pose. Then the stiff stage is enough, and it
-    # spreads the strain more evenly.
-    agree: bool
+    Soft ones are those from which more starts are tried (`more_starts`). There are none if both starts end in one
+    placement and no limb is in another pose: then the stiff stage is enough, and it spreads the strain more evenly. A
+    start (k, 3) replaces the functional map; it is the only start where too few points are held.
+    """
+    elastic, stiff = problem.prepared.elastic, problem.stiff
+    # The smoothing of a stage also decides its start from the held points.
+    stages = (problem, shape), (stiff, shape.smoothed(elastic.stiff_coarse.smoothing))
 
-    @classmethod
-    def of(
-        cls,
-        problem: Problem,
-        shape: CoarseShape,
-        vertices: tuple[IndexArray, IndexArray],
-        start: FloatArray | None = None,
-    ) -> AnchoredFits:
-        """Fit from the functional map and from the held points; ``vertices`` are these, (p,) on both searched levels.
+    def both_stages(rough: FloatArray | None) -> list[Placement]:
+        """Placements of the soft and of the stiff coarse stage."""
+        return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), stages)
 
-        A start (k, 3) replaces the functional map; it is the only start where too few points are held.
-        """
-        elastic, stiff = problem.prepared.elastic, problem.stiff
-        # The smoothing of a stage also decides its start from the held points.
-        stages = (problem, shape), (stiff, shape.smoothed(elastic.stiff_coarse.smoothing))
+    if start is not None and len(shape.held[0]) < FEWEST_LANDMARKS:
+        return refine_placements(problem, both_stages(start)), []
+    with ThreadPool(1) as aside:  # at the same time as the functional map
+        from_points = aside.submit(both_stages, None)
+        first = both_stages(start_map(problem, shape) if start is None else start)
+        soft, stiff_ones = zip(first, from_points.result(), strict=True)
+    # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
+    refined = refine_placements(problem, stiff_ones)
+    rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, elastic.search.limb_area)
+    apart = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
+    agree = apart <= elastic.search.doubtful and rotation <= elastic.search.limb_rotation
+    return refined, [] if agree else list(soft)
 
-        def both_stages(rough: FloatArray | None) -> list[Placement]:
-            """Placements of the soft and of the stiff coarse stage."""
-            return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), stages)
 
-        if start is not None and len(vertices[0]) < FEWEST_LANDMARKS:
-            return cls(shape, (), tuple(refine_placements(problem, both_stages(start))), agree=True)
-        with ThreadPool(1) as aside:  # at the same time as the functional map
-            from_points = aside.submit(both_stages, None)
-            first = both_stages(start_map(problem, shape, vertices) if start is None else start)
-            soft, stiff_ones = zip(first, from_points.result(), strict=True)
-        # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
-        refined = tuple(refine_placements(problem, stiff_ones))
-        rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, elastic.search.limb_area)
-        apart = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
-        agree = apart <= elastic.search.doubtful and rotation <= elastic.search.limb_rotation
-        return cls(shape, soft, refined, agree)
-
-    def upsampled(self, problem: Problem) -> AnchoredFits:
-        """With more refined placements: from spectral starts of the first soft one, and of the best parts of all."""
-        starts = spectral_starts(problem, self.shape)(self.soft[0])
-        more = in_threads(lambda rough: coarse_fit(problem, rough, self.shape), starts)
-        refined = refine_cheapest(problem, [*self.soft, *more], refined=self.refined)
-        return replace(self, refined=tuple(refined)).like(self.refined[0])
-
-    def like(self, placed: Placement) -> AnchoredFits:
-        """With the name and the doubt of a placement."""
-        return replace(self, refined=tuple(replace(one, name=placed.name, doubt=placed.doubt) for one in self.refined))
+def more_starts(
+    problem: Problem, shape: CoarseShape, refined: Sequence[Placement], soft: Sequence[Placement]
+) -> list[Placement]:
+    """Refined placements of `fit_held` and more: from spectral starts of the first soft one, and best parts of all."""
+    starts = spectral_starts(problem, shape)(soft[0])
+    more = in_threads(lambda rough: coarse_fit(problem, rough, shape), starts)
+    return [one.named_like(refined[0]) for one in refine_cheapest(problem, [*soft, *more], refined=refined)]
 
 
 def refine_cheapest(
@@ -180,7 +159,7 @@ def refine_cheapest(
     mixed = best_parts(prepared.rest.graph, fine, config)
     if mixed is None:
         return fine
-    return sort_by_cost([*fine, evaluate_placement(prepared, fine_stage(problem, mixed))])
+    return sort_by_cost([*fine, evaluate_placement(prepared, fine_fit(problem, mixed))])
 
 
 def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:

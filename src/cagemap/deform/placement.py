@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,6 +39,10 @@ class Placement:
     def rank(self) -> float:
         """Cost times doubt, by which placements are ranked."""
         return self.doubt * self.cost
+
+    def named_like(self, other: Placement) -> Placement:
+        """The placement with the name and the doubt of another one, from which it was refined."""
+        return replace(self, name=other.name, doubt=other.doubt)
 
     def on(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
         """(n, 3) positions of another graph of the same shape, extrapolated from this placement."""

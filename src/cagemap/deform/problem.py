@@ -9,16 +9,19 @@ from functools import partial
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import Anchors, Constraints, CurveConstraint, with_clusters
+from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, points_on_level, with_clusters
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
+from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import Pair, PointPairs, vertices_near
+from cagemap.maps.pair import PointPairs, point_pairs, vertices_near
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
-from cagemap.numerics.threads import ThreadPool, kept
+from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -68,8 +71,10 @@ class CoarseShape:
     rest: RestShape  # of the k clusters
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
-    # Landmarks are the first clusters, vertices of curves the next ones
-    constraints: Constraints
+    # Held points are the first clusters, vertices of curves the next ones
+    constraints: PlacementConstraints
+    # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
+    held: tuple[IndexArray, IndexArray]
 
     def smoothed(self, smoothing: float) -> CoarseShape:
         """The clusters with another smoothing of differentials."""
@@ -142,6 +147,26 @@ class PreparedPair:
         rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, part)
         return cls(target, source, start, elastic, levels, rest, source.triangles(fitted), masks)
 
+    def require_same(self, start: StartConfig, elastic: ElasticConfig, masks: Masks) -> None:
+        """Raise ParameterError unless configs and masks are those of the pair, or defaults, which stand for these."""
+        counts = [len(side.vertices) for side in (self.target, self.source)]
+        masks.require_fit(*counts)
+        own = self.masks
+        same_masks = np.array_equal(masks.of_target(counts[0]), own.of_target(counts[0])) and np.array_equal(
+            masks.of_source(counts[1]), own.of_source(counts[1])
+        )
+        followed = {
+            "start": start in (self.start, StartConfig()),
+            "elastic": elastic in (self.elastic, ElasticConfig()),
+            "masks": same_masks or not masks.any,
+        }
+        fields = [name for name, same in followed.items() if not same]
+        if fields:
+            raise ParameterError(
+                f"match_pair: expected the {' and '.join(fields)} that the pair was prepared with, got others; prepare "
+                "the pair again with this config (cagemap.prepare_pair)"
+            )
+
     @kept
     def source_samples(self) -> SourceSamples:
         """Vertices of the source that should lie on the target's mesh."""
@@ -162,7 +187,7 @@ class PreparedPair:
         """Constraints on `mesh` of the landmarks' curves."""
         constraints = []
         for pair in landmarks.curves:
-            anchors = Anchors.on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
+            anchors = points_on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
             rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
             constraints.append(CurveConstraint(anchors, rest, pair.source.line))
         return tuple(constraints)
@@ -199,53 +224,80 @@ class Problem:
     """A prepared pair with landmarks; what depends on both is computed on first access and kept."""
 
     prepared: PreparedPair
-    pair: Pair  # the surfaces with their landmarks
+    landmarks: PointPairs  # landmarks and curves on both surfaces
+
+    @classmethod
+    def of_landmarks(cls, prepared: PreparedPair, landmarks: Landmarks) -> Problem:
+        """The problem with landmarks of the control meshes."""
+        return cls(prepared, point_pairs(prepared.target, prepared.source, landmarks))
 
     @kept
     def landmark_vertices(self) -> tuple[IndexArray, IndexArray]:
         """(p,) vertices of target and source at or near landmarks, on the searched levels."""
-        prepared, landmarks = self.prepared, self.pair.landmarks
+        prepared, landmarks = self.prepared, self.landmarks
         target = vertices_near(landmarks.target, prepared.target, prepared.levels[0])
         return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
     def shape(self) -> CoarseShape:
         """Clusters of the target's mesh, with a cluster for every landmark."""
-        return self.holding(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+        none = np.zeros(0, dtype=np.int64)
+        return self.holding(none, none)
 
-    def holding(self, vertices: IndexArray, places: FloatArray) -> CoarseShape:
-        """Clusters with vertices (q,) of the target's mesh held at places (q, 3), besides the landmarks."""
-        rest, landmarks, config = self.prepared.rest, self.pair.landmarks, self.prepared.elastic
-        held = np.concatenate([self.landmark_vertices[0], vertices])
-        every, curves = with_clusters(self.prepared.curves(landmarks), held, config.coarse_vertices, config.data)
+    def holding(self, target: IndexArray, source: IndexArray) -> CoarseShape:
+        """Clusters with vertices (q,) of the target held at vertices (q,) of the source, besides the landmarks.
+
+        Both are numbers of the searched levels.
+        """
+        prepared, rest, landmarks = self.prepared, self.prepared.rest, self.landmarks
+        config, (on_target, on_source) = prepared.elastic, self.landmark_vertices
+        held = np.concatenate([on_target, target]), np.concatenate([on_source, source])
+        places = prepared.source.triangles(prepared.levels[1]).positions[source]
+        every, curves = with_clusters(prepared.curves(landmarks), held[0], config.coarse_vertices, config.data)
         coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
-        anchors = Anchors.of_vertices(np.arange(len(held)))
-        return CoarseShape(
-            clusters, chosen, Constraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        )
+        anchors = CagePoints.of_vertices(np.arange(len(held[0])))
+        constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
+        return CoarseShape(clusters, chosen, constraints, held)
 
     @kept
-    def constraints(self) -> Constraints:
+    def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
+        """Geodesic distances (p, m) on both surfaces, from landmarks to vertices of a coarse graph, landmarks first."""
+        count = self.prepared.elastic.landmarks.distance_vertices
+
+        def measured(side: tuple[ElasticGraph, IndexArray]) -> FloatArray:
+            coarse, _ = cluster_graph(side[0], count, side[1])
+            return coarse.distances(np.arange(len(side[1])))
+
+        target, source = in_threads(measured, list(zip(self.prepared.graphs, self.landmark_vertices, strict=True)))
+        return target, source
+
+    @kept
+    def constraints(self) -> PlacementConstraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
-        prepared, landmarks = self.prepared, self.pair.landmarks
-        anchors = Anchors.on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
-        return Constraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
+        prepared, landmarks = self.prepared, self.landmarks
+        anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
+        return PlacementConstraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept
     def reversed(self) -> Problem:
         """The reverse problem: the source is deformed onto the target."""
-        pair = Pair(self.pair.source, self.pair.target, self.pair.landmarks.reversed())
-        return Problem(self.prepared.reversed, pair)
+        return Problem(self.prepared.reversed, self.landmarks.reversed())
 
     def without(self, left_out: Collection[int]) -> Problem:
-        """The problem without some of the landmarks."""
-        return replace(self, pair=self.pair.without(left_out))
+        """The problem without some of the landmarks; itself if none is left out."""
+        return replace(self, landmarks=self.landmarks.without(left_out)) if left_out else self
 
     @kept
     def stiff(self) -> Problem:
         """The problem with the stiff coarse stage."""
         return self.staged(self.prepared.elastic.stiff_coarse)
+
+    @kept
+    def rough(self) -> Problem:
+        """The problem on the small graph on which many starts are tried."""
+        config = self.prepared.elastic.search
+        return self.staged(config.rough, config.rough_vertices)
 
     def staged(self, coarse: Stage, vertices: int | None = None) -> Problem:
         """The problem with another coarse stage, and about ``vertices`` clusters for it."""

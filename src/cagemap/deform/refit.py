@@ -16,10 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import RefitConfig
-from cagemap.deform.energy import ElasticEnergy, VertexTerms, rotations
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_stage
+from cagemap.deform.energy import ElasticEnergy, minimise_constant, rotations
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import minimise
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem, RestShape
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
@@ -90,7 +89,7 @@ def rigid_pose(rest: RestShape, positions: FloatArray, config: RefitConfig = Ref
     for _ in range(config.joint_rounds):
         stiffness = edge_stiffness(graph, energy.differentials(posed)[0], config)
         energy = ElasticEnergy.build(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
-        posed = minimise(energy, VertexTerms(energy, blocks, right, constant=True), posed, stage)
+        posed = minimise_constant(energy, blocks, right, posed, stage)
     return posed
 
 
@@ -114,7 +113,7 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
     posed = pose_difference(back.rest, start) > config.difference
-    returned = fit_in_pose(problem.reversed, start, times=1) if posed else fine_stage(problem.reversed, start)
+    returned = fit_in_pose(problem.reversed, start, times=1) if posed else fine_fit(problem.reversed, start)
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
     if graph.areas[gaps > config.far].sum() > config.max_far * graph.areas.sum():
         return positions

@@ -14,9 +14,8 @@ import numpy as np
 
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.constraints import add_curves, with_clusters
-from cagemap.deform.energy import ElasticEnergy, VertexTerms, any_map
+from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
 from cagemap.deform.graph import ElasticGraph, cluster_graph, extrapolate
-from cagemap.deform.minimise import minimise
 from cagemap.deform.problem import Problem
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -45,15 +44,13 @@ def displacement_response(
     blocks[held] = landmark_weight * np.eye(3)
     right[held] = landmark_weight * offsets
     constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))
-    displacements = minimise(
-        energy, VertexTerms(energy, blocks, right, constant=True), np.zeros((graph.n, 3)), constant
-    )
+    displacements = minimise_constant(energy, blocks, right, np.zeros((graph.n, 3)), constant)
     return displacements, energy.maps(displacements)
 
 
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
-    prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.landmark_vertices[0]
+    prepared, landmarks, held = problem.prepared, problem.landmarks, problem.landmark_vertices[0]
     graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)
     every, curves = with_clusters(prepared.curves(landmarks), held, size, config.data)

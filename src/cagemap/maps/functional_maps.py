@@ -15,7 +15,6 @@ from cagemap.numerics.threads import in_threads
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import (
     FIT_SAMPLES,
-    Samples,
     ZoomOutSchedule,
     evenly_spaced_vertices,
     fit_functional_map,
@@ -40,8 +39,7 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     )
     weights = sampled.barycentric
     pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
-    samples = Samples(at_vertices, target.finest_triangles.vertex_areas[chosen], np.zeros((len(chosen), 0)))
-    return fit_functional_map(samples, pulled, target.basis.count)
+    return fit_functional_map(at_vertices, target.finest_triangles.vertex_areas[chosen], pulled)
 
 
 @kinds_checked
@@ -81,9 +79,9 @@ def from_bases(
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
     k1, k2 = min(matrix.shape[0], pair.target.basis.count), min(matrix.shape[1], pair.source.basis.count)
     ours, theirs, areas = target
-    to_ours = _coefficients(ours[:, :k1], theirs, areas)
+    to_ours = fit_functional_map(ours[:, :k1], areas, theirs)
     ours, theirs, areas = source
-    return np.asarray(to_ours @ matrix @ _coefficients(theirs, ours[:, :k2], areas))
+    return np.asarray(to_ours @ matrix @ fit_functional_map(theirs, areas, ours[:, :k2]))
 
 
 @kinds_checked
@@ -105,9 +103,9 @@ def to_bases(
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
     target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)
     ours, theirs, areas = target
-    to_theirs = _coefficients(theirs, ours[:, : matrix.shape[0]], areas)
+    to_theirs = fit_functional_map(theirs, areas, ours[:, : matrix.shape[0]])
     ours, theirs, areas = source
-    return np.asarray(to_theirs @ matrix @ _coefficients(ours[:, : matrix.shape[1]], theirs, areas))
+    return np.asarray(to_theirs @ matrix @ fit_functional_map(ours[:, : matrix.shape[1]], areas, theirs))
 
 
 def _sides(
@@ -128,11 +126,6 @@ def _sides(
         rows = surface.basis.rows(surface.finest, surface.hierarchy.on_finest(level)[chosen])
         sides.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
     return sides
-
-
-def _coefficients(basis: FloatArray, functions: FloatArray, areas: FloatArray) -> FloatArray:
-    """(k, q) least-squares coefficients of functions (m, q) in a basis (m, k)."""
-    return fit_functional_map(Samples(basis, areas, np.zeros((len(basis), 0))), functions, basis.shape[1])
 
 
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
@@ -174,10 +167,9 @@ def functional_map_from(pair: Pair, given: MapLike) -> FloatArray:
     levels = pair.target.hierarchy
     level = [len(mesh.positions) for mesh in levels.levels].index(len(checked))
     chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
-    target = _samples(pair.target, levels.on_finest(level)[chosen])
-    return fit_functional_map(
-        target, _samples(pair.source, checked[chosen].astype(np.int64)).rows, pair.target.basis.count
-    )
+    vertices, images = levels.on_finest(level)[chosen], checked[chosen].astype(np.int64)
+    areas = pair.target.finest_triangles.vertex_areas[vertices]
+    return fit_functional_map(_finest_rows(pair.target, vertices), areas, _finest_rows(pair.source, images))
 
 
 def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
@@ -191,23 +183,24 @@ def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatAr
         if (rows >= 0).all():
             return np.asarray(places[checked[rows].astype(np.int64)])
     candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
-    target, source = _samples(pair.target, vertices), _samples(pair.source, candidates)
+    target, source = _finest_rows(pair.target, vertices), _finest_rows(pair.source, candidates)
     return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, checked))]])
 
 
 def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> FloatArray:
     """C12 after ZoomOut from a map in any form, with the schedule's last number of functions."""
-    sides = [(pair.target, TARGET_SAMPLES), (pair.source, SOURCE_SAMPLES)]
-    chosen = [evenly_spaced_vertices(len(surface.vertices), count) for surface, count in sides]
-    target, source = in_threads(lambda side: _samples(*side), [(pair.target, chosen[0]), (pair.source, chosen[1])])
+    counts = (pair.target, TARGET_SAMPLES), (pair.source, SOURCE_SAMPLES)
+    chosen = [evenly_spaced_vertices(len(surface.vertices), count) for surface, count in counts]
+    sides = [(pair.target, chosen[0]), (pair.source, chosen[1])]
+    target, source = in_threads(lambda side: _finest_rows(*side), sides)
+    areas = pair.target.finest_triangles.vertex_areas[chosen[0]]
     places = pair.source.finest_triangles.positions[chosen[1]]
     start = np.asarray(cKDTree(places).query(image_positions(pair, given, chosen[0]))[1], dtype=np.int64)
-    match = zoomout(target, source, start, schedule)
+    match = zoomout(target, areas, source, start, schedule)
     k1, k2 = (min(schedule.last, surface.basis.count) for surface in (pair.target, pair.source))
-    return fit_functional_map(target, source.rows[match][:, :k2], k1)
+    return fit_functional_map(target[:, :k1], areas, source[match][:, :k2])
 
 
-def _samples(surface: Surface, vertices: IndexArray) -> Samples:
-    """ZoomOut samples: basis rows and areas of finest vertices."""
-    rows = surface.basis.rows(surface.finest, vertices)
-    return Samples(rows, surface.finest_triangles.vertex_areas[vertices], np.zeros((len(rows), 0)))
+def _finest_rows(surface: Surface, vertices: IndexArray) -> FloatArray:
+    """(q, k) basis rows of finest vertices."""
+    return surface.basis.rows(surface.finest, vertices)

@@ -103,7 +103,7 @@ class SurfaceCurve:
     @property
     def shares(self) -> FloatArray:
         """(m,) share of the curve's length that every point stands for, sum 1."""
-        return self.line.shares / self.line.length
+        return self.line.point_lengths / self.line.length
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +210,9 @@ def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> Index
 def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:
     """Distances from the image of the target curve to the source curve, and back."""
     image = Polyline(pair.target.points.interpolate(point_map.images.positions), pair.target.closed)
-    to_source = np.linalg.norm(pair.source.line.nearest(image.positions).places - image.positions, axis=1)
-    to_target = np.linalg.norm(image.nearest(pair.source.line.positions).places - pair.source.line.positions, axis=1)
+    source = pair.source.line
+    to_source = np.linalg.norm(source.nearest(image.positions)[0] - image.positions, axis=1)
+    to_target = np.linalg.norm(image.nearest(source.positions)[0] - source.positions, axis=1)
     mean = 0.5 * (pair.target.shares @ to_source + pair.source.shares @ to_target)
     return CurveMiss(pair.name, float(mean), float(max(to_source.max(), to_target.max())))
 

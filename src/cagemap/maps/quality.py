@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, row_slices
+from cagemap.spectral import Surface
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -207,6 +210,42 @@ def trust_field(
     areas = target.areas
     weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
     return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
+
+
+@kinds_checked
+def judge(
+    target: Surface,
+    point_map: PointMap,
+    landmarks: PointPairs | None = None,
+    names: tuple[str, ...] = (),
+    masks: Masks = WHOLE,
+) -> QualityFigures:
+    """Quality figures of a map between finest levels, without ground truth.
+
+    Parameters
+    ----------
+    target : Surface
+    point_map : PointMap
+        Any point map of the target's finest level.
+    landmarks : PointPairs, optional
+    names : tuple of str
+        Names of the landmarks, for warnings.
+    masks : Masks
+        Weights of both surfaces' vertices in the figures.
+
+    Raises
+    ------
+    ParameterError
+        If the map is not one of the target's finest level.
+    """
+    if point_map.target.n != len(target.vertices):
+        raise ParameterError(
+            f"judge: expected a map of the {len(target.vertices)} finest vertices of {target.control.name}, got one of "
+            f"{point_map.target.n}: target and source may be exchanged, or the map belongs to another level"
+        )
+    level = target.hierarchy.coarsest_level(COVERAGE_SAMPLES)
+    asked = target.hierarchy.on_finest(level)[target.triangles(level).triangles]
+    return measure_quality(point_map, landmarks, names, coarse_triangles=asked, masks=masks)
 
 
 def measure_quality(

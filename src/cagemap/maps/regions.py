@@ -14,6 +14,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import corner_sums
 
 
 @dataclass(frozen=True)
@@ -46,10 +47,8 @@ def local_size(result: MatchResult) -> FloatArray:
     """(n1,) length on the target per length on the source at target vertices, both at equal area."""
     target, sigma = result.point_map.target, _stretches(result)
     # Sum the areas of a vertex's triangles, and of their images, before dividing.
-    images = target.areas * sigma[0] * sigma[1]
-    target_areas, image_areas = (
-        np.bincount(target.triangles.ravel(), np.repeat(areas, 3), target.n) for areas in (target.areas, images)
-    )
+    areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])
+    target_areas, image_areas = corner_sums(target.triangles, areas, target.n).T
     return np.sqrt(np.divide(target_areas, image_areas, out=np.ones(target.n), where=image_areas > 0))
 
 

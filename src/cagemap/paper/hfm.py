@@ -25,18 +25,12 @@ from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
+from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.levels import FEWEST_FUNCTIONS, ladder, search_levels, start_map
-from cagemap.paper.search import functions_at, spectral_rows
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import (
-    Embedding,
-    Samples,
-    ZoomOutSchedule,
-    evenly_spaced_vertices,
-    fit_functional_map,
-    nearest_rows,
-)
+from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fit_functional_map, nearest_rows
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 # Number of vertices of each surface in ZoomOut.
@@ -67,18 +61,8 @@ class HfmConfig(Brief):
                 raise ParameterError(f"{name}: expected a number of at least 0, got {value}")
 
 
-@dataclass(frozen=True, eq=False)
-class Displacement:
-    """Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)."""
-
-    rotation: FloatArray
-    coefficients: FloatArray
-
-    def at(self, surface: Surface, level: int) -> FloatArray:
-        """(n_level, 3) displaced vertices of a level of the target."""
-        positions = surface.triangles(level).positions
-        rows = spectral_rows(surface, level, len(self.coefficients), self.coefficients)
-        return positions @ self.rotation + rows(np.arange(len(positions)))
+# Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3).
+Displacement = tuple[FloatArray, FloatArray]
 
 
 def hfm_map(
@@ -123,85 +107,74 @@ def zoomout_all_bands(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, config: HfmConfig
 ) -> tuple[FloatArray, Displacement]:
     """C12 of all bands and the displacement, by ZoomOut in both directions from an initial C12."""
-    target = LevelSamples.of(pair.target, levels[0])
-    source = LevelSamples.of(pair.source, levels[1])
-    counts = target.rows.shape[1], source.rows.shape[1]
+    target, source = pair.target.triangles(levels[0]), pair.source.triangles(levels[1])
+    sampled = [evenly_spaced_vertices(mesh.n, ZOOMOUT_SAMPLES) for mesh in (target, source)]
+    sides = list(zip((pair.target, pair.source), levels, sampled, strict=True))
+    rows = [functions_at(surface, level, surface.basis.count)[vertices] for surface, level, vertices in sides]
+    areas = [surface.operators.areas(level)[vertices] for surface, level, vertices in sides]
+    shares = areas[0] / areas[0].sum(), areas[1] / areas[1].sum()
+    counts = rows[0].shape[1], rows[1].shape[1]
     displacement: Displacement | None = None
     for size in config.zoomout.sizes(max(counts)):
         k1, k2 = functional_map.shape
-        placed = None if displacement is None else displacement.at(pair.target, levels[0])
-        still = None if displacement is None else pair.source.triangles(levels[1]).positions
-        on_target = target.embedding(target.rows[:, :k1], placed, config)
-        on_source = source.embedding(source.rows[:, :k2] @ functional_map.T, still, config)
-        matches = nearest_rows(on_target, on_source), nearest_rows(on_source, on_target)
+        on_target, on_source = rows[0][:, :k1], rows[1][:, :k2] @ functional_map.T
+        if displacement is not None:
+            places = displaced_vertices(pair.target, levels[0], displacement)
+            on_target = extended_rows(on_target, places, target, sampled[0], config)
+            on_source = extended_rows(on_source, source.positions, source, sampled[1], config)
+        embeddings = on_target.astype(np.float32), on_source.astype(np.float32)
+        matches = nearest_rows(*embeddings), nearest_rows(*embeddings[::-1])
         k1, k2 = min(size, counts[0]), min(size, counts[1])
-        of_target, of_source, areas = both_directions(target, source, matches)
-        samples = Samples(target.rows[of_target, :k1], areas, np.zeros((len(areas), 0)))
-        functional_map = fit_functional_map(samples, source.rows[of_source, :k2], k1)
+        of_target, of_source, weights = both_directions(shares, matches)
+        target_rows = rows[0][of_target, :k1]
+        functional_map = fit_functional_map(target_rows, weights, rows[1][of_source, :k2])
         functions = max(FEWEST_FUNCTIONS, round(config.displacement_share * k1))
-        displacement = fit_displacement(samples, target.positions[of_target], source.positions[of_source], functions)
+        points, images = target.positions[sampled[0]][of_target], source.positions[sampled[1]][of_source]
+        displacement = fit_displacement(target_rows[:, :functions], weights, points, images)
     assert displacement is not None
     return functional_map, displacement
 
 
-@dataclass(frozen=True, eq=False)
-class LevelSamples:
-    """Sampled vertices (b,) of a level, with rows Phi~(x, :) and areas that sum to 1."""
+def extended_rows(
+    rows: FloatArray, places: FloatArray, mesh: TriangleSurface, vertices: IndexArray, config: HfmConfig
+) -> FloatArray:
+    """Spectral rows (b, k) of vertices (b,) with weighted positions and normals of the mesh at places (n, 3).
 
-    surface: Surface
-    level: int
-    vertices: IndexArray
-    rows: FloatArray
-    areas: FloatArray
-
-    @classmethod
-    def of(cls, surface: Surface, level: int) -> LevelSamples:
-        """Evenly spaced vertices of a level."""
-        vertices = evenly_spaced_vertices(surface.triangles(level).n, ZOOMOUT_SAMPLES)
-        areas = surface.operators.areas(level)[vertices]
-        rows = functions_at(surface, level, surface.basis.count)[vertices]
-        return cls(surface, level, vertices, rows, areas / areas.sum())
-
-    @property
-    def positions(self) -> FloatArray:
-        """(b, 3) positions of the samples, at unit area."""
-        return self.surface.triangles(self.level).positions[self.vertices]
-
-    def embedding(self, spectral: FloatArray, places: FloatArray | None, config: HfmConfig) -> Embedding:
-        """Spectral rows (b, k), extended by weighted positions (n, 3) and normals at the samples, if given.
-
-        The extension is scaled by sqrt(k), so that its share does not decrease with k.
-        """
-        if places is None:
-            return spectral.astype(np.float32)
-        normals = vertex_normals(places, self.surface.triangles(self.level).triangles)
-        extension = np.hstack([config.position_weight * places, config.normal_weight * normals])[self.vertices]
-        return np.hstack([spectral, np.sqrt(spectral.shape[1]) * extension]).astype(np.float32)
+    The extension is scaled by sqrt(k), so that its share does not decrease with k.
+    """
+    normals = vertex_normals(places, mesh.triangles)
+    extension = np.hstack([config.position_weight * places, config.normal_weight * normals])[vertices]
+    return np.hstack([rows, np.sqrt(rows.shape[1]) * extension])
 
 
 def both_directions(
-    target: LevelSamples, source: LevelSamples, matches: tuple[IndexArray, IndexArray]
+    areas: tuple[FloatArray, FloatArray], matches: tuple[IndexArray, IndexArray]
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Target samples, source samples and areas of the pairs matched in both directions."""
+    """Target samples, source samples and areas of the pairs matched in both directions; areas of each sum to 1."""
     forward, backward = matches
     of_target = np.concatenate([np.arange(len(forward)), backward])
     of_source = np.concatenate([forward, np.arange(len(backward))])
-    return of_target, of_source, np.concatenate([target.areas, source.areas])
+    return of_target, of_source, np.concatenate(areas)
 
 
-def fit_displacement(samples: Samples, positions: FloatArray, images: FloatArray, functions: int) -> Displacement:
-    """Fit the rotation R and tau = Phi~1^+ (P12 X2 - X1 R) to matched points (b, 3)."""
-    centred_images, centred_positions = (
-        points - samples.areas @ points / samples.areas.sum() for points in (images, positions)
-    )
-    rotation = Rotation.align_vectors(centred_images, centred_positions, weights=samples.areas)[0].as_matrix().T
-    return Displacement(rotation, fit_functional_map(samples, images - positions @ rotation, functions))
+def fit_displacement(rows: FloatArray, areas: FloatArray, positions: FloatArray, images: FloatArray) -> Displacement:
+    """Fit the rotation R and tau = Phi~1^+ (P12 X2 - X1 R) to matched points (b, 3) with rows (b, k) of Phi~1."""
+    centred_images, centred_positions = (points - areas @ points / areas.sum() for points in (images, positions))
+    rotation = Rotation.align_vectors(centred_images, centred_positions, weights=areas)[0].as_matrix().T
+    return rotation, fit_functional_map(rows, areas, images - positions @ rotation)
+
+
+def displaced_vertices(surface: Surface, level: int, displacement: Displacement) -> FloatArray:
+    """(n_level, 3) displaced vertices of a level of the target."""
+    positions, (rotation, coefficients) = surface.triangles(level).positions, displacement
+    rows = spectral_rows(surface, level, len(coefficients), coefficients)
+    return positions @ rotation + rows(np.arange(len(positions)))
 
 
 def closest_map(pair: Pair, levels: LevelPair, functional_map: FloatArray, displacement: Displacement) -> LevelMap:
     """Map of two levels: the source's closest points, by position and normal, to the displaced target."""
     target, source = pair.target.triangles(levels[0]), pair.source.triangles(levels[1])
-    places = displacement.at(pair.target, levels[0])
+    places = displaced_vertices(pair.target, levels[0], displacement)
     points = facing_points(source, places, vertex_normals(places, target.triangles), FACING_WEIGHTS)
     rows = np.arange(len(points))
     match = points.corners[rows, points.barycentric.argmax(axis=1)]

@@ -10,7 +10,7 @@ from cagemap.maps.pair import LevelPair, Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.paper.search import (
+from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
     spectral_rows,
@@ -19,7 +19,7 @@ from cagemap.paper.search import (
     vertex_to_point,
 )
 from cagemap.spectral.surface import Surface
-from cagemap.spectral.zoomout import Samples, evenly_spaced_vertices, fit_functional_map, nearest_rows
+from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
 
 # Least number of basis functions of search levels on both sides, if the bases have so many.
 ENOUGH_FUNCTIONS = 50
@@ -74,7 +74,7 @@ def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int
     operators = pair.target.operators
     on_level = levels[0] <= operators.finest
     areas = operators.areas(levels[0]) if on_level else pair.target.triangles(levels[0]).vertex_areas
-    return fit_functional_map(Samples(rows, areas[chosen], np.zeros((len(rows), 0))), values, k1)
+    return fit_functional_map(rows, areas[chosen], values)
 
 
 def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:

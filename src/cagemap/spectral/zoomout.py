@@ -24,17 +24,6 @@ FIT_SAMPLES = 6000
 QUERY_BLOCK = 512
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Vertices of one surface with basis rows, areas, and coordinates shared with the other surface."""
-
-    rows: FloatArray  #: (b, k) basis rows Phi~(x, :)
-    areas: FloatArray  #: (b,) areas, the weights in the inner product
-    #: (b, c) extra coordinates shared by both surfaces, already weighted; c may be 0. They are scaled by sqrt(k), so
-    #: that their share of a distance does not decrease with the number of spectral coordinates.
-    coordinates: FloatArray
-
-
 @dataclass(frozen=True)
 class ZoomOutSchedule:
     """Numbers of functions in ZoomOut: from ``first`` to ``last``, times ``factor`` (at least 1 more) in every step."""
@@ -59,41 +48,54 @@ class ZoomOutSchedule:
         return sizes
 
 
-def zoomout(target: Samples, source: Samples, match: IndexArray, schedule: ZoomOutSchedule) -> IndexArray:
-    """(b1,) refined match of target with source samples: fit C12, search, repeat with more functions."""
-    counts = target.rows.shape[1], source.rows.shape[1]
+def zoomout(
+    target: FloatArray,
+    areas: FloatArray,
+    source: FloatArray,
+    match: IndexArray,
+    schedule: ZoomOutSchedule,
+    shared: tuple[FloatArray, FloatArray] | None = None,
+) -> IndexArray:
+    """(b1,) refined match of target with source samples: fit C12, search, repeat with more functions.
+
+    Samples are given by their basis rows (b1, k1), (b2, k2) and the target's areas (b1,). ``shared`` are further
+    coordinates of both, see `nearest_samples`.
+    """
+    counts = target.shape[1], source.shape[1]
     for size in schedule.sizes(max(counts)):
         k1, k2 = min(size, counts[0]), min(size, counts[1])
-        match = nearest_samples(target, source, fit_functional_map(target, source.rows[match][:, :k2], k1))
+        functional_map = fit_functional_map(target[:, :k1], areas, source[match][:, :k2])
+        match = nearest_samples(target, source, functional_map, shared)
     return match
 
 
-def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> FloatArray:
-    """Least-squares fit C12 = Phi~1^+ P12 Phi~2 (k1, k2) over the target's samples (paper, section 2.1.2).
+def fit_functional_map(rows: FloatArray, areas: FloatArray, values: FloatArray) -> FloatArray:
+    """Least-squares fit C12 = Phi~1^+ P12 Phi~2 (k1, k2), weighted by area (b,) (paper, section 2.1.2).
 
-    Row i of ``source_rows`` (b, k2) is Phi~2 at the match of target sample i, (P12 Phi~2)(x_i).
+    ``rows`` (b, k1) are Phi~1 at samples of the target, ``values`` (b, k2) Phi~2 at their matches, or other functions.
     """
-    rows = target.rows[:, :k1]
-    weighted = rows * target.areas[:, None]
+    weighted = rows * areas[:, None]
     gram = weighted.T @ rows
-    gram[np.diag_indices(k1)] += 1e-9 * np.trace(gram) / k1
-    return np.asarray(linalg.solve(gram, weighted.T @ source_rows, assume_a="pos"))
+    gram[np.diag_indices(len(gram))] += 1e-9 * np.trace(gram) / len(gram)
+    return np.asarray(linalg.solve(gram, weighted.T @ values, assume_a="pos"))
 
 
-def nearest_samples(target: Samples, source: Samples, functional_map: FloatArray) -> IndexArray:
-    """(b1,) nearest source sample of every target sample in the embedding of C12 (paper, 5.4)."""
+def nearest_samples(
+    target: FloatArray,
+    source: FloatArray,
+    functional_map: FloatArray,
+    shared: tuple[FloatArray, FloatArray] | None = None,
+) -> IndexArray:
+    """(b1,) nearest source sample of every target sample in the embedding of C12 (paper, 5.4).
+
+    ``shared`` are weighted coordinates (b1, c), (b2, c) of both surfaces that are added to the embedding. They are
+    scaled by sqrt(k), so that their share of a distance does not decrease with the number of spectral coordinates.
+    """
     k1, k2 = functional_map.shape
-    spectral = target.rows[:, :k1], source.rows[:, :k2] @ functional_map.T
-    embedded = (
-        np.hstack([rows, np.sqrt(k1) * side.coordinates]).astype(np.float32)
-        for rows, side in zip(spectral, (target, source), strict=True)
-    )
-    return nearest_rows(*embedded)
-
-
-def nearest_coordinates(target: Samples, source: Samples) -> IndexArray:
-    """(b1,) nearest source sample of every target sample, by shared coordinates only."""
-    return nearest_rows(target.coordinates.astype(np.float32), source.coordinates.astype(np.float32))
+    embedded = [target[:, :k1], source[:, :k2] @ functional_map.T]
+    if shared is not None:
+        embedded = [np.hstack([rows, np.sqrt(k1) * more]) for rows, more in zip(embedded, shared, strict=True)]
+    return nearest_rows(*(rows.astype(np.float32) for rows in embedded))
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:

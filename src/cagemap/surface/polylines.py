@@ -12,20 +12,6 @@ from cagemap.surface.closest_points import TriangleTree, build_tree, closest_poi
 
 
 @dataclass(frozen=True, eq=False)
-class PolylineFeet:
-    """Closest points of a polyline to q points in space."""
-
-    ends: IndexArray  #: (q, 2) ends of each closest point's segment
-    share: FloatArray  #: (q,) weight of the second end, from 0 to 1
-    places: FloatArray  #: (q, 3)
-    tangents: FloatArray  #: (q, 3) unit vectors along the segment; zero at the ends of an open polyline
-
-    def across(self) -> FloatArray:
-        """(q, 3, 3) projections I - t t^T to the plane normal to the polyline."""
-        return np.asarray(np.eye(3) - self.tangents[:, :, None] * self.tangents[:, None, :])
-
-
-@dataclass(frozen=True, eq=False)
 class Polyline:
     """Polyline of points (m, 3); if ``closed``, the last is joined to the first."""
 
@@ -49,8 +35,8 @@ class Polyline:
         return build_tree(self.positions, self.pieces[:, [0, 1, 1]])
 
     @kept
-    def shares(self) -> FloatArray:
-        """(m,) length of every point: half of its two segments."""
+    def point_lengths(self) -> FloatArray:
+        """(m,) length that every point stands for: half of its two segments."""
         after = np.linalg.norm(np.roll(self.positions, -1, axis=0) - self.positions, axis=1)
         if not self.closed:
             after[-1] = 0.0
@@ -59,7 +45,7 @@ class Polyline:
     @property
     def length(self) -> float:
         """Sum of the lengths of all segments."""
-        return float(self.shares.sum())
+        return float(self.point_lengths.sum())
 
     def finer(self, pieces: int) -> FloatArray:
         """(q, 3) points along the polyline, ``pieces`` in every segment."""
@@ -76,8 +62,12 @@ class Polyline:
         wanted = np.linspace(0.0, self.length, count, endpoint=not self.closed)
         return np.unique(np.clip(np.searchsorted(along, wanted - 1e-12), 0, len(self) - 1))
 
-    def nearest(self, points: FloatArray) -> PolylineFeet:
-        """Closest points of the polyline to points (q, 3)."""
+    def nearest(self, points: FloatArray) -> tuple[FloatArray, IndexArray, FloatArray, FloatArray]:
+        """Closest points (q, 3) of the polyline to points (q, 3), with their segments and tangents.
+
+        A segment is given by its ends (q, 2) and the weight (q,) of the second one, from 0 to 1. Tangents (q, 3) are
+        unit vectors along the segment; zero at the ends of an open polyline.
+        """
         segment, _, _ = closest_points(self.tree, points)
         ends = self.pieces[segment]
         starts = self.positions[ends[:, 0]]
@@ -90,4 +80,9 @@ class Polyline:
         if not self.closed:
             foot = np.where(share < 0.5, ends[:, 0], ends[:, 1])
             tangents[past & ((foot == 0) | (foot == len(self) - 1))] = 0.0
-        return PolylineFeet(ends, share, starts + share[:, None] * along, tangents)
+        return starts + share[:, None] * along, ends, share, tangents
+
+
+def normal_projections(tangents: FloatArray) -> FloatArray:
+    """(q, 3, 3) projections I - t t^T to the planes normal to unit vectors t (q, 3)."""
+    return np.asarray(np.eye(3) - tangents[:, :, None] * tangents[:, None, :])

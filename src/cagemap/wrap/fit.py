@@ -9,7 +9,7 @@ faces, and places parts without a counterpart.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +18,7 @@ from cagemap.deform.config import Stage
 from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
 from cagemap.deform.fit import fit_similarity
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import Energy, minimise
+from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, nearest_rotations
 from cagemap.wrap.config import NetConfig, WrapConfig
@@ -42,12 +42,19 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
     terms = NetTerms.build(net.graph, samples, config, attached if pieces else None)
     energy = replace(net.energy, admissible=similar_at(free))
     positions = terms.start(energy)
-    moving = np.setdiff1d(free, detached)
+    moving, stiffness = np.setdiff1d(free, detached), np.ones(net.graph.n)
     positions = moved_locally(
-        net, samples, config, free, np.ones(net.graph.n), positions, moving, config.net.carrying_rounds
+        net,
+        samples,
+        config,
+        positions,
+        moving,
+        rounds=config.net.carrying_rounds,
+        similar=free,
+        stiffness=stiffness,
     )
     positions = adjust(carry_detached_pieces(net.graph, pieces, positions, config.net))
-    positions = run_rounds(energy, terms, positions, config.rounds, adjust)
+    positions = run_rounds(net.graph, energy.differentials, terms, positions, config.rounds, adjust)
     return adjust(carry_detached_pieces(net.graph, pieces, positions, config.net)) if pieces else positions
 
 
@@ -93,14 +100,19 @@ def carry_detached_pieces(
 
 
 def run_rounds(
-    energy: Energy, terms: NetTerms, positions: FloatArray, count: int, adjust: Adjust = keep_positions
+    graph: ElasticGraph,
+    differentials: Callable[[FloatArray], Differentials],
+    terms: NetTerms,
+    positions: FloatArray,
+    count: int,
+    adjust: Adjust = keep_positions,
 ) -> FloatArray:
     """(n, 3) positions after ``count`` rounds, adjusted after each; points that do not move are unchanged."""
     if not count:
         return positions
     config = terms.config
     stage = Stage(count, (config.fairness, config.fairness), config.net.smoothing)
-    return minimise(energy, terms, positions, stage, adjust)
+    return minimise(graph, differentials, terms.at, positions, stage, adjust)
 
 
 def similar_at(points: IndexArray) -> Admissible:
@@ -117,31 +129,19 @@ def similar_at(points: IndexArray) -> Admissible:
     return admissible
 
 
-@dataclass(frozen=True, eq=False)
-class FixedMaps:
-    """An energy with constant differentials: it needs no factorisation."""
-
-    graph: ElasticGraph
-    maps: tuple[FloatArray, IndexArray]
-
-    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
-        """(n, 3, 3) the maps, and which of them were bounded."""
-        return self.maps
-
-
 def moved_locally(
     net: ControlNet,
     samples: Samples,
     config: WrapConfig,
-    similar: IndexArray,
-    stiffness: FloatArray,
     positions: FloatArray,
     moving: IndexArray,
-    count: int,
     *,
+    rounds: int,
+    similar: IndexArray,
+    stiffness: FloatArray,
     fixed: bool = False,
 ) -> FloatArray:
-    """(n, 3) net after rounds in which few points (m,) move, with similarities at points (k,).
+    """(n, 3) net after rounds in which few points (m,) move; maps of points ``similar`` (k,) are similarities.
 
     The energy is that of the part around them, with stiffness (n,). If ``fixed``, differentials are constant, which
     needs no factorisation.
@@ -155,11 +155,12 @@ def moved_locally(
     seen = np.flatnonzero((samples.rows @ moves > 0) & (samples.weights > 0))
     terms = NetTerms.build(graph, samples.of_part(seen, part), config, np.searchsorted(part, moving))
     admissible = similar_at(np.searchsorted(part, np.intersect1d(part, similar)))
-    energy: Energy
     if fixed:
-        energy = FixedMaps(graph, admissible(net.energy.maps(positions)[part], graph.normals))
+        maps = admissible(net.energy.maps(positions)[part], graph.normals)
+        changed = run_rounds(graph, lambda _: maps, terms, positions[part], rounds)
     else:
         energy = ElasticEnergy.build(graph, config.net.smoothing, admissible)
+        changed = run_rounds(graph, energy.differentials, terms, positions[part], rounds)
     moved = positions.copy()
-    moved[part] = run_rounds(energy, terms, positions[part], count)
+    moved[part] = changed
     return moved

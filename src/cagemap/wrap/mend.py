@@ -69,14 +69,14 @@ def mend(
                     np.concatenate(pieces),
                 )
         similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
-        moved = partial(moved_locally, net, samples, config, similar, stiffness)
+        moved = partial(moved_locally, net, samples, config, similar=similar, stiffness=stiffness, fixed=many)
         moving = np.setdiff1d(graph.rings(corners, rings), detached)
         still_folded = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
         flat = _lay_flat(graph, positions, np.intersect1d(still_folded, moving))
-        positions = moved(flat, moving, 1, fixed=many)
+        positions = moved(flat, moving, rounds=1)
         near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
         # Released points move further: more rounds.
-        positions = adjust(moved(positions, near, numbers.release_rounds, fixed=many))
+        positions = adjust(moved(positions, near, rounds=numbers.release_rounds))
     return _without_folds(net, positions, folded_at_rest, detached, adjust, numbers)
 
 

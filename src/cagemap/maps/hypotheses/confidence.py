@@ -7,10 +7,21 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import PreparedPair
-from cagemap.maps.hypotheses.signs import TIE, describe_signs
+from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.shared_area import SharedArea
+from cagemap.maps.hypotheses.signs import (
+    SIGNS,
+    TIE,
+    describe_signs,
+    jump_lengths,
+    jump_share,
+    median_distortion,
+    mirrored_gain,
+)
+from cagemap.maps.point_map import PointMap
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
 # Names of alternative answers where landmarks are given.
@@ -97,6 +108,26 @@ class Confidence:
             "file_vertex": self.file_vertex,
             "part": self.part,
         }
+
+
+def judge_answers(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
+    """Confidence in the map of the first of several answers."""
+    prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
+    shared, counts = SharedArea.of_fit(prepared, answers[0].positions), None
+    if shared is not None:  # area without a counterpart tells nothing about the map
+        counts = shared.within(prepared.masks).of_target(point_map.target.n)
+    farthest = jump_lengths(prepared, point_map, counts)
+    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(point_map, counts)}
+    confidence = Confidence.of(answers, controls, signs)
+    if confidence.verdict == SURE:  # takes as long as all other signs
+        signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
+        confidence = Confidence.of(answers, controls, signs)
+    if signs["jumps"] > SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
+        places = prepared.mesh.positions
+        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[farthest.argmax()])[1]))
+    if confidence.deciding is not None:
+        confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
+    return confidence
 
 
 def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:

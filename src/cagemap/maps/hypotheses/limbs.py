@@ -7,7 +7,6 @@ give starts that do not depend on the pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -18,7 +17,7 @@ from cagemap.deform.data import SourceSamples
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import CoarseShape, Problem
+from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.rigid_starts import units_of_larger
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import thread_limit
@@ -30,63 +29,62 @@ LEAST_LENGTH = 0.01
 LimbMeasures = tuple[FloatArray, FloatArray]
 
 
-@dataclass(frozen=True, eq=False)
-class Tips:
-    """Tips of limbs on both surfaces."""
+def find_tips(
+    problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)
+) -> tuple[IndexArray, IndexArray]:
+    """Tips of limbs (e,), (e2,) of a least height in ``units``, highest first: vertices of both searched levels.
 
-    vertices: IndexArray  # (e,) of the target's deformed level
-    source_vertices: IndexArray  # (e2,) of the source's searched level
-    places: FloatArray  # (e2, 3) positions of the source vertices
-
-    @classmethod
-    def of(cls, problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
-        """Tips of a least height in ``units``, highest first; none masked, at landmarks or at boundaries."""
-        (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
-        prepared, tips = problem.prepared, []
-        config = prepared.elastic.search
-        least = config.tip_height if least is None else least
-        searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
-        masks = prepared.masks.at(prepared.vertices, searched)
-        meshes = prepared.mesh, prepared.source.triangles(prepared.levels[1])
-        for graph, mesh, counts, given, unit in (
-            (target, meshes[0], masks.of_target(target.n), landmarks.target.positions, units[0]),
-            (source, meshes[1], masks.of_source(source.n), landmarks.source.positions, units[1]),
-        ):
-            vertices = tip_vertices(graph, least / unit)
-            away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
-            kept = (counts[vertices] > 0) & (away > config.tip_taken) & ~mesh.boundary_vertices[vertices]
-            tips.append(vertices[kept])
-        return cls(tips[0], tips[1], source.positions[tips[1]])
-
-    def pairs(self, positions: FloatArray, config: SearchConfig) -> IndexArray:
-        """(q, 2) tips of target and source that are mutually nearest in a placement (n, 3)."""
-        images = positions[self.vertices]
-        if not len(images) or not len(self.places):
-            return np.zeros((0, 2), dtype=np.int64)
-        distance, nearest = (np.asarray(column) for column in cKDTree(self.places).query(images))
-        back = np.asarray(cKDTree(images).query(self.places)[1])
-        mutual = (distance < config.tips_near) & (back[nearest] == np.arange(len(images)))
-        if not np.any(distance[mutual] > config.tips_met):
-            return np.zeros((0, 2), dtype=np.int64)
-        return np.column_stack([np.flatnonzero(mutual), nearest[mutual]])
+    None is masked, at a landmark or at a boundary.
+    """
+    prepared, landmarks = problem.prepared, problem.landmarks
+    config, (target, source) = prepared.elastic.search, prepared.graphs
+    least, tips = config.tip_height if least is None else least, []
+    searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
+    masks = prepared.masks.at(prepared.vertices, searched)
+    meshes = prepared.mesh, prepared.source.triangles(prepared.levels[1])
+    for graph, mesh, counts, given, unit in (
+        (target, meshes[0], masks.of_target(target.n), landmarks.target.positions, units[0]),
+        (source, meshes[1], masks.of_source(source.n), landmarks.source.positions, units[1]),
+    ):
+        vertices = tip_vertices(graph, least / unit)
+        away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
+        kept = (counts[vertices] > 0) & (away > config.tip_taken) & ~mesh.boundary_vertices[vertices]
+        tips.append(vertices[kept])
+    return tips[0], tips[1]
 
 
-def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
+def pair_tips(images: FloatArray, places: FloatArray, config: SearchConfig) -> IndexArray:
+    """(q, 2) tips that are mutually nearest, the target's by their images (e, 3), the source's by places (e2, 3)."""
+    pairs, distances = mutually_nearest(images, places, config.tips_near)
+    return pairs if np.any(distances > config.tips_met) else pairs[:0]
+
+
+def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> tuple[IndexArray, FloatArray]:
+    """(q, 2) points (n, 3) and others (m, 3) that are mutually nearest and nearer than a distance; distances (q,)."""
+    if not len(points) or not len(others):
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    distance, nearest = (np.asarray(column) for column in cKDTree(others).query(points))
+    back = np.asarray(cKDTree(points).query(others)[1])
+    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(points))))
+    return np.column_stack([rows, nearest[rows]]).astype(np.int64), distance[rows]
+
+
+def refit_to_tips(problem: Problem, tips: tuple[IndexArray, IndexArray], placed: Placement) -> Placement:
     """Refit a placement with tips held in the coarse stage; unchanged if that costs much more.
 
     The fine stage holds landmarks only, so that tips that do not correspond can separate.
     """
     prepared, config = problem.prepared, problem.prepared.elastic.search
-    pairs = tips.pairs(placed.positions, config)
+    pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
     if not len(pairs):
         return placed
     stiff = problem.staged(config.led)
-    shape = stiff.holding(tips.vertices[pairs[:, 0]], tips.places[pairs[:, 1]])
+    shape = stiff.holding(tips[0][pairs[:, 0]], tips[1][pairs[:, 1]])
     samples = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
     with thread_limit(1):
         coarse = coarse_fit(stiff, placed.positions[shape.vertices], shape, samples)
-    refitted = replace(evaluate_placement(prepared, fine_fit(problem, coarse)), name=placed.name, doubt=placed.doubt)
-    return refitted if refitted.cost <= prepared.elastic.search.as_cheap * placed.cost else placed
+    refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).named_like(placed)
+    return refitted if refitted.cost <= config.as_cheap * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
@@ -183,33 +181,15 @@ def rank_assignments(
     return [(np.arange(count), to[row]) for row in ranked[: config.max_assignments]]
 
 
-@dataclass(frozen=True, eq=False)
-class Assignment:
-    """Corresponding limbs of target and source."""
-
-    # (p + k,) Landmarks and tips, of the searched levels of target and source
-    vertices: tuple[IndexArray, IndexArray]
-    places: FloatArray  # (k, 3) positions of the tips on the source
-
-    def shape(self, problem: Problem) -> CoarseShape:
-        """Clusters of a problem's coarse stage, with landmarks and tips held."""
-        return problem.holding(self.vertices[0][len(self.vertices[0]) - len(self.places) :], self.places)
-
-
-def assigned_limbs(problem: Problem) -> list[Assignment]:
-    """Assignments of a pair's limbs, most likely first; none if a surface has too few."""
+def assigned_limbs(problem: Problem) -> list[tuple[IndexArray, IndexArray]]:
+    """Corresponding tips (k,) of limbs of target and source, most likely first; none if a surface has too few."""
     units, config = units_of_larger(problem.prepared), problem.prepared.elastic.search
-    landmarks, tips = problem.landmark_vertices, Tips.of(problem, config.limb_height, units)
-    ends = tips.vertices[: config.max_limbs], tips.source_vertices[: config.max_limbs]
+    landmarks, tips = problem.landmark_vertices, find_tips(problem, config.limb_height, units)
+    ends = tips[0][: config.max_limbs], tips[1][: config.max_limbs]
     fewest = min(map(len, ends))
     needed = config.fewest_points if units == (1.0, 1.0) else config.fewest_of_part
     if fewest < 1 or len(landmarks[0]) + fewest < needed:
         return []
     sides = zip(problem.prepared.graphs, landmarks, ends, units, strict=True)
     target, source = (limb_measures(*side, config.girth_part) for side in sides)
-    return [
-        Assignment(
-            (np.concatenate([landmarks[0], ends[0][i]]), np.concatenate([landmarks[1], ends[1][j]])), tips.places[j]
-        )
-        for i, j in rank_assignments(target, source, config)
-    ]
+    return [(ends[0][i], ends[1][j]) for i, j in rank_assignments(target, source, config)]

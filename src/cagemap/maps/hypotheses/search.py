@@ -8,7 +8,8 @@ from dataclasses import replace
 from cagemap.deform.fit import coarse_fit, evaluate_placement
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
-    AnchoredFits,
+    fit_held,
+    more_starts,
     refine_cheapest,
     sort_by_cost,
     spectral_starts,
@@ -17,7 +18,7 @@ from cagemap.deform.multi_start import (
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.deform.refit import common_rotation, finish_placement
-from cagemap.maps.hypotheses.limbs import Assignment, Tips, assigned_limbs, refit_to_tips
+from cagemap.maps.hypotheses.limbs import assigned_limbs, find_tips, refit_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -28,12 +29,16 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_name,
 )
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Progress, no_progress
-from cagemap.numerics.arrays import FloatArray, nearest_rotations
+from cagemap.maps.pair import Pair, Progress, no_progress
+from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
 ANOTHER_WAY = " (limbs assigned differently)"
+
+# Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
+Tips = tuple[IndexArray, IndexArray]
 
 
 def least_cost(prepared: PreparedPair) -> float:
@@ -48,22 +53,16 @@ def least_cost(prepared: PreparedPair) -> float:
     return float(min(counts)) * evaluate_placement(on_itself, rest.graph.positions).cost
 
 
-def rough_problem(problem: Problem) -> Problem:
-    """The problem on the small graph on which all starts are tried."""
-    config = problem.prepared.elastic.search
-    return problem.staged(config.rough, config.rough_vertices)
-
-
 def rough_fits(
     problem: Problem, rigid: bool, show: Callable[[Placement], None]
-) -> tuple[list[tuple[Assignment, Placement]], list[Placement]]:
-    """Best placements on a small graph: limb assignments to hold, and placements to release, cheapest first.
+) -> tuple[list[tuple[Tips, Placement]], list[Placement]]:
+    """Best placements on a small graph: with assigned limbs to hold, and others to release, cheapest first.
 
     Placements of assignments are released as well: tips of limbs of unlike length do not correspond. With ``rigid``,
     rotated starts are tried where no assignment is plausible, and rotations are doubted. ``show`` gets the best fit
     that keeps the files' axes, then the best of all.
     """
-    small, config = rough_problem(problem), problem.prepared.elastic.search
+    small, config = problem.rough, problem.prepared.elastic.search
     graph = small.shape.rest.graph
 
     def fit(start: FloatArray, shape: CoarseShape) -> Placement:
@@ -75,9 +74,9 @@ def rough_fits(
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
         return in_threads(lambda start: fit(start.positions, small.shape), starts)
 
-    def fit_limbs(assignment: Assignment) -> tuple[Assignment, Placement]:
-        shape = assignment.shape(small)
-        return assignment, fit(start_map(small, shape, assignment.vertices), shape)
+    def fit_limbs(tips: Tips) -> tuple[Tips, Placement]:
+        shape = small.holding(*tips)
+        return tips, fit(start_map(small, shape), shape)
 
     in_files = in_place(problem.prepared, graph.positions)
     starts = [*in_files, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
@@ -114,7 +113,7 @@ def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement
         with thread_limit(1):
             first = coarse_fit(problem, placed.on(graph, problem.prepared.elastic.graph))
             coarse = sort_by_cost([first, *(coarse_fit(problem, start) for start in starts(first))])
-        return [replace(one, name=placed.name, doubt=placed.doubt) for one in coarse]
+        return [one.named_like(placed) for one in coarse]
 
     candidates = sorted(in_threads(fit_coarse, rough), key=lambda coarse: coarse[0].rank)
     apart = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.different)
@@ -123,8 +122,7 @@ def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement
     as_filed = [coarse for coarse in hopeful[config.max_finished :] if coarse[0].name == AS_FILED]
 
     def fit_fine(coarse: list[Placement]) -> Placement:
-        placed = refine_cheapest(problem, coarse, None if coarse is candidates[0] else 1)[0]
-        return replace(placed, name=coarse[0].name, doubt=coarse[0].doubt)
+        return refine_cheapest(problem, coarse, None if coarse is candidates[0] else 1)[0].named_like(coarse[0])
 
     return in_threads(fit_fine, [*hopeful[: config.max_finished], *as_filed[:1]])
 
@@ -146,27 +144,29 @@ def search(
     Places ``start`` (k, 3) of the coarse shape's vertices replace the landmarks' functional map; then nothing else is
     tried. ``show`` is called with placements of the small graph.
     """
-    has_start = start is not None or len(problem.pair.landmarks) >= FEWEST_LANDMARKS
-    held, placements = list[AnchoredFits](), list[Placement]()
+    has_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
+    # Fits that hold points, each with its shape, refined placements, and soft ones where more starts are needed
+    held, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
     if has_start:
         progress("first alignment")
-        held.append(AnchoredFits.of(problem, problem.shape, problem.landmark_vertices, start))
-        if held[0].agree:
-            return list(held[0].refined)
+        refined, soft = fit_held(problem, problem.shape, start)
+        if not soft:
+            return refined
+        held.append((problem.shape, refined, soft))
     if start is None:
         progress("possible alignments")
         assigned, released = rough_fits(problem, not has_start, show)
         progress("rough alignment")
-        held += [
-            AnchoredFits.of(problem, assignment.shape(problem), assignment.vertices).like(rough)
-            for assignment, rough in assigned
-        ]
+        for tips, rough in assigned:
+            shape = problem.holding(*tips)
+            refined, soft = fit_held(problem, shape)
+            held.append((shape, [one.named_like(rough) for one in refined], soft))
         placements = fit_released(problem, released)
     progress("elastic alignment")
     if held:
-        first, *others = sorted(held, key=lambda fits: fits.refined[0].rank)
-        best = first if first.agree else first.upsampled(problem)
-        placements += [*best.refined[: None if has_start else 1], *(fits.refined[0] for fits in others)]
+        (shape, refined, soft), *others = sorted(held, key=lambda fits: fits[1][0].rank)
+        best = more_starts(problem, shape, refined, soft) if soft else refined
+        placements += [*best[: None if has_start else 1], *(refined[0] for _, refined, _ in others)]
     floor, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
     config = problem.prepared.elastic.search
 
@@ -176,13 +176,13 @@ def search(
     ranked = best_first(placements)
     cheapest = min(placed.cost for placed in ranked)
     if cheapest > config.of_one_kind:
-        tips, max_cost = Tips.of(problem), config.max_cost * cheapest
+        all_tips, max_cost = find_tips(problem), config.max_cost * cheapest
         refitted = [
             placed for placed in distinct_placements(ranked, areas, config.different) if placed.cost <= max_cost
         ]
 
         def refit(placed: Placement) -> Placement:
-            return refit_to_tips(problem, tips, placed) if placed in refitted else placed
+            return refit_to_tips(problem, all_tips, placed) if placed in refitted else placed
 
         ranked = best_first(in_threads(refit, ranked))
     elif not has_start:
@@ -190,13 +190,19 @@ def search(
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
 
-def find_answers(
-    problem: Problem, progress: Progress, show: Callable[[Placement], None] = lambda _: None
-) -> tuple[Placement, ...]:
-    """Different alignments of the target with the source, best first, by `search`."""
-    prepared, answers = problem.prepared, dict[str, Placement]()
-    different = prepared.elastic.search.different
-    for placed in distinct_placements(search(problem, progress, show=show), prepared.rest.graph.areas, different):
+@kinds_checked
+def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
+    """(n, 3) fitted positions of the target's deformed level near the source: the first of `search`.
+
+    In the unit in which the source has area 1.
+    """
+    return search(Problem(prepared, pair.landmarks), progress)[0].answer
+
+
+def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) -> tuple[Placement, ...]:
+    """Different alignments of the target with the source, in the order of placements, each with its own name."""
+    answers, different = dict[str, Placement](), prepared.elastic.search.different
+    for placed in distinct_placements(placements, prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY

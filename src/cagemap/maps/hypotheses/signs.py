@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.constraints import Constraints
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
-from cagemap.maps.hypotheses.search import rough_problem
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -159,12 +158,12 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
     bodies seem mirrored.
     """
-    rough, source = rough_problem(problem), problem.prepared.source_surface
+    rough, source = problem.rough, problem.prepared.source_surface
     graph, constraints = rough.shape.rest.graph, rough.shape.constraints
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
-    def least(side: TriangleSurface, held: Constraints, *known: FloatArray) -> float:
+    def least(side: TriangleSurface, held: PlacementConstraints, *known: FloatArray) -> float:
         onto = replace(rough, prepared=replace(rough.prepared, source_surface=side))
         shape = replace(rough.shape, constraints=held)
 

@@ -7,7 +7,7 @@ landmark would move if released. Strained pairs may be right, so they are kept a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -16,11 +16,8 @@ import numpy as np
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import start_map
-from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
-from cagemap.maps.elastic import elastic_map
 from cagemap.maps.landmarks.outliers import (
-    LandmarkDistances,
     Marks,
     exchanged_sides,
     misplaced_pairs,
@@ -28,7 +25,7 @@ from cagemap.maps.landmarks.outliers import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
-from cagemap.maps.pair import Pair, Progress, vertices_at
+from cagemap.maps.pair import Progress, near_vertices, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -36,7 +33,6 @@ from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads
 
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
@@ -134,60 +130,68 @@ class LandmarkCheck:
         }
 
 
-def checked_map(
-    problem: Problem, names: Sequence[str], progress: Progress
-) -> tuple[PointMap, LandmarkCheck, list[Placement]]:
-    """`elastic_map` without landmark outliers, the check of all landmarks, and the map's placements."""
-    pair, count, config = problem.pair, len(names), problem.prepared.elastic.landmarks
+def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress) -> tuple[dict[int, str], list[str]]:
+    """Indices of the pairs to leave out with the evidence, and notes about others.
+
+    A suspect is left out only if a coarse fit without it is much cheaper.
+    """
+    count, config = len(names), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
         note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
-        point_map, placements = elastic_map(problem, progress)
-        return point_map, LandmarkCheck(notes=(note,)), placements
+        return {}, [note]
     progress("compare landmarks")
-    distances = _distances(problem)
-    accused, notes = accused_pairs(problem, distances), list[str]()
+    accused = accused_pairs(problem)
     if accused is None:
-        accused, notes = {}, [CONTRADICTION]
-    left_out, trusted = set(accused), problem
-    if left_out and has_merged_parts(pair, config):
-        left_out, notes = set(), [kept_note(accused, names, GROWN)]
-    if left_out:
+        return {}, [CONTRADICTION]
+    if accused and has_merged_parts(problem):
+        return {}, [kept_note(accused, names, GROWN)]
+    if accused:
         progress("map without doubtful landmarks")
-        trusted = problem.without(left_out)
-        costs = coarse_map_cost(problem), coarse_map_cost(trusted)
+        costs = coarse_map_cost(problem), coarse_map_cost(problem.without(accused))
         slip = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
         if costs[0] < max(slip[evidence] for evidence in accused.values()) * costs[1]:
-            left_out, trusted, notes = set(), problem, [kept_note(accused, names, NO_BETTER)]
-    current, placements = elastic_map(trusted, progress)
-    confirmed = {i for i in left_out if landmark_miss(pair, current, i)[0] < config.confirmed}
-    if confirmed:
-        left_out -= confirmed
-        trusted = problem.without(left_out)
-        current, placements = elastic_map(trusted, progress)
-    progress("test landmarks on the map")
-    kept = np.setdiff1d(np.arange(count), list(left_out))
-    energy, places = strain(trusted, current)
+            return {}, [kept_note(accused, names, NO_BETTER)]
+    return accused, []
+
+
+def confirmed_pairs(problem: Problem, point_map: PointMap, left_out: Collection[int]) -> set[int]:
+    """Those of the pairs left out of a map that the map confirms."""
+    confirmed = problem.prepared.elastic.landmarks.confirmed
+    return {i for i in left_out if landmark_miss(problem, point_map, i)[0] < confirmed}
+
+
+def check_on_map(
+    problem: Problem, names: Sequence[str], point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
+) -> LandmarkCheck:
+    """Check of all landmarks, by a map without the outliers: their distances from it, and the strain of the others."""
+    count, config = len(names), problem.prepared.elastic.landmarks
+    if count < config.fewest_judged:
+        return LandmarkCheck(notes=tuple(notes))
+    trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
+    energy, places = strain(trusted, point_map)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
-    strained = strained_pair(energy, places, config)
-    if strained is not None and typical_misfit(*distances, np.delete(kept, strained)) <= config.dissimilar:
-        notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
-    suspects = tuple(_suspect(pair, current, names, i, accused[i]) for i in sorted(left_out))
-    notes += orientation_notes(trusted)
-    return current, LandmarkCheck(suspects, tuple(notes), strains), placements
+    strained, strain_notes = strained_pair(energy, places, config), list[str]()
+    if strained is not None:
+        typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
+        if typical <= config.dissimilar:
+            strain_notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
+    suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
+    return LandmarkCheck(suspects, (*notes, *strain_notes, *orientation_notes(trusted)), strains)
 
 
-def accused_pairs(problem: Problem, distances: tuple[LandmarkDistances, LandmarkDistances]) -> dict[int, str] | None:
+def accused_pairs(problem: Problem) -> dict[int, str] | None:
     """Indices of suspected pairs with the evidence; None if too many pairs contradict each other."""
-    every, config = np.arange(len(problem.pair.landmarks)), problem.prepared.elastic.landmarks
-    if typical_misfit(*distances, every) > config.unrelated:
+    every, config = np.arange(len(problem.landmarks)), problem.prepared.elastic.landmarks
+    distances = problem.landmark_distances
+    if typical_misfit(*distances, every, config) > config.unrelated:
         return None
-    wrong = misplaced_pairs(*distances).tolist()
+    wrong = misplaced_pairs(*distances, config).tolist()
     if len(wrong) > config.max_suspects * len(every):
         return None
     if wrong:
         return dict.fromkeys(wrong, DISTANCES)
-    return dict.fromkeys(exchanged_sides(distances, *_marks(problem)) or (), SIDES)
+    return dict.fromkeys(exchanged_sides(distances, *_marks(problem), config) or (), SIDES)
 
 
 def coarse_map_cost(problem: Problem) -> float:
@@ -195,15 +199,16 @@ def coarse_map_cost(problem: Problem) -> float:
     return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
 
 
-def has_merged_parts(pair: Pair, config: LandmarkConfig) -> bool:
+def has_merged_parts(problem: Problem) -> bool:
     """Whether large handles differ between the surfaces, as where a scan merges hand and hip.
 
     Geodesic distances are too short there. Small handles (noise) do not count.
     """
-    target, source = pair.target.control, pair.source.control
-    return handle_count(target) != handle_count(source) and large_handles(target, config) != large_handles(
-        source, config
-    )
+    target, source = problem.prepared.target.control, problem.prepared.source.control
+    if handle_count(target) == handle_count(source):
+        return False
+    config = problem.prepared.elastic.landmarks
+    return large_handles(target, config) != large_handles(source, config)
 
 
 def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
@@ -246,45 +251,38 @@ def checked_changes(
 
     A pair is left out only if the map from before contradicts it too.
     """
-    pair, config = problem.pair, problem.prepared.elastic.landmarks
-    if not len(changed) or len(pair.landmarks) < config.fewest_judged:
+    landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
+    if not len(changed) or len(landmarks) < config.fewest_judged:
         return check
     out = [suspect.pair for suspect in check.suspects]
-    kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
+    kept = np.setdiff1d(np.arange(len(landmarks)), out)
     remaining = problem.without(out)
-    accused = accused_pairs(remaining, _distances(remaining))
+    accused = accused_pairs(remaining)
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
-    if wrong and has_merged_parts(pair, config):
+    if wrong and has_merged_parts(problem):
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
-    contradicted = [i for i in sorted(wrong) if landmark_miss(pair, before, i)[0] >= config.confirmed]
-    new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in contradicted)
+    contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.confirmed]
+    new = tuple(_suspect(problem, before, names, i, wrong[i]) for i in contradicted)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
-def _distances(problem: Problem) -> tuple[LandmarkDistances, LandmarkDistances]:
-    """Geodesic distances of the landmarks on both surfaces."""
-    prepared = problem.prepared
-    sides = list(zip(prepared.graphs, problem.landmark_vertices, strict=True))
-    target, source = in_threads(lambda side: LandmarkDistances.measure(*side, prepared.elastic.landmarks), sides)
-    return target, source
-
-
-def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
+def _suspect(problem: Problem, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    at_vertex, near = vertices_at(pair.landmarks.source), pair.source_landmarks
+    points = problem.landmarks.source
+    at_vertex, near = vertices_at(points), near_vertices(points, problem.prepared.source)
     given = int(np.where(at_vertex < 0, near, at_vertex)[place])
     return LandmarkSuspect(
-        names[place], place, *landmark_miss(pair, found, place), source_vertex=given, evidence=evidence
+        names[place], place, *landmark_miss(problem, found, place), source_vertex=given, evidence=evidence
     )
 
 
-def landmark_miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
+def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple[float, int]:
     """Error of a landmark in a map, of sqrt(area), and its image's nearest control vertex."""
-    only = pair.landmarks.only([landmark])
+    only, source = problem.landmarks.only([landmark]), problem.prepared.source
     place = only.target.interpolate(point_map.images.positions)
-    control = pair.source.finest_triangles.positions[: pair.source.control.n_vertices]
+    control = source.finest_triangles.positions[: source.control.n_vertices]
     return float(landmark_errors(point_map, only)[0]), int(np.linalg.norm(control - place, axis=1).argmin())
 
 
@@ -294,7 +292,7 @@ def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatA
     images = point_map.images.at(problem.prepared.vertices)
     config = problem.prepared.elastic.landmarks
     energy = reduced_energy(graph, images.positions, images.normals, problem.landmark_vertices[0], config)
-    return energy, problem.pair.landmarks.source.positions
+    return energy, problem.landmarks.source.positions
 
 
 def orientation_notes(problem: Problem) -> tuple[str, ...]:

@@ -12,7 +12,8 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, cost_signs
-from cagemap.maps.hypotheses.search import find_answers
+from cagemap.maps.hypotheses.limbs import mutually_nearest
+from cagemap.maps.hypotheses.search import search
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
 from cagemap.maps.pair import PointPairs, Progress, no_progress
@@ -44,17 +45,17 @@ def mirrored_answers(
     None if the shapes suggest too few exchanges, or if the landmarks cost hardly more than the shapes alone. In the
     second case the note is removed from the check.
     """
-    prepared, pair = problem.prepared, problem.pair
-    best = find_answers(problem.without(range(len(pair.landmarks))), progress)[0]
+    prepared, landmarks = problem.prepared, problem.landmarks
+    best = search(problem.without(range(len(landmarks))), progress)[0]
     config = prepared.elastic.landmarks
     if given.cost < config.mirrored_cost * best.cost:
         return None, replace(check, notes=tuple(note for note in check.notes if note != MIRRORED_NOTE))
-    exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions, config.exchange_distance)
+    exchange = exchanged_pairs(prepared.mesh, landmarks, best.answer, config.exchange_distance)
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     answers = (
         Placement(given.answer, given.cost, name=AS_GIVEN),
-        Placement(best.positions, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
+        Placement(best.answer, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
     )
     return Confidence(TWO, answers, cost_signs(answers)), check
 
@@ -62,9 +63,4 @@ def mirrored_answers(
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
     """(q, 2) landmarks i, j with the image of i near the source point of j, one-to-one."""
     near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
-    images, wanted = images[near], landmarks.source.positions
-    distance, nearest = cKDTree(wanted).query(images)
-    back = np.asarray(cKDTree(images).query(wanted)[1])
-    nearest = np.asarray(nearest)
-    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(nearest))))
-    return np.column_stack([rows, nearest[rows]]).astype(np.int64)
+    return mutually_nearest(images[near], landmarks.source.positions, within)[0]

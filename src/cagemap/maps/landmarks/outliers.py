@@ -13,12 +13,9 @@ This only accuses pairs; `maps.landmarks.check` decides which are left out. Boun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from cagemap.deform.config import LandmarkConfig
-from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import normalize_rows
@@ -27,36 +24,13 @@ from cagemap.surface.triangles import normalize_rows
 MOST_TERMS = 4_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class LandmarkDistances:
-    """Geodesic distances from p landmarks on one surface."""
-
-    to_nodes: FloatArray  # (p, m) to every vertex of the coarse graph; the landmarks are its first p vertices
-    vertices: IndexArray  # (m,) mesh vertices of the graph's vertices
-    config: LandmarkConfig = LandmarkConfig()  # thresholds of the tests
-
-    @classmethod
-    def measure(
-        cls, graph: ElasticGraph, landmarks: IndexArray, config: LandmarkConfig = LandmarkConfig()
-    ) -> LandmarkDistances:
-        """Measure shortest paths from landmarks (p,), on a coarser graph that keeps the landmarks."""
-        coarse, vertices = cluster_graph(graph, config.distance_vertices, landmarks)
-        return cls(coarse.distances(np.arange(len(landmarks))), vertices, config)
-
-    @property
-    def between(self) -> FloatArray:
-        """(p, p) distances between the landmarks."""
-        return self.to_nodes[:, : len(self.to_nodes)]
-
-    def is_tip(self, landmark: int, others: IndexArray) -> bool:
-        """Whether a landmark is at a tip: no vertex near it is farther from the others."""
-        away = self.to_nodes[others].mean(axis=0)
-        near = self.to_nodes[landmark] < self.config.tip_reach
-        return bool(away[near].max() <= away[landmark] + self.config.tip_slack)
+# Geodesic distances (p, m) from p landmarks on one surface to the vertices of a coarse graph, the landmarks first
+# (`cagemap.deform.problem.Problem.landmark_distances`).
+Distances = FloatArray
 
 
 def place_by_distances(
-    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
+    target: Distances, source: Distances, trusted: IndexArray, config: LandmarkConfig = LandmarkConfig()
 ) -> tuple[FloatArray, IndexArray, FloatArray]:
     """Place every trusted landmark on the source by its distances to the other trusted landmarks.
 
@@ -73,44 +47,45 @@ def place_by_distances(
     distance : (p,) float64
         Geodesic distance from the given vertex to that vertex.
     """
-    p, short = len(target.to_nodes), target.config.short
-    near = target.between + short
-    wanted, logs = np.log(near), np.log(source.to_nodes + short)
+    p, short = len(target), config.short
+    near = target[:, :p] + short
+    wanted, logs = np.log(near), np.log(source + short)
     shift = float(np.median((wanted - logs[:, :p])[_pairs(trusted)]))
     gain, distance, node = np.zeros(p), np.zeros(p), np.arange(p)
     for i in trusted:
         remaining = trusted[trusted != i]
         weights = 1.0 / near[i, remaining]
         ratios = np.abs(wanted[i, remaining, None] - shift - logs[remaining])
-        misfits = (weights / weights.sum()) @ np.minimum(ratios, target.config.max_misfit)
+        misfits = (weights / weights.sum()) @ np.minimum(ratios, config.max_misfit)
         node[i] = np.argmin(misfits)
-        gain[i], distance[i] = misfits[i] - misfits[node[i]], source.to_nodes[i, node[i]]
+        gain[i], distance[i] = misfits[i] - misfits[node[i]], source[i, node[i]]
     return gain, node, distance
 
 
-def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> float:
+def typical_misfit(
+    target: Distances, source: Distances, trusted: IndexArray, config: LandmarkConfig = LandmarkConfig()
+) -> float:
     """Median |log ratio| of the distances of all trusted pairs, after removing the common scale."""
-    p, short = len(target.to_nodes), target.config.short
-    ratios = (np.log(target.between + short) - np.log(source.to_nodes[:, :p] + short))[_pairs(trusted)]
+    p, short = len(target), config.short
+    ratios = (np.log(target[:, :p] + short) - np.log(source[:, :p] + short))[_pairs(trusted)]
     return float(np.median(np.abs(ratios - np.median(ratios))))
 
 
-def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> IndexArray:
+def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig = LandmarkConfig()) -> IndexArray:
     """Pairs out of proportion to the others: exchanged pairs first, then single ones, worst first.
 
     Outliers are removed and the others are judged again, while `fewest_judged` are left.
     """
-    trusted, config = np.arange(len(target.to_nodes)), target.config
-    wrong: list[int] = []
+    trusted, wrong = np.arange(len(target)), list[int]()
     most, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
     while len(trusted) > config.fewest_judged and len(wrong) <= most:
-        exchanged = best_exchanges(target, source, trusted, at_once)
+        exchanged = best_exchanges(target, source, trusted, at_once, config)
         if not exchanged:
             break
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
     while len(trusted) >= config.fewest_judged and len(wrong) <= most:
-        misplaced = worst_placed_pairs(target, source, trusted, at_once)
+        misplaced = worst_placed_pairs(target, source, trusted, at_once, config)
         if not misplaced:
             break
         wrong.extend(misplaced)
@@ -119,47 +94,54 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
 
 
 def worst_placed_pairs(
-    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int
+    target: Distances, source: Distances, trusted: IndexArray, count: int, config: LandmarkConfig
 ) -> list[int]:
     """Up to ``count`` trusted pairs placed much worse than at their best place, worst first."""
-    (gain, node, distance), config = place_by_distances(target, source, trusted), target.config
+    gain, node, distance = place_by_distances(target, source, trusted, config)
     gain = np.where(distance >= config.min_distance, gain, 0.0)
     misplaced: list[int] = []
     while len(misplaced) < count:
         worst = int(np.argmax(gain))
-        if gain[worst] > 0.0 and lies_farther_out(target, source, trusted, worst, int(node[worst]), distance[worst]):
+        remaining = trusted[trusted != worst]
+        if gain[worst] > 0.0 and is_farther_out(target, source, worst, int(node[worst]), remaining, config):
             gain[worst] = 0.0
             continue
-        remaining = trusted[trusted != worst]
-        if gain[worst] < max(config.min_gain, config.gain_of_typical * typical_misfit(target, source, remaining)):
+        typical = typical_misfit(target, source, remaining, config)
+        if gain[worst] < max(config.min_gain, config.gain_of_typical * typical):
             break
         misplaced.append(worst)
         gain[worst], trusted = 0.0, remaining
     return misplaced
 
 
-def lies_farther_out(
-    target: LandmarkDistances,
-    source: LandmarkDistances,
-    trusted: IndexArray,
-    landmark: int,
-    node: int,
-    distance: float,
+def is_farther_out(
+    target: Distances, source: Distances, landmark: int, node: int, others: IndexArray, config: LandmarkConfig
 ) -> bool:
     """Whether a tip's given place is farther out on the limb than the best place ``node``.
 
     The path to the tip of a long tail passes the place that a short tail's tip would have on it.
     """
-    remaining = trusted[trusted != landmark]
-    through = source.to_nodes[remaining, node] + distance
-    past = float(np.median(through - source.to_nodes[remaining, landmark])) < target.config.detour
-    return past and target.is_tip(landmark, remaining) and source.is_tip(landmark, remaining)
+    through = source[others, node] + source[landmark, node]
+    past = float(np.median(through - source[others, landmark])) < config.detour
+    return past and all(is_tip(distances, landmark, others, config) for distances in (target, source))
 
 
-def best_exchanges(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
+def is_tip(distances: Distances, landmark: int, others: IndexArray, config: LandmarkConfig) -> bool:
+    """Whether a landmark is at a tip: no vertex near it is farther from the others."""
+    away, near = distances[others].mean(axis=0), distances[landmark] < config.tip_reach
+    return bool(away[near].max() <= away[landmark] + config.tip_slack)
+
+
+def best_exchanges(
+    target: Distances,
+    source: Distances,
+    trusted: IndexArray,
+    count: int,
+    config: LandmarkConfig = LandmarkConfig(),
+) -> list[int]:
     """Up to ``count`` couples of trusted pairs that fit much better with source vertices exchanged, flattened."""
-    gain = exchange_gains(target, source, trusted)
-    least = max(target.config.min_exchange_gain, typical_misfit(target, source, trusted))
+    gain = exchange_gains(target, source, trusted, config)
+    least = max(config.min_exchange_gain, typical_misfit(target, source, trusted, config))
     exchanged: list[int] = []
     while len(exchanged) < 2 * count:
         both = np.array(np.unravel_index(np.argmax(gain), gain.shape))
@@ -170,15 +152,15 @@ def best_exchanges(target: LandmarkDistances, source: LandmarkDistances, trusted
     return exchanged
 
 
-def exchange_gains(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> FloatArray:
+def exchange_gains(target: Distances, source: Distances, trusted: IndexArray, config: LandmarkConfig) -> FloatArray:
     """(q, q) gain of any two of q trusted pairs by exchanging source vertices; -inf on the diagonal.
 
     Gain: misfit of both (`place_by_distances`, without the distance to each other) minus that of both exchanged.
     """
     square = np.ix_(trusted, trusted)
-    short, most = target.config.short, target.config.max_misfit
-    near = target.between[square] + short
-    wanted, given = np.log(near), np.log(source.between[square] + short)
+    short, most = config.short, config.max_misfit
+    near = target[square] + short
+    wanted, given = np.log(near), np.log(source[square] + short)
     different = ~np.eye(len(trusted), dtype=bool)
     wanted = wanted - float(np.median((wanted - given)[different]))
     weights = np.where(different, 1.0 / near, 0.0)
@@ -232,14 +214,15 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
 
 
 def exchanged_sides(
-    distances: tuple[LandmarkDistances, LandmarkDistances], target: Marks, source: Marks
+    distances: tuple[Distances, Distances], target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()
 ) -> tuple[int, int] | None:
     """The two pairs whose orientations agree only with source points exchanged; None if there are none."""
-    p, config = len(target[0]), distances[0].config
-    apart = np.minimum(*(side.between for side in distances)) > config.side_apart
-    gains = np.triu(np.where(apart, exchange_gains(*distances, np.arange(p)) - config.side_min_gain, 0.0), 1).ravel()
+    p = len(target[0])
+    apart = np.minimum(*(side[:, :p] for side in distances)) > config.side_apart
+    gain = exchange_gains(*distances, np.arange(p), config) - config.side_min_gain
+    gains = np.triu(np.where(apart, gain, 0.0), 1).ravel()
     asked = np.argsort(-gains)[: max(1, MOST_TERMS // p**2)]
-    near, best, most = 1.0 / (distances[0].between + config.short), None, config.side_rise
+    near, best, most = 1.0 / (distances[0][:, :p] + config.short), None, config.side_rise
     np.fill_diagonal(near, 0.0)
     for place in asked[gains[asked] > 0.0]:
         both = int(place) // p, int(place) % p

@@ -8,7 +8,7 @@ from examples import shapes
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.paper.search import nearest_candidates, strongest_parents, vertex_to_point
+from cagemap.paper.embeddings import nearest_candidates, strongest_parents, vertex_to_point
 from cagemap.subdivision import refine, triangles
 
 from search_reference import closest_on_triangle, nearest_candidates_reference, vertex_to_point_reference

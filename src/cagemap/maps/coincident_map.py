@@ -1,0 +1,81 @@
+"""Point map of coincident surfaces, which need no fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cagemap.deform.placement import Placement
+from cagemap.deform.problem import Problem
+from cagemap.deform.update import linear_update
+from cagemap.maps.coincidence import SAME
+from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.pair import PointPairs
+from cagemap.maps.places import curve_miss
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.project import snap_landmarks
+from cagemap.maps.quality import landmark_errors
+
+# Least share of the target's unmasked area whose image is unmasked on the source.
+LEAST_JOINT = 0.5
+ONE_SURFACE = "vertex on vertex: they are one surface"
+
+
+def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
+    """Map of coincident surfaces, and its confidence; None if they do not coincide.
+
+    Landmarks and curves move closest points a little. None as well if landmarks, curves or masks contradict the map.
+    """
+    prepared, landmarks, masks = problem.prepared, problem.landmarks, problem.prepared.masks
+    target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
+    count = prepared.target.control.n_vertices
+    if same_surface(landmarks, masks):
+        moved = (source.positions - target.positions).mean(axis=0)
+        answer = Placement(prepared.mesh.positions + moved, 0.0, name=ONE_SURFACE)
+        return PointMap.from_vertices(target, source, np.arange(target.n)), Confidence.of((answer,), count)
+    coincidence = prepared.coincidence
+    if coincidence is None:
+        return None
+    point_map = PointMap(target, coincidence.images(source))
+    missed = _largest_miss(point_map, landmarks)
+    if missed > prepared.elastic.landmarks.confirmed or not _joint(point_map, masks):
+        return None
+    if missed > SAME:
+        moved = linear_update(problem, point_map)
+        shifts = moved - point_map.images.at(prepared.vertices).positions
+        shifts = prepared.target.hierarchy.prolong(shifts, prepared.levels[0], prepared.target.finest)
+        point_map = PointMap(
+            target, snap_landmarks(coincidence.images(source, shifts), landmarks, prepared.elastic.projection)
+        )
+    apart = f"{100 * coincidence.gap:.2f} % of the model's size apart"
+    name = f"as it stands, {apart}: vertices go to the closest points of the same side"
+    answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
+    return point_map, Confidence.of((answer,), count)
+
+
+def same_surface(landmarks: PointPairs, masks: Masks = WHOLE) -> bool:
+    """Whether both finest surfaces have equal faces and vertices, and landmarks, curves and masks agree."""
+    target, source = landmarks.target.surface, landmarks.source.surface
+    if target.n != source.n or not np.array_equal(target.triangles, source.triangles):
+        return False
+    if masks.target is not None and masks.source is not None and not np.array_equal(masks.target, masks.source):
+        return False
+    # A translation in the file does not matter.
+    moved = target.positions - source.positions
+    marks = landmarks.target.positions - landmarks.source.positions
+    rest = np.concatenate([moved, marks]) - moved.mean(axis=0)
+    return not landmarks.curves and bool(np.abs(rest).max() < SAME)
+
+
+def _largest_miss(point_map: PointMap, landmarks: PointPairs) -> float:
+    """Largest distance by which a map misses a landmark or curve."""
+    misses = [curve_miss(curve, point_map).worst for curve in landmarks.curves]
+    return float(max([*landmark_errors(point_map, landmarks), *misses], default=0.0))
+
+
+def _joint(point_map: PointMap, masks: Masks) -> bool:
+    """Whether most of the target's unmasked area maps to unmasked area of the source."""
+    if masks.target is None or masks.source is None:
+        return True
+    areas = point_map.target.vertex_areas
+    return bool(areas @ masks.joint(point_map) >= LEAST_JOINT * (areas @ masks.target))

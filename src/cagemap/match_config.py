@@ -1,0 +1,73 @@
+"""Parameters of a match: the method, and the configuration of each one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cagemap.deform.config import ElasticConfig, StartConfig
+from cagemap.errors import ParameterError
+from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.pair import SymmetryPair
+from cagemap.numerics.kinds import Brief
+from cagemap.paper.hfm import HfmConfig
+from cagemap.paper.method import PaperConfig
+from cagemap.spectral.surface import METHODS
+
+
+@dataclass(frozen=True, repr=False)
+class MatchConfig(Brief):
+    """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
+
+    Attributes
+    ----------
+    method : str
+        "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
+        "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
+        "paper": the paper's hierarchical functional map; starts at level 0 and needs a fixed schedule.
+    hfm : HfmConfig
+        Parameters of "hfm".
+    paper : PaperConfig
+        Parameters of "paper".
+    start : StartConfig
+        Starts of "elastic".
+    elastic : ElasticConfig
+        Parameters of the elastic fit.
+    use_symmetry : bool
+        "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
+        symmetries are given.
+    symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
+        "hfm" and "paper" only: self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
+    answer : int
+        Index of the answer to return if there are several (few or mirrored landmarks); 0 is the best.
+    check_landmarks : bool
+        Leave out landmark outliers ("elastic" only); otherwise all landmarks are met exactly.
+    masks : Masks
+        Weights of the finest vertices of both surfaces ("elastic" only); landmarks are met in masked area too.
+    """
+
+    method: str = "elastic"
+    hfm: HfmConfig = HfmConfig()
+    paper: PaperConfig = PaperConfig()
+    start: StartConfig = StartConfig()
+    elastic: ElasticConfig = ElasticConfig()
+    use_symmetry: bool = True
+    symmetries: tuple[SymmetryPair, ...] = ()
+    answer: int = 0
+    check_landmarks: bool = True
+    masks: Masks = WHOLE
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in self.symmetries):
+            raise ParameterError(
+                "symmetries: expected pairs of arrays, the target's images and the source's, got others"
+            )
+        if self.answer < 0:
+            raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
+        if self.answer and self.method != "elastic":
+            raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
+        if self.symmetries and self.method == "elastic":
+            raise ParameterError("symmetries: expected the method paper or hfm, which use them, got 'elastic'")
+        if self.masks.any and self.method != "elastic":
+            raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
