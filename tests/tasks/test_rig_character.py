@@ -15,8 +15,12 @@ from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.images.image import Image
+from cagemap.files.images.image import Image, read_image
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.usd.read import open_stage, read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.parts import join_meshes
@@ -166,7 +170,7 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
         (["--passengers", "cape"], "expected names of parts of the character (eye, hat), got cape"),
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
         (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, .fbx, got '.obj'"),
-        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, got '.fbx'"),
+        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
     ],
@@ -197,6 +201,50 @@ def test_a_file_of_others_is_not_replaced(run: Run, files: Character) -> None:
     outcome = run("rig B.glb --like C.glb -o OUT.glb")
     assert outcome.code == 2
     assert Path("OUT.glb").read_bytes() == b"mine"
+
+
+def test_usd_has_the_same_character(run: Run, files: Character) -> None:
+    """Points, weights, shapes, joints and the image, as in the `.glb`; its own files are replaced without force."""
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    made = _rig(run)
+    for name in ("OUT.usda", "OUT.usdz", "OUT.usda"):
+        outcome = run.done("rig B.glb --like C.glb -o", name)
+        assert outcome.out.startswith(f"wrote {name}: B.glb like C.glb\n  2 joints, 1 animation\n")
+        meshes = read_usd_meshes(name)
+        assert {mesh.path for mesh in meshes} == {"/Asset/body", "/Asset/hat", "/Asset/eye"}
+        for mesh in meshes:
+            part = _part(made, mesh.path.removeprefix("/Asset/"))
+            rows = _same_order(replace(part, mesh=mesh.control), part)
+            np.testing.assert_allclose(mesh.attributes["skel:jointWeights"][rows], part.weights.toarray(), atol=1e-6)
+            for shape, offsets in part.shapes.items():
+                np.testing.assert_allclose(mesh.attributes[f"blendShape:{shape}"][rows], offsets, atol=1e-6)
+        named = replace(meshes[0].control, face_objects=np.zeros(1, dtype=int), object_names=(meshes[0].path,))
+        np.testing.assert_allclose(read_usd_skeleton(name, named).heads, made.rig.heads, atol=1e-6)
+    (given,) = material_images(read_document("OUT.glb"), "body")
+    expected = read_material_image(read_document("OUT.glb"), given).pixels
+    np.testing.assert_array_equal(read_image("OUT_body_baseColor.png").pixels, expected)
+    assert usd.Stage.Open("OUT.usdz").GetDefaultPrim().GetTypeName() == "SkelRoot"
+
+
+def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: ControlMesh) -> None:
+    usd_geom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed")
+    to_world = np.eye(4)
+    to_world[3, :3] = [5.0, 0.0, 0.0]
+    space = StageSpace("Z", 0.01, to_world)
+    upright = 100 * np.column_stack([body.positions[:, 0], -body.positions[:, 2], body.positions[:, 1]])
+    write_usd("B.usda", body.with_positions(upright), space=space)
+    run.done("rig B.usda --like C.glb -o OUT.usdc")
+    assert read_usd_meshes("OUT.usdc")[0].to_world[3, 0] == 5.0
+    stage = usd_geom.GetStageMetersPerUnit, usd_geom.GetStageUpAxis
+    opened = open_stage("OUT.usdc")
+    assert [of(opened) for of in stage] == [0.01, "Z"]
+
+
+def test_no_usd_without_its_image(run: Run, files: Character) -> None:
+    """A file of others at the layer's name: nothing is written, no image either."""
+    Path("OUT.usdc").write_bytes(b"mine")
+    run.refused("rig B.glb --like C.glb -o OUT.usdc --report R.html", says="OUT.usdc: exists, and was not written")
+    assert sorted(path.name for path in Path().iterdir()) == ["B.glb", "C.glb", "OUT.usdc"]
 
 
 def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: Character, body: ControlMesh) -> None:

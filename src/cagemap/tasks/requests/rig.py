@@ -17,7 +17,7 @@ class RigRequest:
     like: Annotated[
         Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm or .fbx.")
     ]
-    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf or .vrm.")]
+    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf, .vrm or USD.")]
     landmarks: Annotated[
         Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
     ] = None
