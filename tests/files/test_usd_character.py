@@ -10,20 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import interpolated, pose_at, world_transforms
-from cagemap.character.values import Animation, Character, Part, Track, skinned_positions
+from cagemap.character.values import Character, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import read_shape_keys
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import material_images, png_bytes
+from cagemap.files.gltf.material_images import material_images
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.images.image import Image
-
-from example_character import ball, bare_body, character
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
@@ -32,84 +28,13 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 from cagemap.files.usd import character as usd_character
 from cagemap.files.usd.character import write_usd_character
 
+from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import complaints
-
-BODY = bare_body(1)
-
-
-def _lively() -> Character:
-    """The example with joints of scale 0.5, another rest pose, three animations and parts without weights or rig."""
-    made = character(BODY)
-    rig = made.rig
-    assert rig is not None
-    bind = rig.bind.copy()
-    bind[:, :3, :3] *= 0.5
-    local = bind.copy()
-    local[1] = bind[1] @ np.linalg.inv(bind[0])
-    local[1, :3, :3] = Rotation.from_rotvec([0.2, 0, 0]).as_matrix() @ local[1, :3, :3]
-    rig = replace(rig, names=("mixamorig:Hips", "胸"), bind=bind, local=local)
-    times = np.array([0.0, 0.5, 2.0])
-    turns = Rotation.from_rotvec([[0, 0, 0], [0, 0.4, 0], [0.9, 0, 0.3]]).as_quat()
-    places = local[0, 3, :3] + np.array([[0, 0, 0], [0, 0.3, 0], [0.2, 0, 0.1]])
-    spline = np.stack([np.full((3, 3), 0.2), places, np.full((3, 3), -0.3)], axis=1)
-    animations = (
-        Animation("walk | fast", (Track(1, "rotation", times, turns), Track(0, "translation", times, places))),
-        Animation("steps", (Track(0, "translation", times, places, "STEP"),)),
-        Animation("spline", (Track(0, "translation", times, spline, "CUBICSPLINE"),)),
-    )
-    stone = Part("stone", ball("stone", np.array([1.0, 0.0, 0.0]), 0.2))
-    body = made.parts[0]
-    wide = 0.1 * BODY.positions * [1.0, 0.0, 0.0]
-    parts = (replace(body, shapes={**body.shapes, "wide": wide}), *made.parts[1:], stone)
-    return Character(parts, rig, animations)
-
-
-def _with_shape_weights(document: Document, name: str, values: np.ndarray) -> Document:
-    """A document whose first mesh's shapes have weights (k, shapes) over time in an animation, at 0, 1, 2 ... s."""
-    binary, top = Binary(document), json.loads(json.dumps(document.json))
-    keys = np.arange(len(values), dtype="<f4")
-    entry = next(one for one in top["animations"] if one["name"] == name)
-    node = next(number for number, one in enumerate(top["nodes"]) if "mesh" in one and one["name"] == "body")
-    entry["samplers"].append(
-        {
-            "input": binary.accessor(keys, min=[0.0], max=[float(keys[-1])]),
-            "output": binary.accessor(values.astype("<f4").ravel()),
-        }
-    )
-    target = {"node": node, "path": "weights"}
-    entry["channels"].append({"sampler": len(entry["samplers"]) - 1, "target": target})
-    return binary.document(top)
 
 
 def _written(path: Path, made: Character, document: Document | None = None, **options: Any) -> list[str]:
     document = character_glb(made) if document is None else document
     return write_usd_character(path, made, read_scene(document), **options)
-
-
-def _posed(path: Path, clip: str, seconds: float) -> dict[str, np.ndarray]:
-    """Points of all meshes by their names, shaped and skinned by USD itself, at a time of an animation."""
-    stage = Usd.Stage.Open(str(path))
-    prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Animation) and clip == prim.GetDisplayName()]
-    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton"))
-    UsdSkel.BindingAPI(skeleton).GetAnimationSourceRel().SetTargets([prims[0].GetPath()])
-    frame = seconds * stage.GetTimeCodesPerSecond()
-    cache = UsdSkel.Cache()
-    cache.Populate(UsdSkel.Root(stage.GetDefaultPrim()), Usd.PrimDefaultPredicate)
-    poses = cache.GetSkelQuery(skeleton)
-    found = {}
-    for prim in (prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)):
-        points, skinning = UsdGeom.Mesh(prim).GetPointsAttr().Get(), cache.GetSkinningQuery(prim)
-        moving = list(poses.GetAnimQuery().GetBlendShapeOrder())
-        if skinning and skinning.HasBlendShapes() and moving:
-            values = dict(zip(moving, poses.GetAnimQuery().ComputeBlendShapeWeights(frame), strict=True))
-            shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
-            own = [values.get(name, 0.0) for name in UsdSkel.BindingAPI(prim).GetBlendShapesAttr().Get()]
-            indices, offsets = shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets()
-            assert shapes.ComputeDeformedPoints(*shapes.ComputeSubShapeWeights(own), indices, offsets, points)
-        if skinning and skinning.HasJointInfluences():
-            assert skinning.ComputeSkinnedPoints(poses.ComputeSkinningTransforms(frame), points, frame)
-        found[prim.GetDisplayName()] = np.array(points, dtype=np.float64)
-    return found
 
 
 def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) -> dict[str, np.ndarray]:
@@ -131,9 +56,9 @@ def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) ->
 @pytest.mark.parametrize("suffix", ["usda", "usdc", "usd", "usdz"])
 def test_usd_skins_and_shapes_as_gltf_does(tmp_path: Path, suffix: str) -> None:
     """At keys and between them, to 1e-5 of the size; of a spline between frames to 1e-4."""
-    made = _lively()
+    made = lively()
     weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
-    document = _with_shape_weights(character_glb(made), "walk | fast", weights)
+    document = with_shape_weights(character_glb(made), "walk | fast", weights)
     path = tmp_path / f"OUT.{suffix}"
     notes = _written(path, made, document)
     assert notes == ["USD plays one animation, walk | fast; bind steps, spline in /Asset/animations to play them"]
@@ -142,7 +67,7 @@ def test_usd_skins_and_shapes_as_gltf_does(tmp_path: Path, suffix: str) -> None:
     for number, animation in enumerate(made.animations):
         for seconds in (0.0, 0.25, 0.5, 1.0, 1.37, 2.0):
             expected = _as_gltf_says(made, scene, number, seconds)
-            found = _posed(path, animation.name, seconds)
+            found = posed(path, animation.name, seconds)
             assert found.keys() == expected.keys()
             for name, points in expected.items():
                 between = 1e-4 if animation.name == "spline" and seconds == 1.37 else 1e-5
@@ -151,7 +76,7 @@ def test_usd_skins_and_shapes_as_gltf_does(tmp_path: Path, suffix: str) -> None:
 
 def test_at_bind_every_mesh_has_its_own_points(tmp_path: Path) -> None:
     """Transforms of the joints in the bind pose leave the points where they are; rest and names are kept."""
-    made = _lively()
+    made = lively()
     assert made.rig is not None
     _written(tmp_path / "OUT.usdc", made)
     stage = Usd.Stage.Open(str(tmp_path / "OUT.usdc"))
@@ -179,45 +104,8 @@ def test_at_bind_every_mesh_has_its_own_points(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(rests)[:, 3, :3], heads, atol=1e-6)
 
 
-def _painted() -> tuple[Character, Document]:
-    """A body with two UV sets, a hat with hard edges; a material with every slot, and one that is cut out."""
-    made = character(BODY)
-    body, hat, eye = made.parts
-    second = replace(BODY.all_uv_sets[0], name="TEXCOORD_1", uvs=1.0 - BODY.uvs)
-    body = replace(body, mesh=replace(body.mesh, uv_name="TEXCOORD_0", uv_sets=(second,)))
-    corners = np.repeat(np.eye(3), hat.mesh.n_faces, axis=0)[: len(hat.mesh.face_indices)]
-    hat = replace(hat, normals=corners)
-    eye = replace(eye, mesh=replace(eye.mesh, vertex_colors=np.tile([0.2, 0.4, 0.6], (42, 1))))
-    made = replace(made, parts=(body, hat, eye))
-    rng = np.random.default_rng(2)
-    slots = ("baseColorTexture", "normalTexture", "occlusionTexture", "emissiveTexture")
-    images = {("body", slot): png_bytes(Image(rng.integers(0, 255, (4, 4, 4), np.uint8))) for slot in slots}
-    document = character_glb(made, images=images)
-    top = json.loads(json.dumps(document.json))
-    skin, cap, ball_of_eye = top["materials"]
-    top["samplers"] = [{"wrapS": 33071, "wrapT": 33648}]
-    top["textures"][0]["sampler"] = 0
-    turn = {"offset": [0.25, -0.5], "rotation": 0.7, "scale": [2.0, 0.5], "texCoord": 1}
-    color = skin["pbrMetallicRoughness"]["baseColorTexture"]
-    color["extensions"] = {"KHR_texture_transform": turn}
-    skin["pbrMetallicRoughness"] |= {
-        "baseColorFactor": [0.5, 0.6, 0.7, 0.8],
-        "metallicFactor": 0.3,
-        "roughnessFactor": 0.4,
-        "metallicRoughnessTexture": {"index": 2},
-    }
-    skin |= {"alphaMode": "MASK", "alphaCutoff": 0.3, "doubleSided": True, "emissiveFactor": [1.0, 0.5, 0.25]}
-    skin["normalTexture"]["scale"] = 0.5
-    skin["occlusionTexture"]["strength"] = 0.25
-    cap |= {"alphaMode": "BLEND", "extras": {"mine": 1}}
-    cap["pbrMetallicRoughness"]["baseColorFactor"] = [0.1, 0.2, 0.3, 0.4]
-    ball_of_eye["extensions"] = {"KHR_materials_unlit": {}}
-    top["extensionsUsed"] = ["KHR_texture_transform", "KHR_materials_unlit", "VRMC_springBone"]
-    return made, Document(top, document.buffers, document.file)
-
-
 def test_materials_keep_factors_images_and_transforms(tmp_path: Path) -> None:
-    made, document = _painted()
+    made, document = painted()
     path = tmp_path / "OUT.usda"
     notes = _written(path, made, document)
     assert notes == [
@@ -275,7 +163,7 @@ def test_materials_keep_factors_images_and_transforms(tmp_path: Path) -> None:
 
 def test_images_are_those_of_the_document(tmp_path: Path) -> None:
     """Beside a layer, or in a package; a JPEG stays one, with cagemap's mark."""
-    made, document = _painted()
+    made, document = painted()
     from cagemap.files.images.image import read_image, write_image
 
     write_image(tmp_path / "noise.jpg", np.random.default_rng(0).integers(0, 255, (8, 8, 3), np.uint8))
@@ -309,7 +197,7 @@ def test_images_are_those_of_the_document(tmp_path: Path) -> None:
 
 def test_files_of_others_stay(tmp_path: Path) -> None:
     """An image of that name stays, even with force; a layer is refused."""
-    made, document = _painted()
+    made, document = painted()
     (tmp_path / "OUT_body_normal.png").write_bytes(b"mine")
     _written(tmp_path / "OUT.usda", made, document, force=True)
     _written(tmp_path / "OUT.usda", made, document)
@@ -323,7 +211,7 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
 
 
 def test_an_incomplete_file_is_not_moved_into_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, document = _painted()
+    made, document = painted()
 
     def shortened(layer: Any, file: Path, temporary: Path) -> None:
         layer.GetAttributeAtPath("/Asset/body.points").default = []
@@ -338,7 +226,7 @@ def test_an_incomplete_file_is_not_moved_into_place(tmp_path: Path, monkeypatch:
 
 def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
     """A skeleton of one joint holds the weights that the file states."""
-    made = replace(_lively(), rig=None, animations=())
+    made = replace(lively(), rig=None, animations=())
     made = replace(made, parts=tuple(replace(part, weights=None) for part in made.parts))
     document = character_glb(made)
     top = json.loads(json.dumps(document.json))
@@ -348,4 +236,4 @@ def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
     assert complaints(path) == []
     body = made.parts[0]
     shaped = body.mesh.positions + 0.5 * body.shapes["raise"]
-    np.testing.assert_allclose(_posed(path, "rest", 0.0)["body"], shaped, atol=1e-5)
+    np.testing.assert_allclose(posed(path, "rest", 0.0)["body"], shaped, atol=1e-5)

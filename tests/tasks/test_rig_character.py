@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
+from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image, read_image
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.read import open_stage, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace
@@ -169,7 +172,10 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
     [
         (["--passengers", "cape"], "expected names of parts of the character (eye, hat), got cape"),
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
-        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, .fbx, got '.obj'"),
+        (
+            ["--like", "B.obj"],
+            "the character as .glb, .gltf, .vrm, .fbx, .usd, .usda, .usdc, .usdz, got '.obj'",
+        ),
         (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
@@ -224,6 +230,30 @@ def test_usd_has_the_same_character(run: Run, files: Character) -> None:
     expected = read_material_image(read_document("OUT.glb"), given).pixels
     np.testing.assert_array_equal(read_image("OUT_body_baseColor.png").pixels, expected)
     assert usd.Stage.Open("OUT.usdz").GetDefaultPrim().GetTypeName() == "SkelRoot"
+
+
+def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -> None:
+    """Also with landmarks, which name vertices of the USD file."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    document = read_document("C.glb")
+    write_usd_character("C.usdc", character_of(document), read_scene(document))
+    first = _rig(run)
+    (points,) = (part.mesh.positions for part in character_of(document).parts if part.name == "body")
+    tops = [int(np.argmax(mesh @ axis)) for axis in np.eye(3) for mesh in (read_mesh("B.glb").positions, points)]
+    pairs = [{"name": str(k), "target": tops[2 * k], "source": tops[2 * k + 1]} for k in range(3)]
+    Path("L.json").write_text(json.dumps({"pairs": pairs}))
+    for words in ((), ("--landmarks", "L.json")):
+        run.done("rig B.glb --like C.usdc -o OUT.glb", *words)
+        made = read_character("OUT.glb")
+        assert {part.name for part in made.parts} == {part.name for part in first.parts}
+        np.testing.assert_allclose(made.rig.bind, first.rig.bind, atol=2e-3)
+        poses = [pose_at(of.rig, of.animations[0], 0.7) for of in (first, made)]
+        for given in first.parts:
+            found = _part(made, given.name)
+            rows = _same_order(found, given, 2e-3)
+            expected = skinned_positions(given, first.rig, poses[0])
+            np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=5e-3)
+        assert _image_error() < 0.03
 
 
 def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: ControlMesh) -> None:

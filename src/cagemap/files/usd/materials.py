@@ -71,7 +71,7 @@ def write_materials(stage: Any, document: Document, names: Sequence[str], layer:
             strength = holders[slot].get("scale", 1.0) if slot == _NORMAL else 1.0
             if strength != 1.0:
                 written.notes.append(f"{name}: its normal map has strength {strength}, in USD always 1")
-            settings |= {"sourceColorSpace": "sRGB"} if channels == "rgb" and slot != _NORMAL else {}
+            settings |= {"sourceColorSpace": "sRGB"} if slot in (_COLOR, _EMISSION) else {}
             connect_texture(stage, surface, wanted, f"./{file_of[number]}", reader, output=channels, settings=settings)
     return written
 

@@ -31,31 +31,41 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
         return None
     where = f"{path}: {skeleton.GetPath()}"
     with named_damage(path):
-        joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
-        binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+        joints, binds = joints_of(path, skeleton)
         bound_at = np.array(binding.GetGeomBindTransformAttr().Get() or np.eye(4), dtype=np.float64)
-    if not joints or len(binds) != len(joints) or len(set(joints)) != len(joints) or not np.isfinite(binds).all():
-        raise FormatError(
-            f"{where}: expected joints of different names with a finite bind transform each, got {len(joints)} "
-            f"joints and {len(binds)} transforms. Export the skeleton again."
-        )
     if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
     return _named(joints, placed)
 
 
-def _named(joints: list[str], placed: FloatArray) -> Skeleton:
-    """A skeleton with joints named by the last part of their paths, if unique; tails are at the children."""
+def joints_of(path: str | Path, skeleton: Any) -> tuple[list[str], FloatArray]:
+    """Joints of a skeleton and their bind transforms (j, 4, 4)."""
+    joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+    binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+    if not joints or len(binds) != len(joints) or len(set(joints)) != len(joints) or not np.isfinite(binds).all():
+        raise FormatError(
+            f"{path}: {skeleton.GetPath()}: expected joints of different names with a finite bind transform each, got "
+            f"{len(joints)} joints and {len(binds)} transforms. Export the skeleton again."
+        )
+    return joints, binds
+
+
+def joint_words(joints: list[str]) -> list[str]:
+    """Names of joints: the last parts of their paths, if these are unique."""
     leaves = [path.rpartition("/")[2] for path in joints]
-    names = leaves if len(set(leaves)) == len(leaves) else joints
-    parents = _parents(joints)
+    return leaves if len(set(leaves)) == len(leaves) else joints
+
+
+def _named(joints: list[str], placed: FloatArray) -> Skeleton:
+    """A skeleton of joints by `joint_words`; tails are at the children."""
+    names, parents = joint_words(joints), joint_parents(joints)
     heads = placed[:, 3, :3]
     above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
     return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
 
 
-def _parents(joints: list[str]) -> IndexArray:
+def joint_parents(joints: list[str]) -> IndexArray:
     """(j,) number of each joint's parent, its nearest listed ancestor in UsdSkel; -1 for a root."""
     return integers(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
 
@@ -75,7 +85,7 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
     if stage.GetPrimAtPath(path):  # a skeleton of the asset, which is not changed
         path = top.AppendChild("cagemap_skeleton")
     in_order = [paths[joint] for joint in order]
-    define_skeleton(stage, path, in_order, binds, parent_transforms(binds, _parents(in_order)))
+    define_skeleton(stage, path, in_order, binds, parent_transforms(binds, joint_parents(in_order)))
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     binding.CreateSkeletonRel().SetTargets([path])
     binding.CreateJointsAttr(paths)

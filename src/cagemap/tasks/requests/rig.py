@@ -15,7 +15,7 @@ class RigRequest:
 
     body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
     like: Annotated[
-        Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm or .fbx.")
+        Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm, .fbx or USD.")
     ]
     output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf, .vrm or USD.")]
     landmarks: Annotated[
