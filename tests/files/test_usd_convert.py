@@ -87,6 +87,8 @@ def test_materials_come_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(back.on_image(uvs), one.on_image(uvs), atol=1e-6)
         pixels = [read_material_image(of, image).pixels for of, image in ((document, one), (found, back))]
         np.testing.assert_array_equal(*pixels)
+    hats = [next(one for one in character_of(of).parts if one.name == "hat") for of in (document, found)]
+    np.testing.assert_allclose(hats[1].normals, hats[0].normals, atol=1e-6)
     color = found.entry("materials", 0)["pbrMetallicRoughness"]["baseColorTexture"]
     sampler = found.entry("samplers", found.entry("textures", color["index"])["sampler"])
     assert sampler == {"wrapS": 33071, "wrapT": 33648}

@@ -17,14 +17,16 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.nodes import distinct
+from cagemap.files.gltf.nodes import distinct, invertible
+from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
-from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, local_to_world
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, stated
 from cagemap.files.usd.read import UsdMesh, in_world, named_damage, open_stage, read_usd_meshes, usd_modules
 from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_parents, joint_words, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
+from cagemap.mesh import Plain
 from cagemap.numerics.arrays import FloatArray
 
 
@@ -82,8 +84,8 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         placed_by = mesh.to_world @ to_world
         if table is not None:
             placed_by = np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ above
-            loose = table.sum(axis=1) <= 0.0
-            table[loose, 0] = 1.0
+            table = np.maximum(table, 0.0)
+            table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
         placed = in_world(replace(mesh, to_world=placed_by))
         control = replace(placed.control, name=name, face_objects=None, object_names=())
@@ -92,10 +94,27 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes))
+        parts.append(Part(name, control, table, shapes, _normals(mesh, prim, placed_by)))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
+
+
+def _normals(mesh: UsdMesh, prim: Any, matrix: FloatArray) -> FloatArray | None:
+    """Normals (c, 3) of the corners of a plain mesh; None for one whose faces were reversed when it was read."""
+    geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    reverse = geometry.GetOrientationAttr().Get() == "leftHanded" or is_mirrored(matrix)
+    if primvar.HasValue():
+        values, kind = primvar.ComputeFlattened(), primvar.GetInterpolation()
+    else:
+        values, kind = stated(geometry.GetNormalsAttr()), geometry.GetNormalsInterpolation()
+    count = len(mesh.control.face_indices)
+    corners = {"vertex": mesh.control.face_indices, "faceVarying": np.arange(count)}.get(kind)
+    if not values or corners is None or len(values) <= corners.max() or reverse:
+        return None
+    if not isinstance(mesh.control.scheme, Plain):
+        return None
+    return turned_normals(np.asarray(values, dtype=np.float64), matrix[:3, :3])[corners]
 
 
 def _rig(file: Path, skeleton: Any, above: FloatArray) -> Rig:
@@ -106,6 +125,8 @@ def _rig(file: Path, skeleton: Any, above: FloatArray) -> Rig:
     rests = np.array(skeleton.GetRestTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
     local = rests if len(rests) == len(joints) else parent_transforms(binds, parents)
     local[parents < 0] = local[parents < 0] @ above
+    if not np.isfinite(local).all() or not invertible(binds @ above).all():
+        raise FormatError(f"{file}: {skeleton.GetPath()}: expected transforms with an inverse. Export it again.")
     names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
     if len(set(names)) != len(joints) or len(names) != len(joints):
         names = joint_words(joints)
