@@ -94,6 +94,8 @@ def test_at_bind_every_mesh_has_its_own_points(tmp_path: Path) -> None:
         prim = stage.GetPrimAtPath(f"/Asset/{part.name}")
         points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
         np.testing.assert_array_equal(np.array(points), part.mesh.positions.astype(np.float32))
+        lengths = np.linalg.norm(np.array(UsdGeom.Mesh(prim).GetNormalsAttr().Get()), axis=1)
+        np.testing.assert_allclose(lengths, np.ones(part.mesh.n_vertices), atol=1e-6)
         query = cache.GetSkinningQuery(prim)
         assert query.HasJointInfluences() == (part.weights is not None)
         if part.weights is not None:

@@ -86,7 +86,7 @@ def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any],
     pxr = usd_modules()
     mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
     write_topology(prim, mesh)
-    if isinstance(mesh.scheme, Plain):  # subdivision surfaces have normals of their own
+    if mesh.scheme is None or isinstance(mesh.scheme, Plain):  # subdivision surfaces have normals of their own
         smooth = vertex_normals(mesh.positions, cage_triangles(mesh)[0])[mesh.face_indices]
         normals, interpolation = smooth if part.normals is None else part.normals, "faceVarying"
         of_vertices = np.zeros((mesh.n_vertices, 3))
@@ -121,7 +121,8 @@ def _is_double_sided(document: Document, material: str) -> bool:
 def _left_out(scene: Scene) -> list[str]:
     """A note on what the glTF document has and USD has no place for."""
     document, names = scene.document, []
-    names += [f"{word}{_CONTENTS.get(word, '')}" for word in document.entries("extensionsUsed") if word not in _HELD]
+    extensions = map(str, document.entries("extensionsUsed"))
+    names += [f"{word}{_CONTENTS.get(word, '')}" for word in extensions if word not in _HELD]
     names += ["cameras"] if document.entries("cameras") else []
     joints = set() if scene.joints is None else set(np.flatnonzero(scene.joints.joint_of >= 0).tolist())
     moved = {
@@ -132,7 +133,8 @@ def _left_out(scene: Scene) -> list[str]:
     }
     names += [f"the motion of {scene.nodes.names[node]}" for node in sorted(moved - joints - {None})]
     kinds = ("nodes", "meshes", "materials", "scenes")
-    if any(set(entry.get("extras") or ()) - {"targetNames"} for kind in kinds for entry in document.entries(kind)):
+    extras = [entry.get("extras") for kind in kinds for entry in document.entries(kind)]
+    if any(set(one) - {"targetNames"} if isinstance(one, dict) else one for one in extras):
         names.append("extras")
     return [f"USD has no place for {', '.join(names)}: left out; a .glb keeps them"] if names else []
 
