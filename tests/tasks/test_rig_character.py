@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
+from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
@@ -233,10 +234,10 @@ def test_usd_has_the_same_character(run: Run, files: Character) -> None:
 
 
 def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -> None:
-    """Also with landmarks, which name vertices of the USD file."""
+    """In centimetres; also with landmarks, which name vertices of the USD file."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     document = read_document("C.glb")
-    write_usd_character("C.usdc", character_of(document), read_scene(document))
+    write_usd_character("C.usdc", character_of(document), read_scene(document), space=StageSpace("Y", 0.01))
     first = _rig(run)
     (points,) = (part.mesh.positions for part in character_of(document).parts if part.name == "body")
     tops = [int(np.argmax(mesh @ axis)) for axis in np.eye(3) for mesh in (read_mesh("B.glb").positions, points)]
@@ -270,10 +271,16 @@ def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: C
     assert [of(opened) for of in stage] == [0.01, "Z"]
 
 
-def test_no_usd_without_its_image(run: Run, files: Character) -> None:
-    """A file of others at the layer's name: nothing is written, no image either."""
+def test_usd_and_its_images_are_written_together(run: Run, files: Character, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of others at the layer's name, or an error after the layer: no image is left either."""
     Path("OUT.usdc").write_bytes(b"mine")
     run.refused("rig B.glb --like C.glb -o OUT.usdc --report R.html", says="OUT.usdc: exists, and was not written")
+
+    def fails(*_: object, **__: object) -> None:
+        raise FormatError("no report")
+
+    monkeypatch.setattr("cagemap.tasks.rig_character._write_report", fails)
+    run.refused("rig B.glb --like C.glb -o OUT.usda --report R.html", says="no report")
     assert sorted(path.name for path in Path().iterdir()) == ["B.glb", "C.glb", "OUT.usdc"]
 
 
