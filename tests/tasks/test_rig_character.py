@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +12,19 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
+from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
+from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.images.image import Image
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.images.image import Image, read_image
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.usd.character import write_usd_character
+from cagemap.files.usd.read import open_stage, read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.parts import join_meshes
@@ -184,8 +192,11 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
     [
         (["--passengers", "cape"], "expected names of parts of the character (eye, hat), got cape"),
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
-        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, .fbx, got '.obj'"),
-        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, got '.fbx'"),
+        (
+            ["--like", "B.obj"],
+            "the character as .glb, .gltf, .vrm, .fbx, .usd, .usda, .usdc, .usdz, got '.obj'",
+        ),
+        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
     ],
@@ -216,6 +227,80 @@ def test_a_file_of_others_is_not_replaced(run: Run, files: Character) -> None:
     outcome = run("rig B.glb --like C.glb -o OUT.glb")
     assert outcome.code == 2
     assert Path("OUT.glb").read_bytes() == b"mine"
+
+
+def test_usd_has_the_same_character(run: Run, files: Character) -> None:
+    """Points, weights, shapes, joints and the image, as in the `.glb`; its own files are replaced without force."""
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    made = _rig(run)
+    for name in ("OUT.usda", "OUT.usdz", "OUT.usda"):
+        outcome = run.done("rig B.glb --like C.glb -o", name)
+        assert outcome.out.startswith(f"wrote {name}: B.glb like C.glb\n  2 joints, 1 animation\n")
+        meshes = read_usd_meshes(name)
+        assert {mesh.path for mesh in meshes} == {"/Asset/body", "/Asset/hat", "/Asset/eye"}
+        for mesh in meshes:
+            part = _part(made, mesh.path.removeprefix("/Asset/"))
+            rows = _same_order(replace(part, mesh=mesh.control), part)
+            np.testing.assert_allclose(mesh.attributes["skel:jointWeights"][rows], part.weights.toarray(), atol=1e-6)
+            for shape, offsets in part.shapes.items():
+                np.testing.assert_allclose(mesh.attributes[f"blendShape:{shape}"][rows], offsets, atol=1e-6)
+        named = replace(meshes[0].control, face_objects=np.zeros(1, dtype=int), object_names=(meshes[0].path,))
+        np.testing.assert_allclose(read_usd_skeleton(name, named).heads, made.rig.heads, atol=1e-6)
+    (given,) = material_images(read_document("OUT.glb"), "body")
+    expected = read_material_image(read_document("OUT.glb"), given).pixels
+    np.testing.assert_array_equal(read_image("OUT_body_baseColor.png").pixels, expected)
+    assert usd.Stage.Open("OUT.usdz").GetDefaultPrim().GetTypeName() == "SkelRoot"
+
+
+def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -> None:
+    """In centimetres; also with landmarks, which name vertices of the USD file."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    document = read_document("C.glb")
+    write_usd_character("C.usdc", character_of(document), read_scene(document), space=StageSpace("Y", 0.01))
+    first = _rig(run)
+    (points,) = (part.mesh.positions for part in character_of(document).parts if part.name == "body")
+    tops = [int(np.argmax(mesh @ axis)) for axis in np.eye(3) for mesh in (read_mesh("B.glb").positions, points)]
+    pairs = [{"name": str(k), "target": tops[2 * k], "source": tops[2 * k + 1]} for k in range(3)]
+    Path("L.json").write_text(json.dumps({"pairs": pairs}))
+    for words in ((), ("--landmarks", "L.json")):
+        run.done("rig B.glb --like C.usdc -o OUT.glb", *words)
+        made = read_character("OUT.glb")
+        assert {part.name for part in made.parts} == {part.name for part in first.parts}
+        np.testing.assert_allclose(made.rig.bind, first.rig.bind, atol=2e-3)
+        poses = [pose_at(of.rig, of.animations[0], 0.7) for of in (first, made)]
+        for given in first.parts:
+            found = _part(made, given.name)
+            rows = _same_order(found, given, 2e-3)
+            expected = skinned_positions(given, first.rig, poses[0])
+            np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=5e-3)
+        assert _image_error() < 0.03
+
+
+def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: ControlMesh) -> None:
+    usd_geom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed")
+    to_world = np.eye(4)
+    to_world[3, :3] = [5.0, 0.0, 0.0]
+    space = StageSpace("Z", 0.01, to_world)
+    upright = 100 * np.column_stack([body.positions[:, 0], -body.positions[:, 2], body.positions[:, 1]])
+    write_usd("B.usda", body.with_positions(upright), space=space)
+    run.done("rig B.usda --like C.glb -o OUT.usdc")
+    assert read_usd_meshes("OUT.usdc")[0].to_world[3, 0] == 5.0
+    stage = usd_geom.GetStageMetersPerUnit, usd_geom.GetStageUpAxis
+    opened = open_stage("OUT.usdc")
+    assert [of(opened) for of in stage] == [0.01, "Z"]
+
+
+def test_usd_and_its_images_are_written_together(run: Run, files: Character, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of others at the layer's name, or an error after the layer: no image is left either."""
+    Path("OUT.usdc").write_bytes(b"mine")
+    run.refused("rig B.glb --like C.glb -o OUT.usdc --report R.html", says="OUT.usdc: exists, and was not written")
+
+    def fails(*_: object, **__: object) -> None:
+        raise FormatError("no report")
+
+    monkeypatch.setattr("cagemap.tasks.rig_character._write_report", fails)
+    run.refused("rig B.glb --like C.glb -o OUT.usda --report R.html", says="no report")
+    assert sorted(path.name for path in Path().iterdir()) == ["B.glb", "C.glb", "OUT.usdc"]
 
 
 def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: Character, body: ControlMesh) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.values import Animation, Channel, Rig, Track
+from cagemap.character.values import Animation, Channel, Interpolation, Rig, Track
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 
@@ -92,27 +92,42 @@ def check_joints(rig: Rig, animation: Animation) -> None:
 
 def track_value(track: Track, time: float) -> FloatArray:
     """Value of a track at a time, (3,) or (4,) float64, interpolated as glTF 2.0 says."""
-    times = track.times
-    keys = track.values[:, 1] if track.interpolation == "CUBICSPLINE" else track.values
-    if time <= times[0] or time >= times[-1]:
-        return np.asarray(keys[0 if time <= times[0] else -1])
-    next_key = int(np.searchsorted(times, time, side="right"))
-    span = times[next_key] - times[next_key - 1]
-    share = (time - times[next_key - 1]) / span
-    start, end = keys[next_key - 1], keys[next_key]
-    if track.interpolation == "STEP":
-        return np.asarray(start)
-    if track.interpolation == "CUBICSPLINE":
-        leaving, arriving = span * track.values[next_key - 1, 2], span * track.values[next_key, 0]
+    turns = track.channel == "rotation"
+    return interpolated(track.times, track.values, track.interpolation, np.array([time]), turns=turns)[0]
+
+
+def interpolated(
+    times: FloatArray, values: FloatArray, interpolation: Interpolation, wanted: FloatArray, *, turns: bool
+) -> FloatArray:
+    """Values (m, q) between keys at the ``wanted`` times (m,); outside, those of the first and last key.
+
+    ``times``, ``values``: of the keys, see `cagemap.character.values.Track`.
+    ``turns``: whether the values are quaternions.
+    """
+    keys = values[:, 1] if interpolation == "CUBICSPLINE" else values
+    if len(times) == 1:
+        return np.repeat(keys, len(wanted), axis=0)
+    next_key = np.clip(np.searchsorted(times, wanted, side="right"), 1, len(times) - 1)
+    last_key = next_key - 1
+    span = (times[next_key] - times[last_key])[:, None]
+    share = np.clip((wanted[:, None] - times[last_key, None]) / span, 0.0, 1.0)
+    start, end = keys[last_key], keys[next_key]
+    if interpolation == "STEP":
+        between = start
+    elif interpolation == "CUBICSPLINE":
+        leaving, arriving = span * values[last_key, 2], span * values[next_key, 0]
         square, cube = share**2, share**3
-        value = (2 * cube - 3 * square + 1) * start + (cube - 2 * square + share) * leaving
-        value = value + (3 * square - 2 * cube) * end + (cube - square) * arriving
-        return value / np.linalg.norm(value) if track.channel == "rotation" else value
-    if track.channel == "rotation":
+        between = (2 * cube - 3 * square + 1) * start + (cube - 2 * square + share) * leaving
+        between = between + (3 * square - 2 * cube) * end + (cube - square) * arriving
+        between = between / np.linalg.norm(between, axis=1, keepdims=True) if turns else between
+    elif turns:
         first = Rotation.from_quat(start)
         change = (first.inv() * Rotation.from_quat(end)).as_rotvec()
-        return (first * Rotation.from_rotvec(share * change)).as_quat()
-    return np.asarray((1 - share) * start + share * end)
+        between = (first * Rotation.from_rotvec(share * change)).as_quat()
+    else:
+        between = (1 - share) * start + share * end
+    between = np.where(wanted[:, None] <= times[0], keys[0], between)
+    return np.where(wanted[:, None] >= times[-1], keys[-1], between)
 
 
 def world_transforms(local: FloatArray, parents: IndexArray) -> FloatArray:

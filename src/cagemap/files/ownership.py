@@ -89,9 +89,9 @@ def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
 
 
 def _find(data: mmap.mmap | bytes) -> int | None:
-    """Position in the file of its mark's checksum; None without a mark."""
-    tail = max(0, len(data) - _SEARCHED)
-    for start in dict.fromkeys((0, tail)):
+    """Position in the file of its mark's checksum; None without a mark. Members of a zip archive have their own."""
+    head = _zip_directory(data)
+    for start in dict.fromkeys((head, max(head, len(data) - _SEARCHED))):
         match = _MARK.search(data[start : start + _SEARCHED])
         if match:
             return start + match.start(1)

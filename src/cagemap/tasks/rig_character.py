@@ -14,7 +14,7 @@ from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.character import character_of
+from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import (
@@ -24,12 +24,17 @@ from cagemap.files.gltf.material_images import (
     read_material_image,
     with_copied_materials,
 )
+from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.meshes.formats import read_mesh, read_whole
+from cagemap.files.usd.character import write_usd_character
+from cagemap.files.usd.convert import read_usd_character, usd_document
+from cagemap.files.usd.read import USD_SUFFIXES, usd_modules
+from cagemap.files.usd.space import stage_space
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -54,7 +59,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
-    document = read_document(request.like)
+    document = usd_document(request.like) if _is_usd(request.like) else read_document(request.like)
     source = character_of(document)
     body_document, target = read_body(request.body)
     to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
@@ -82,11 +87,15 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         )
     stages("write")
     rigged_document = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
-    _require_readable(rigged_document, dressed)
+    scene = _readable_scene(rigged_document, dressed)
     if request.report is not None:
         stages("report")
     with all_or_nothing():
-        write_document(request.output, rigged_document, force=request.force)
+        if _is_usd(request.output):
+            space = stage_space(request.body) if _is_usd(request.body) else None
+            notes += write_usd_character(request.output, dressed, scene, space=space, force=request.force)
+        else:
+            write_document(request.output, rigged_document, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
     confidence = carried.result.confidence
@@ -94,15 +103,21 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     return _summary(request, dressed), [*carried.notes, *notes, *doubt]
 
 
+def _is_usd(path: Path) -> bool:
+    return path.suffix.lower() in USD_SUFFIXES
+
+
 def _require_paths(request: RigRequest) -> None:
     for path, what, suffixes in (
-        (request.like, "the character", SCENE_SUFFIXES),
-        (request.output, "the file to write", GLTF_SUFFIXES),
+        (request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES)),
+        (request.output, "the file to write", (*GLTF_SUFFIXES, *USD_SUFFIXES)),
     ):
         if path.suffix.lower() not in suffixes:
             raise FormatError(
                 f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. Export it as GLB."
             )
+    if _is_usd(request.output):
+        usd_modules()
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
     outputs = [request.output, *([] if request.report is None else [request.report])]
     if request.report is not None:
@@ -136,13 +151,16 @@ def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
     """Landmarks of the files' meshes as vertices of the two bodies."""
     if request.landmarks is None:
         return Landmarks.none()
-    meshes = [read_mesh(path) for path in (request.body, request.like)]
+    meshes = read_mesh(request.body), read_whole(request.like)
     file_landmarks, _ = read_landmarks(request.landmarks, request.body, request.like)
     check_landmarks(file_landmarks, *meshes)
+    places = [mesh.positions for mesh in meshes]
+    if _is_usd(request.like):  # the bind pose in metres with Y up
+        places[1] = np.concatenate([part.mesh.positions for part in read_usd_character(request.like).parts])
     vertices = [
-        nearest(part.mesh.positions, mesh.positions[points.nearest_vertices])
-        for part, mesh, points in zip(
-            (target, source), meshes, (file_landmarks.target_points, file_landmarks.source_points), strict=True
+        nearest(part.mesh.positions, of_mesh[points.nearest_vertices])
+        for part, of_mesh, points in zip(
+            (target, source), places, (file_landmarks.target_points, file_landmarks.source_points), strict=True
         )
     ]
     return Landmarks(file_landmarks.names, vertices[0], vertices[1])
@@ -259,13 +277,15 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
     return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())
 
 
-def _require_readable(document: Document, character: Character) -> None:
-    """Require that all parts of a document can be read back."""
-    read_back = character_of(document)
-    names = {part.name: part.mesh.n_faces for part in read_back.parts}
+def _readable_scene(document: Document, character: Character) -> Scene:
+    """A document as a scene; requires that all parts and animations of the character can be read back."""
+    scene = read_scene(document)
+    read_animations(scene)
+    names = {one.part.name for one in scene.parts}
     missing = [part.name for part in character.parts if part.name not in names]
     if missing:
         raise AssertionError(f"parts that cannot be read back: {missing}")
+    return scene
 
 
 def _write_report(

@@ -15,6 +15,7 @@ from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import Joints, distinct, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
+from cagemap.files.gltf.primitives import shape_names
 from cagemap.numerics.arrays import FloatArray
 
 _TYPES = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
@@ -60,6 +61,46 @@ def read_animations(scene: Scene) -> tuple[Animation, ...]:
         tracks = [] if scene.joints is None else _tracks(document, scene.joints, entry, where)
         animations.append(Animation(name, tuple(tracks)))
     return tuple(animations)
+
+
+# Times (k,), values (k, 1) or (k, 3, 1), and interpolation of a blend shape's weight, as in `Track`.
+ShapeKeys = tuple[FloatArray, FloatArray, Interpolation]
+
+
+def read_shape_keys(scene: Scene, animation: int) -> dict[tuple[str, str], ShapeKeys]:
+    """Weights of blend shapes in an animation, by part and shape; those that it does not move, as stated.
+
+    Shapes that stay at 0 are left out. ``animation``: its number; -1 for the stated weights alone.
+    """
+    document, where = scene.document, f"animations {animation}"
+    keys: dict[tuple[str, str], ShapeKeys] = {}
+    names_of: dict[int, list[tuple[str, str]]] = {}
+    for one in scene.parts:
+        node = document.entry("nodes", one.node)
+        mesh = document.entry("meshes", node["mesh"])
+        count = len(document.entries("targets", document.entries("primitives", mesh)[0]))
+        names_of[one.node] = [(one.part.name, name) for name in shape_names(document, int(node["mesh"]), count)]
+        stated = document.numbers(node.get("weights", mesh.get("weights", [0.0] * count)), f"{where}: weights", count)
+        keys |= {
+            name: (np.zeros(1), weight.reshape(1, 1), "LINEAR")
+            for name, weight in zip(names_of[one.node], stated, strict=True)
+            if weight
+        }
+    entry: dict[str, Any] = {} if animation < 0 else document.entry("animations", animation)
+    for channel in document.entries("channels", entry, where):
+        target = document.table(channel, "target", where)
+        names = names_of.get(target.get("node", -1), [])
+        if target.get("path") != "weights" or not names:
+            continue
+        sampler = document.entries("samplers", entry, where)[channel["sampler"]]
+        interpolation = sampler.get("interpolation", "LINEAR")
+        between = (3,) if interpolation == "CUBICSPLINE" else ()
+        times = read_accessor(document, sampler["input"], where, ("SCALAR",)).astype(np.float64)
+        count = len(times) * len(names) * int(np.prod(between))
+        values = read_accessor(document, sampler["output"], where, ("SCALAR",), count).astype(np.float64)
+        values = values.reshape(len(times), *between, len(names))
+        keys |= {name: (times, values[..., [place]], interpolation) for place, name in enumerate(names)}
+    return keys
 
 
 def _tracks(document: Document, joints: Joints, entry: dict[str, Any], where: str) -> list[Track]:

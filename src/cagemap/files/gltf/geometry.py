@@ -35,7 +35,7 @@ def mesh_entry(
     ``weights``: (n, j), for the joints of the node's skin; all influences are written, in sets of four.
     ``normals``: (c, 3), of the face corners. Default: vertex normals.
     """
-    sets = _uv_sets(mesh)
+    sets = uv_sets_in_order(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
     first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
@@ -94,7 +94,7 @@ def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> In
     return starts
 
 
-def _uv_sets(mesh: ControlMesh) -> list[UvSet]:
+def uv_sets_in_order(mesh: ControlMesh) -> list[UvSet]:
     """All UV sets, sorted by their names of glTF if all have such names."""
     sets = [] if mesh.uvs is None else list(mesh.all_uv_sets)
     named = all(one.name.startswith("TEXCOORD_") for one in sets)

@@ -66,34 +66,70 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
     ``textures``: image by map name; paths relative to the layer, ``<UDIM>`` for a set.
     ``uv_name``: primvar of the texture coordinates.
     """
-    from pxr import Sdf, Tf, UsdShade
+    from pxr import Tf, UsdShade
 
     root = prim.GetPath().GetPrefixes()[0]
-    material = UsdShade.Material.Define(stage, root.AppendChild(MATERIAL))
+    material, surface = define_material(stage, root.AppendChild(MATERIAL))
+    # Named by its UV set: textures of an earlier transfer may use another one.
+    reader = uv_reader(stage, material.GetPath().AppendChild(Tf.MakeValidIdentifier(f"uv_{uv_name}")), uv_name)
+    for role, name in preview_inputs(textures).items():
+        connect_texture(stage, surface, name, textures[role], reader)
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def define_material(stage: Any, path: Any) -> tuple[Any, Any]:
+    """Define a material with a UsdPreviewSurface; returns both."""
+    from pxr import UsdShade
+
+    material = UsdShade.Material.Define(stage, path)
     surface = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-    # Named by its UV set: textures of an earlier transfer may use another one.
-    label = Tf.MakeValidIdentifier(f"uv_{uv_name}")
-    reader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild(label))
+    return material, surface
+
+
+def uv_reader(stage: Any, path: Any, uv_name: str) -> Any:
+    """Define the shader that reads texture coordinates from a primvar."""
+    from pxr import Sdf, UsdShade
+
+    reader = UsdShade.Shader.Define(stage, path)
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(uv_name)
-    for role, name in preview_inputs(textures).items():
-        kind, output, is_color, _ = _INPUTS[name]
-        texture = UsdShade.Shader.Define(stage, material.GetPath().AppendChild(f"{name}_texture"))
-        texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(textures[role])
-        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("auto" if is_color else "raw")
-        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
-        if name == "normal":
-            texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set((2, 2, 2, 1))
-            texture.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set((-1, -1, -1, 0))
-        value_kind = Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
-        texture.CreateOutput(output, value_kind)
-        shader_input = surface.CreateInput(name, getattr(Sdf.ValueTypeNames, kind))
-        shader_input.ConnectToSource(texture.ConnectableAPI(), output)
     reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+    return reader
+
+
+def connect_texture(
+    stage: Any,
+    surface: Any,
+    name: str,
+    image: str,
+    st: Any,
+    *,
+    output: str | None = None,
+    settings: Mapping[str, object] | None = None,
+) -> None:
+    """Connect an input of a UsdPreviewSurface to an image.
+
+    ``st``: shader of the texture coordinates.
+    ``output``: channels of the image; default: the usual ones of the input.
+    ``settings``: of the texture shader, such as ``scale``.
+    """
+    from pxr import Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    kind, usual_output, is_color, _ = _INPUTS[name]
+    output = output or usual_output
+    texture = UsdShade.Shader.Define(stage, surface.GetPath().GetParentPath().AppendChild(f"{name}_texture"))
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", types.Asset).Set(image)
+    texture.CreateInput("sourceColorSpace", types.Token).Set("auto" if is_color else "raw")
+    texture.CreateInput("st", types.Float2).ConnectToSource(st.ConnectableAPI(), "result")
+    stated: dict[str, object] = {"scale": (2, 2, 2, 1), "bias": (-1, -1, -1, 0)} if name == "normal" else {}
+    for setting, value in {**stated, **(settings or {})}.items():
+        texture.CreateInput(setting, types.Token if isinstance(value, str) else types.Float4).Set(value)
+    texture.CreateOutput(output, types.Float3 if output == "rgb" else types.Float)
+    surface.CreateInput(name, getattr(types, kind)).ConnectToSource(texture.ConnectableAPI(), output)
 
 
 _SKINNING = ("skel:joints", "skel:skeleton", "skel:geomBindTransform")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cagemap.character.poses import parent_transforms
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import integers, moved
 from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
@@ -29,31 +31,41 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
         return None
     where = f"{path}: {skeleton.GetPath()}"
     with named_damage(path):
-        joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
-        binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+        joints, binds = joints_of(path, skeleton)
         bound_at = np.array(binding.GetGeomBindTransformAttr().Get() or np.eye(4), dtype=np.float64)
-    if not joints or len(binds) != len(joints) or len(set(joints)) != len(joints) or not np.isfinite(binds).all():
-        raise FormatError(
-            f"{where}: expected joints of different names with a finite bind transform each, got {len(joints)} "
-            f"joints and {len(binds)} transforms. Export the skeleton again."
-        )
     if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
     return _named(joints, placed)
 
 
-def _named(joints: list[str], placed: FloatArray) -> Skeleton:
-    """A skeleton with joints named by the last part of their paths, if unique; tails are at the children."""
+def joints_of(path: str | Path, skeleton: Any) -> tuple[list[str], FloatArray]:
+    """Joints of a skeleton and their bind transforms (j, 4, 4)."""
+    joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+    binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+    if not joints or len(binds) != len(joints) or len(set(joints)) != len(joints) or not np.isfinite(binds).all():
+        raise FormatError(
+            f"{path}: {skeleton.GetPath()}: expected joints of different names with a finite bind transform each, got "
+            f"{len(joints)} joints and {len(binds)} transforms. Export the skeleton again."
+        )
+    return joints, binds
+
+
+def joint_words(joints: list[str]) -> list[str]:
+    """Names of joints: the last parts of their paths, if these are unique."""
     leaves = [path.rpartition("/")[2] for path in joints]
-    names = leaves if len(set(leaves)) == len(leaves) else joints
-    parents = _parents(joints)
+    return leaves if len(set(leaves)) == len(leaves) else joints
+
+
+def _named(joints: list[str], placed: FloatArray) -> Skeleton:
+    """A skeleton of joints by `joint_words`; tails are at the children."""
+    names, parents = joint_words(joints), joint_parents(joints)
     heads = placed[:, 3, :3]
     above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
     return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
 
 
-def _parents(joints: list[str]) -> IndexArray:
+def joint_parents(joints: list[str]) -> IndexArray:
     """(j,) number of each joint's parent, its nearest listed ancestor in UsdSkel; -1 for a root."""
     return integers(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
 
@@ -66,45 +78,52 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
     """
     pxr = usd_modules()
     top = prim.GetPath().GetPrefixes()[0]
-    paths = _joint_paths(skeleton)
+    paths = joint_paths(skeleton.names, skeleton.parents)
     order = sorted(range(len(paths)), key=lambda joint: (paths[joint].count("/"), joint))
     binds = _binds(skeleton, to_root)[order]
-    parents = _parents([paths[joint] for joint in order])
-    has_parent = parents >= 0
-    rests = binds.copy()
-    rests[has_parent] = binds[has_parent] @ np.linalg.inv(binds[parents[has_parent]])
     path = top.AppendChild("skeleton")
     if stage.GetPrimAtPath(path):  # a skeleton of the asset, which is not changed
         path = top.AppendChild("cagemap_skeleton")
-    usd_skeleton = pxr.UsdSkel.Skeleton.Define(stage, path)
-    usd_skeleton.CreateJointsAttr([paths[joint] for joint in order])
-    usd_skeleton.CreateBindTransformsAttr(_matrices(binds))
-    usd_skeleton.CreateRestTransformsAttr(_matrices(rests))
+    in_order = [paths[joint] for joint in order]
+    define_skeleton(stage, path, in_order, binds, parent_transforms(binds, joint_parents(in_order)))
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     binding.CreateSkeletonRel().SetTargets([path])
     binding.CreateJointsAttr(paths)
     binding.CreateGeomBindTransformAttr(pxr.Gf.Matrix4d(*to_root.ravel().tolist()))
 
 
-def _joint_paths(skeleton: Skeleton) -> list[str]:
-    number = {name: joint for joint, name in enumerate(skeleton.names)}
+def define_skeleton(stage: Any, path: Any, joints: Sequence[str], binds: FloatArray, rests: FloatArray) -> Any:
+    """Define a skeleton of joints, given by their paths, parents before children.
+
+    ``binds``, ``rests``: (j, 4, 4), from a joint's space to the skeleton's, and to its parent's at rest.
+    """
+    skeleton = usd_modules().UsdSkel.Skeleton.Define(stage, path)
+    skeleton.CreateJointsAttr(joints)
+    skeleton.CreateBindTransformsAttr(_matrices(binds))
+    skeleton.CreateRestTransformsAttr(_matrices(rests))
+    return skeleton
+
+
+def joint_paths(names: Sequence[str], parents: Sequence[str]) -> list[str]:
+    """Paths of joints in UsdSkel, from their names and the names of their parents ('' for a root)."""
+    number = {name: joint for joint, name in enumerate(names)}
     words: dict[int, str] = {}
-    for parent in dict.fromkeys(skeleton.parents):
-        siblings = [joint for joint, above in enumerate(skeleton.parents) if above == parent]
-        words |= zip(siblings, identifiers(skeleton.names[joint].rpartition("/")[2] for joint in siblings), strict=True)
+    for parent in dict.fromkeys(parents):
+        siblings = [joint for joint, above in enumerate(parents) if above == parent]
+        words |= zip(siblings, identifiers(names[joint].rpartition("/")[2] for joint in siblings), strict=True)
 
     def path(joint: int) -> str:
         parts = [words[joint]]
         seen = {joint}
-        while skeleton.parents[joint]:
-            joint = number[skeleton.parents[joint]]
+        while parents[joint]:
+            joint = number[parents[joint]]
             if joint in seen:
-                raise FormatError(f"skeleton: joint {skeleton.names[joint]} is its own parent. Repair the hierarchy.")
+                raise FormatError(f"skeleton: joint {names[joint]} is its own parent. Repair the hierarchy.")
             seen.add(joint)
             parts.append(words[joint])
         return "/".join(reversed(parts))
 
-    return [path(joint) for joint in range(len(skeleton.names))]
+    return [path(joint) for joint in range(len(names))]
 
 
 def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:

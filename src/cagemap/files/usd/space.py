@@ -55,7 +55,11 @@ def unit_notes(*files: Path) -> tuple[str, ...]:
 
 def to_standard(path: Path) -> FloatArray:
     """(4, 4) from the space of a USD file's control mesh to metres in world space with Y up."""
-    space = stage_space(path)
+    return to_metres(stage_space(path))
+
+
+def to_metres(space: StageSpace) -> FloatArray:
+    """(4, 4) from a space to metres in world space with Y up."""
     turned = space.to_world @ (_Z_TO_Y if space.up_axis == "Z" else np.eye(4))
     turned[:, :3] *= space.meters_per_unit
     return np.asarray(turned, dtype=np.float64)

@@ -19,7 +19,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
 from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
-from cagemap.files.usd.results import add_earlier, bind_textures
+from cagemap.files.usd.results import add_earlier, bind_textures, define_material
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.mesh import ControlMesh
@@ -83,27 +83,32 @@ def write_usd(
     file = Path(path)
     check_usd_path(file)
     pxr = usd_modules()
-    stage = pxr.Usd.Stage.CreateInMemory()
-    space = space or StageSpace("Y", 1.0)
-    pxr.UsdGeom.SetStageUpAxis(stage, space.up_axis)
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, space.meters_per_unit)
-    kind = "SkelRoot" if _needs_skeleton(results) else "Xform"
-    root = stage.DefinePrim("/Asset", kind)
-    stage.SetDefaultPrim(root)
-    if not np.array_equal(space.to_world, np.eye(4)):
-        pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
+    stage = new_stage(space or StageSpace("Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform")
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
         text = "%s: creasing %s has no place in USD and is left out: creases of uneven sharpness come out otherwise"
         _log.warning(text, file, mesh.scheme.creasing)
-    _write_topology(prim, mesh)
+    write_topology(prim, mesh)
     if mesh.uvs is not None and mesh.uv_indices is not None:
-        _write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
+        write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
         for uv_set in mesh.uv_sets:
-            _write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
-    _write_subsets(stage, prim, mesh)
+            write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
+    write_subsets(stage, prim, mesh)
     _write_results(stage, prim.GetPrim(), mesh, results)
     return _save(stage.GetRootLayer(), file, ("/Asset/mesh",) if add else (), force=force)
+
+
+def new_stage(space: StageSpace, kind: str) -> Any:
+    """A stage in memory with the default prim ``/Asset`` of a type."""
+    pxr = usd_modules()
+    stage = pxr.Usd.Stage.CreateInMemory()
+    pxr.UsdGeom.SetStageUpAxis(stage, space.up_axis)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, space.meters_per_unit)
+    root = stage.DefinePrim("/Asset", kind)
+    stage.SetDefaultPrim(root)
+    if not np.array_equal(space.to_world, np.eye(4)):
+        pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
+    return stage
 
 
 def write_usd_over(
@@ -171,10 +176,10 @@ def _ancestors(prim: Any) -> list[Any]:
     return ancestors
 
 
-def check_usd_path(file: Path) -> None:
-    """Refuse a name without a suffix of USD layers, or one that is not UTF-8."""
+def check_usd_path(file: Path, *, package: bool = False) -> None:
+    """Refuse a name without a suffix of USD layers (or packages), or one that is not UTF-8."""
     text_name(file.absolute())
-    if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
+    if file.suffix.lower() not in (".usd", ".usda", ".usdc", *((".usdz",) if package else ())):
         raise FormatError(
             f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."
         )
@@ -183,19 +188,25 @@ def check_usd_path(file: Path) -> None:
 def _save(layer: Any, file: Path, added_to: Sequence[str], *, force: bool) -> bool:
     """Write a layer, with earlier results for the meshes ``added_to``; returns whether there were any."""
     kept = bool(added_to) and add_earlier(layer, file, added_to, force=force)
-    layer.comment = mark()
     with atomic_path(file, force=force) as temporary:
-        arguments = {"format": "usda"} if file.suffix.lower() == ".usd" else {}
-        try:
-            written = layer.Export(str(temporary), args=arguments)
-        except usd_modules().Tf.ErrorException:
-            written = False
-        if not written:
-            raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
+        export_layer(layer, file, temporary)
     return kept
 
 
-def _write_topology(prim: Any, mesh: ControlMesh) -> None:
+def export_layer(layer: Any, file: Path, temporary: Path) -> None:
+    """Write a layer with cagemap's mark under the temporary name of a file; ``.usd`` as text."""
+    layer.comment = mark()
+    arguments = {"format": "usda"} if file.suffix.lower() == ".usd" else {}
+    try:
+        written = layer.Export(str(temporary), args=arguments)
+    except usd_modules().Tf.ErrorException:
+        written = False
+    if not written:
+        raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
+
+
+def write_topology(prim: Any, mesh: ControlMesh) -> None:
+    """Write points, faces, subdivision, creases and vertex colours of a mesh."""
     pxr = usd_modules()
     points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
     prim.CreatePointsAttr(points)
@@ -228,7 +239,8 @@ def _camel_case(word: str) -> str:
     return first + "".join(part.capitalize() for part in following)
 
 
-def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
+def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
+    """Write a UV set as a primvar."""
     pxr = usd_modules()
     api = pxr.UsdGeom.PrimvarsAPI(prim)
     primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
@@ -236,27 +248,38 @@ def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> No
     primvar.SetIndices(_ints(indices))
 
 
-def _write_subsets(stage: Any, prim: Any, mesh: ControlMesh) -> None:
-    """Write materials as subsets with bindings, and groups as plain subsets."""
+def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[str, Any] | None = None) -> None:
+    """Write materials as subsets with bindings, and groups as plain subsets.
+
+    ``materials``: materials of the stage by name; default: new ones with the mesh's colours.
+    """
     pxr = usd_modules()
     named = named_faces(mesh)
     labels = identifiers(name for name, _, _ in named)
-    for label, (_, faces, material) in zip(labels, named, strict=True):
-        family = "materialBind" if material is not None else "groups"
-        subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
-        if material is None:
+    for label, (name, faces, color) in zip(labels, named, strict=True):
+        if color is None or materials is None or len(faces) < mesh.n_faces:
+            family = "materialBind" if color is not None else "groups"
+            subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
+            bound = subset.GetPrim()
+        else:
+            bound = prim.GetPrim()
+        if color is None:
             continue
-        usd_material = pxr.UsdShade.Material.Define(stage, f"/Asset/materials/{label}")
-        shader = pxr.UsdShade.Shader.Define(stage, usd_material.GetPath().AppendChild("surface"))
-        shader.CreateIdAttr("UsdPreviewSurface")
-        usd_material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        if np.isfinite(material).all():
-            color = pxr.Gf.Vec3f(*map(float, material))
-            shader.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(color)
-        pxr.UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(usd_material)
+        path = f"/Asset/materials/{label}"
+        material = _colored_material(stage, path, color) if materials is None else materials[name]
+        pxr.UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
     if mesh.face_materials is not None:
         pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
         pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
+
+
+def _colored_material(stage: Any, path: str, color: FloatArray) -> Any:
+    pxr = usd_modules()
+    material, surface = define_material(stage, path)
+    if np.isfinite(color).all():
+        value = pxr.Gf.Vec3f(*map(float, color))
+        surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)
+    return material
 
 
 def _write_results(
@@ -273,7 +296,7 @@ def _write_results(
     uv_name = mesh.uv_name or "st"
     if results.uvs is not None:
         uv_name = results.uvs[0]
-        _write_uvs(prim, *results.uvs)
+        write_uvs(prim, *results.uvs)
     # Names must stay unique after conversion, also among primvars of texture coordinates.
     taken = {primvar.GetPrimvarName() for primvar in pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvars()} - set(
         results.attributes
@@ -282,7 +305,7 @@ def _write_results(
     shapes = {}
     for label, (name, values) in zip(labels, results.attributes.items(), strict=True):
         if name == JOINT_WEIGHTS:
-            _write_weights(prim, np.asarray(values, dtype=np.float64))
+            write_weights(prim, np.asarray(values, dtype=np.float64))
         elif name.startswith(BLEND_SHAPE):
             shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
         else:
@@ -290,7 +313,7 @@ def _write_results(
     if results.skeleton is not None:
         write_usd_skeleton(stage, prim, results.skeleton, np.eye(4) if to_root is None else to_root)
     if shapes:
-        _write_blend_shapes(stage, prim, shapes)
+        write_blend_shapes(stage, prim, shapes)
     if results.textures:
         bind_textures(stage, prim, results.textures, uv_name)
 
@@ -322,10 +345,10 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
     primvar.Set(array.FromNumpy(np.ascontiguousarray(flat)))
 
 
-def _write_weights(prim: Any, table: FloatArray) -> None:
-    """Write the largest weights of every vertex (up to 8), normalised to sum to 1."""
+def write_weights(prim: Any, table: FloatArray, most: int = _JOINTS_KEPT) -> None:
+    """Write the ``most`` largest weights of every vertex, normalised to sum to 1."""
     pxr = usd_modules()
-    kept = max(1, min(_JOINTS_KEPT, int((table > 0).sum(axis=1).max(initial=0))))
+    kept = max(1, min(most, int((table > 0).sum(axis=1).max(initial=0))))
     joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
     weights = np.take_along_axis(table, joints, axis=1)
     sums = weights.sum(axis=1, keepdims=True)
@@ -335,7 +358,8 @@ def _write_weights(prim: Any, table: FloatArray) -> None:
     binding.CreateJointWeightsPrimvar(False, kept).Set(_floats(weights.ravel()))
 
 
-def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
+def write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
+    """Define blend shapes below a mesh, with the offsets that are not 0."""
     pxr = usd_modules()
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     taken = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]

@@ -1,0 +1,151 @@
+"""Skeletons and animations of characters in USD: `SkelAnimation` prims with joints and weights of blend shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cagemap.character.poses import interpolated, rest_tracks
+from cagemap.character.values import Animation, Rig, Track
+from cagemap.files.gltf.character import ShapeKeys, animation_names, read_shape_keys
+from cagemap.files.gltf.parts import Scene
+from cagemap.files.usd.read import identifiers, usd_modules
+from cagemap.files.usd.skeleton import define_skeleton, joint_paths
+from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray
+
+# Whole frames at one of these rates, if all keys are; otherwise at the last one.
+_RATES = (24, 25, 30, 60)
+# Frames: times that differ less from a frame are rounded to it, since glTF stores them in single precision.
+_ROUNDING = 2e-4
+# Frames before the next key at which a stepped value is written once more, since USD interpolates.
+_STEP = 1e-3
+SKELETON, _ANIMATIONS = "/Asset/skeleton", "/Asset/animations"
+
+
+def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scene) -> list[str]:
+    """Write a skeleton and its animations, with the first one bound; returns notes.
+
+    Joints have no scale in the bind pose. Splines are sampled at every frame.
+
+    ``scene``: the document of the same animations, with the weights of blend shapes.
+    """
+    pxr = usd_modules()
+    rig, animations = without_scale(rig, animations)
+    paths = joint_paths(rig.names, [rig.names[parent] if parent >= 0 else "" for parent in rig.parents])
+    skeleton = define_skeleton(stage, SKELETON, paths, rig.bind, rig.local)
+    skeleton.CreateJointNamesAttr(rig.names)
+    notes, tracks = [], {one.name: one.tracks for one in animations}
+    numbers = {name: number for number, name in enumerate(animation_names(scene.document))}
+    clips: dict[str, tuple[tuple[Track, ...], dict[str, ShapeKeys]]] = {}
+    for name in dict.fromkeys([*tracks, *numbers]) or ["rest"]:
+        weights: dict[str, ShapeKeys] = {}
+        for (part, shape), keys in read_shape_keys(scene, numbers.get(name, -1)).items():
+            if not all(map(np.array_equal, weights.setdefault(shape, keys)[:2], keys[:2])):
+                notes.append(f"{name}: {shape} of {part} follows that of another part, since USD has one weight")
+        if tracks.get(name) or weights:
+            clips[name] = tracks.get(name, ()), weights
+    if not clips:
+        return notes
+    times = np.concatenate(
+        [
+            *(track.times for tracks_of, _ in clips.values() for track in tracks_of),
+            *(keys[0] for _, weights in clips.values() for keys in weights.values()),
+        ]
+    )
+    rates = (rate for rate in _RATES if np.array_equal(frames := _frames(times, rate), np.rint(frames)))
+    rate = next(rates, _RATES[-1])
+    stage.SetTimeCodesPerSecond(rate)
+    stage.SetFramesPerSecond(rate)
+    stage.SetStartTimeCode(float(_frames(times, rate).min()))
+    stage.SetEndTimeCode(float(_frames(times, rate).max()))
+    labels = identifiers(clips)
+    pxr.UsdGeom.Scope.Define(stage, _ANIMATIONS)
+    for label, name in zip(labels, clips, strict=True):
+        prim = _write_animation(stage, f"{_ANIMATIONS}/{label}", rig, paths, *clips[name], rate)
+        prim.SetDisplayName(name)
+    pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets(
+        [f"{_ANIMATIONS}/{labels[0]}"]
+    )
+    if len(clips) > 1:
+        first, *others = clips
+        notes.append(f"USD plays one animation, {first}; bind {first_few(others)} in {_ANIMATIONS} to play them")
+    return notes
+
+
+def without_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple[Animation, ...]]:
+    """The rig and its animations with joints of scale 1 in the bind pose; skinned points are the same.
+
+    USD stores the scales of animations in half precision, and programs expect 1.
+    """
+    scale = np.cbrt(np.abs(np.linalg.det(rig.bind[:, :3, :3])))
+    above = np.where(rig.parents >= 0, scale[rig.parents], 1.0)
+    factor = {"translation": above, "rotation": np.ones(len(scale)), "scale": above / scale}
+    bind, local = rig.bind.copy(), rig.local.copy()
+    bind[:, :3, :3] /= scale[:, None, None]
+    local[:, :3, :3] *= factor["scale"][:, None, None]
+    local[:, 3, :3] *= above[:, None]
+    return replace(rig, bind=bind, local=local), tuple(
+        Animation(one.name, tuple(replace(t, values=t.values * factor[t.channel][t.joint]) for t in one.tracks))
+        for one in animations
+    )
+
+
+def _frames(times: FloatArray, rate: int) -> FloatArray:
+    """Time codes of seconds."""
+    frames = times * rate
+    return np.where(np.abs(frames - np.rint(frames)) < _ROUNDING, np.rint(frames), frames)
+
+
+def _write_animation(
+    stage: Any,
+    path: str,
+    rig: Rig,
+    paths: Sequence[str],
+    tracks: Sequence[Track],
+    weights: Mapping[str, ShapeKeys],
+    rate: int,
+) -> Any:
+    """Write a `SkelAnimation` of the joints that tracks move, and of blend shapes."""
+    pxr = usd_modules()
+    animation = pxr.UsdSkel.Animation.Define(stage, path)
+    joints = sorted({track.joint for track in tracks})
+    animation.CreateJointsAttr([paths[joint] for joint in joints])
+    rests = rest_tracks(rig, joints, ("translation", "rotation", "scale"))
+    keys = {(str(one.channel), one.joint): (one.times, one.values, one.interpolation) for one in (*rests, *tracks)}
+    for channel, attribute, array, dtype in (
+        ("translation", animation.CreateTranslationsAttr(), pxr.Vt.Vec3fArray, np.float32),
+        ("rotation", animation.CreateRotationsAttr(), pxr.Vt.QuatfArray, np.float32),
+        ("scale", animation.CreateScalesAttr(), pxr.Vt.Vec3hArray, np.float16),
+    ):
+        rows = [keys[channel, joint] for joint in joints]
+        for code, values in _samples(rows, rate, turns=channel == "rotation"):
+            attribute.Set(array.FromNumpy(values.astype(dtype)), code)
+    if weights:
+        animation.CreateBlendShapesAttr(list(weights))
+        attribute = animation.CreateBlendShapeWeightsAttr()
+        for code, values in _samples(list(weights.values()), rate):
+            attribute.Set(pxr.Vt.FloatArray.FromNumpy(values[:, 0].astype(np.float32)), code)
+    return animation.GetPrim()
+
+
+def _samples(rows: Sequence[ShapeKeys], rate: int, *, turns: bool = False) -> Iterator[tuple[Any, FloatArray]]:
+    """Time codes at which one of several rows has a key, and the values (rows, q) then; one without a time if none."""
+    timed = [_sampled(*keys, rate) for keys in rows if len(keys[0]) > 1]
+    times = np.unique(np.concatenate(timed)) if timed else np.zeros(1)
+    values = [interpolated(*keys, times, turns=turns) for keys in rows]
+    for place, frame in enumerate(_frames(times, rate).tolist() if rows else ()):
+        yield frame if timed else usd_modules().Usd.TimeCode.Default(), np.array([of[place] for of in values])
+
+
+def _sampled(times: FloatArray, values: FloatArray, interpolation: str, rate: int) -> FloatArray:
+    """Times at which a row is written, so that linear interpolation between them follows it."""
+    if interpolation == "STEP":
+        return np.concatenate([times, times[1:] - np.minimum(_STEP / rate, np.diff(times) / 2)])
+    if interpolation == "CUBICSPLINE":
+        first, last = np.ceil(times[0] * rate), np.floor(times[-1] * rate)
+        return np.concatenate([times, np.arange(first, last + 1) / rate])
+    return times

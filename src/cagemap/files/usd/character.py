@@ -1,0 +1,172 @@
+"""Writer of USD for whole characters: skeleton, animations, meshes, materials, images."""
+
+from __future__ import annotations
+
+import os
+import struct
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.character.values import Character, Part, Rig
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path, write_whole
+from cagemap.files.gltf.binary import NGONS
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.geometry import uv_sets_in_order
+from cagemap.files.gltf.parts import Scene
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.ownership import mark
+from cagemap.files.usd.animations import SKELETON, write_rig
+from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
+from cagemap.files.usd.prims import named_faces
+from cagemap.files.usd.read import identifiers, open_stage, usd_modules
+from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.write import (
+    check_usd_path,
+    export_layer,
+    new_stage,
+    write_blend_shapes,
+    write_subsets,
+    write_topology,
+    write_uvs,
+    write_weights,
+)
+from cagemap.mesh import Plain
+from cagemap.mesh.faces import cage_triangles
+from cagemap.surface.triangles import vertex_normals
+
+# Extensions of glTF that are written or hold nothing of the character; contents of others.
+_HELD = {NGONS, "KHR_mesh_quantization", *WRITTEN}
+_CONTENTS = {
+    "VRM": " (humanoid bones, expressions, spring bones)",
+    "VRMC_vrm": " (humanoid bones, expressions)",
+    "VRMC_springBone": " (spring bones)",
+}
+
+
+def write_usd_character(
+    path: str | Path, character: Character, scene: Scene, *, space: StageSpace | None = None, force: bool = False
+) -> list[str]:
+    """Write a character as USD: a layer with images in its folder, or a package (``.usdz``); returns notes.
+
+    Notes say what USD has no place for.
+
+    ``scene``: the same character as a glTF document: its materials, images and weights of blend shapes are written.
+    ``space``: of the character; default: metres with Y up.
+    """
+    file = Path(path)
+    check_usd_path(file, package=True)
+    stage = new_stage(space or StageSpace("Y", 1.0), "SkelRoot")
+    used = {name: None for part in character.parts for name in _materials(part)}
+    surfaces = write_materials(stage, scene.document, list(used), file)
+    rig = character.rig
+    if rig is None and any(part.shapes for part in character.parts):  # a skeleton holds the weights of shapes
+        rig = Rig(("root",), np.array([-1]), np.eye(4)[None], np.eye(4)[None])
+    notes = [*_left_out(scene), *surfaces.notes]
+    if any(part.mesh.vertex_colors is not None and _materials(part) for part in character.parts):
+        notes.append("vertex colours are written as displayColor, which the materials do not use")
+    if rig is not None:
+        notes += write_rig(stage, rig, character.animations, scene)
+    sizes = {}
+    labels = identifiers((part.name for part in character.parts), ("skeleton", "animations", "materials"))
+    for label, part in zip(labels, character.parts, strict=True):
+        prim = _write_part(stage, f"/Asset/{label}", part, surfaces.materials, skinned=character.rig is not None)
+        prim.GetPrim().SetDisplayName(part.name)
+        prim.CreateDoubleSidedAttr(any(_is_double_sided(scene.document, name) for name in _materials(part)))
+        sizes[prim.GetPath().pathString] = part.mesh.n_vertices
+    _save(stage.GetRootLayer(), file, surfaces.images, sizes, force=force)
+    return notes
+
+
+def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
+    pxr = usd_modules()
+    mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
+    write_topology(prim, mesh)
+    if mesh.scheme is None or isinstance(mesh.scheme, Plain):  # subdivision surfaces have normals of their own
+        smooth = vertex_normals(mesh.positions, cage_triangles(mesh)[0])[mesh.face_indices]
+        normals, interpolation = smooth if part.normals is None else part.normals, "faceVarying"
+        of_vertices = np.zeros((mesh.n_vertices, 3))
+        of_vertices[mesh.face_indices] = normals
+        if np.allclose(of_vertices[mesh.face_indices], normals, atol=1e-4):
+            normals, interpolation = of_vertices, "vertex"
+        prim.CreateNormalsAttr(pxr.Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
+        prim.SetNormalsInterpolation(interpolation)
+    for number, uv_set in enumerate(uv_sets_in_order(mesh)):
+        write_uvs(prim, uv_primvar(number), uv_set.uvs, uv_set.uv_indices)
+    write_subsets(stage, prim, mesh, materials)
+    skinned = skinned and part.weights is not None
+    if skinned or part.shapes:
+        pxr.UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateSkeletonRel().SetTargets([SKELETON])
+    if skinned and part.weights is not None:
+        write_weights(prim.GetPrim(), part.weights.toarray(), int(np.diff(part.weights.indptr).max()))
+        pxr.UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr(pxr.Gf.Matrix4d(1.0))
+    if part.shapes:
+        write_blend_shapes(stage, prim.GetPrim(), part.shapes)
+    return prim
+
+
+def _materials(part: Part) -> list[str]:
+    """Names of a part's materials that have faces."""
+    return [name for name, _, color in named_faces(part.mesh) if color is not None]
+
+
+def _is_double_sided(document: Document, material: str) -> bool:
+    return bool(document.entry("materials", material_names(document).index(material)).get("doubleSided"))
+
+
+def _left_out(scene: Scene) -> list[str]:
+    """A note on what the glTF document has and USD has no place for."""
+    document, names = scene.document, []
+    extensions = map(str, document.entries("extensionsUsed"))
+    names += [f"{word}{_CONTENTS.get(word, '')}" for word in extensions if word not in _HELD]
+    names += ["cameras"] if document.entries("cameras") else []
+    joints = set() if scene.joints is None else set(np.flatnonzero(scene.joints.joint_of >= 0).tolist())
+    moved = {
+        channel["target"].get("node")
+        for animation in document.entries("animations")
+        for channel in animation["channels"]
+        if channel["target"].get("path") != "weights"
+    }
+    names += [f"the motion of {scene.nodes.names[node]}" for node in sorted(moved - joints - {None})]
+    kinds = ("nodes", "meshes", "materials", "scenes")
+    extras = [entry.get("extras") for kind in kinds for entry in document.entries(kind)]
+    if any(set(one) - {"targetNames"} if isinstance(one, dict) else one for one in extras):
+        names.append("extras")
+    return [f"USD has no place for {', '.join(names)}: left out; a .glb keeps them"] if names else []
+
+
+def _save(layer: Any, file: Path, images: Mapping[str, bytes], sizes: Mapping[str, int], *, force: bool) -> None:
+    """Write layer and images, verified by the numbers of points of the meshes."""
+    pxr = usd_modules()
+
+    def is_whole(temporary: Path) -> bool:
+        stage = open_stage(temporary)
+        prims = (pxr.UsdGeom.Mesh(stage.GetPrimAtPath(path)) for path in sizes)
+        return [len(prim.GetPointsAttr().Get()) for prim in prims] == list(sizes.values())
+
+    if file.suffix.lower() != ".usdz":
+        for name, data in images.items():
+            write_whole(file.with_name(name), data)
+        with atomic_path(file, force=force, verify=is_whole) as temporary:
+            export_layer(layer, file, temporary)
+        return
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        atomic_path(file, force=force, verify=is_whole) as temporary,
+    ):
+        inside = Path(folder)
+        export_layer(layer, file, inside / f"{file.stem}.usdc")
+        package = pxr.Sdf.ZipFileWriter.CreateNew(str(temporary))
+        package.AddFile(str(inside / f"{file.stem}.usdc"), f"{file.stem}.usdc")
+        for name, data in images.items():
+            (inside / name).write_bytes(data)
+            package.AddFile(str(inside / name), name)
+        if not package.Save():
+            raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
+        with temporary.open("rb+") as stream:  # the mark is the archive's comment
+            stream.seek(-2, os.SEEK_END)
+            stream.write(struct.pack("<H", len(mark())) + mark().encode())

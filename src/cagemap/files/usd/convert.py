@@ -1,0 +1,206 @@
+"""USD files as glTF documents: characters with skeleton, animations, weights, shapes and materials."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.character.poses import parent_transforms
+from cagemap.character.values import Animation, Channel, Character, Part, Rig, Track
+from cagemap.errors import FormatError
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.character import in_rig
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.nodes import distinct, invertible
+from cagemap.files.gltf.parts import turned_normals
+from cagemap.files.gltf.write import character_glb
+from cagemap.files.usd.animations import without_scale
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, stated
+from cagemap.files.usd.read import UsdMesh, in_world, named_damage, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd.shaders import with_materials
+from cagemap.files.usd.skeleton import joint_parents, joint_words, joints_of
+from cagemap.files.usd.space import stage_units, to_metres
+from cagemap.mesh import Plain
+from cagemap.numerics.arrays import FloatArray
+
+
+def usd_document(path: str | Path) -> Document:
+    """Read a USD file as a glTF document in metres with Y up, in the bind pose.
+
+    Subdivision schemes are left out, since glTF has none. Materials are those of `cagemap.files.usd.shaders`.
+    """
+    file = Path(path)
+    stage = open_stage(file)
+    with named_damage(file):
+        meshes = read_usd_meshes(file)
+        character, weights = _read(file, stage, meshes)
+        document = replace(character_glb(character), file=file)
+        geometry = usd_modules().UsdGeom
+        users = {
+            name: (
+                tuple(one.name for one in part.mesh.all_uv_sets),
+                bool(geometry.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get()),
+            )
+            for part, mesh in zip(reversed(character.parts), reversed(meshes), strict=True)
+            for name in part.mesh.material_names
+        }
+        return with_materials(_with_shape_weights(document, character, weights), stage, users)
+
+
+def read_usd_character(path: str | Path) -> Character:
+    """Read a USD file as a character: meshes as parts, with the vertices of `cagemap.files.usd.read.read_usd`."""
+    with named_damage(path):
+        return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
+
+
+# Times in seconds, and weights (k, shapes) of named blend shapes, by animation.
+_ShapeWeights = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
+
+
+def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character, _ShapeWeights]:
+    pxr = usd_modules()
+    prims = [stage.GetPrimAtPath(mesh.path) for mesh in meshes]
+    bound = [pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton() for prim in prims]
+    skeletons = {str(one.GetPath()): one for one in bound if one}
+    if len(skeletons) > 1:
+        raise FormatError(f"{file}: expected one skeleton, got {', '.join(skeletons)}. Export one character alone.")
+    to_world, rig = to_metres(stage_units(file)), None
+    animations, weights = tuple[Animation, ...](), _ShapeWeights()
+    above = to_world
+    for skeleton in skeletons.values():
+        above = local_to_world(skeleton.GetPrim()) @ to_world
+        rig = _rig(file, skeleton, above)
+        animations, weights = _animations(stage, skeleton, rig, above)
+    names = distinct([prim.GetDisplayName() or prim.GetName() for prim in prims])
+    parts = []
+    for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
+        table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
+        placed_by = mesh.to_world @ to_world
+        if table is not None:
+            placed_by = np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ above
+            table = np.maximum(table, 0.0)
+            table[~table.any(axis=1), 0] = 1.0
+            table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
+        placed = in_world(replace(mesh, to_world=placed_by))
+        control = replace(placed.control, name=name, face_objects=None, object_names=())
+        shapes = {
+            label.removeprefix(BLEND_SHAPE): offsets
+            for label, offsets in placed.attributes.items()
+            if label.startswith(BLEND_SHAPE)
+        }
+        parts.append(Part(name, control, table, shapes, _normals(mesh, prim, placed_by)))
+    if rig is not None:
+        rig, animations = without_scale(rig, animations)
+    return Character(tuple(parts), rig, animations), weights
+
+
+def _normals(mesh: UsdMesh, prim: Any, matrix: FloatArray) -> FloatArray | None:
+    """Normals (c, 3) of the corners of a plain mesh; None for one whose faces were reversed when it was read."""
+    geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    reverse = geometry.GetOrientationAttr().Get() == "leftHanded" or is_mirrored(matrix)
+    if primvar.HasValue():
+        values, kind = primvar.ComputeFlattened(), primvar.GetInterpolation()
+    else:
+        values, kind = stated(geometry.GetNormalsAttr()), geometry.GetNormalsInterpolation()
+    count = len(mesh.control.face_indices)
+    corners = {"vertex": mesh.control.face_indices, "faceVarying": np.arange(count)}.get(kind)
+    if not values or corners is None or len(values) <= corners.max() or reverse:
+        return None
+    if not isinstance(mesh.control.scheme, Plain):
+        return None
+    return turned_normals(np.asarray(values, dtype=np.float64), matrix[:3, :3])[corners]
+
+
+def _rig(file: Path, skeleton: Any, above: FloatArray) -> Rig:
+    joints, binds = joints_of(file, skeleton)
+    parents = joint_parents(joints)
+    if (parents >= np.arange(len(joints))).any():
+        raise FormatError(f"{file}: {skeleton.GetPath()}: expected parents before children. Export the skeleton again.")
+    rests = np.array(skeleton.GetRestTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+    local = rests if len(rests) == len(joints) else parent_transforms(binds, parents)
+    local[parents < 0] = local[parents < 0] @ above
+    if not np.isfinite(local).all() or not invertible(binds @ above).all():
+        raise FormatError(f"{file}: {skeleton.GetPath()}: expected transforms with an inverse. Export it again.")
+    names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
+    if len(set(names)) != len(joints) or len(names) != len(joints):
+        names = joint_words(joints)
+    return Rig(tuple(names), parents, local, binds @ above)
+
+
+def _animations(stage: Any, skeleton: Any, rig: Rig, above: FloatArray) -> tuple[tuple[Animation, ...], _ShapeWeights]:
+    """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
+    pxr = usd_modules()
+    bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
+    prims = [*([bound] if bound else []), *(prim for prim in stage.Traverse() if prim.IsA(pxr.UsdSkel.Animation))]
+    prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
+    joints = [str(joint) for joint in skeleton.GetJointsAttr().Get()]
+    found, weights = [], _ShapeWeights()
+    names = distinct([one.GetPrim().GetDisplayName() or one.GetPrim().GetName() for one in prims])
+    for name, animation in zip(names, prims, strict=True):
+        listed = [str(joint) for joint in animation.GetJointsAttr().Get() or []]
+        channels: tuple[tuple[Channel, Any], ...] = (
+            ("translation", animation.GetTranslationsAttr()),
+            ("rotation", animation.GetRotationsAttr()),
+            ("scale", animation.GetScalesAttr()),
+        )
+        tracks = []
+        for channel, attribute in channels:
+            times, values = _samples(stage, attribute, len(listed))
+            for column, joint in enumerate(listed):
+                if joint in joints and len(times):
+                    keys = values[:, column]
+                    if rig.parents[joints.index(joint)] < 0:
+                        keys = in_rig(keys, channel, above, tangents=False)
+                    kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
+                    tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
+        shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
+        times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes))
+        if len(times):
+            weights[name] = times, dict(zip(shapes, values.T, strict=True))
+        if tracks or name in weights:
+            found.append(Animation(name, tuple(tracks)))
+    return tuple(found), weights
+
+
+def _samples(stage: Any, attribute: Any, rows: int) -> tuple[FloatArray, FloatArray]:
+    """Times in seconds, from 0 on, and values (k, rows, ...) of an attribute; none if it has no such values."""
+    codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
+    stated = [attribute.Get(code) for code in codes]
+    if not rows or any(value is None or len(value) != rows for value in stated):
+        return np.zeros(0), np.zeros((0, rows))
+    start = min(stage.GetStartTimeCode(), 0.0)
+    times = np.array([0.0 if len(codes) == 1 else code - start for code in codes]) / stage.GetTimeCodesPerSecond()
+    return times, np.array([np.array(value) for value in stated], dtype=np.float64)
+
+
+def _with_shape_weights(document: Document, character: Character, weights: _ShapeWeights) -> Document:
+    """The document with weights of blend shapes in its animations."""
+    binary, top = Binary(document), json.loads(json.dumps(document.json))
+    nodes = {entry["name"]: number for number, entry in enumerate(top["nodes"])}
+    for name, (times, values) in weights.items():
+        entries = top.setdefault("animations", [])
+        entry = next((one for one in entries if one["name"] == name), None)
+        if entry is None:
+            entry = {"name": name, "samplers": [], "channels": []}
+            entries.append(entry)
+        for part in character.parts:
+            if not set(part.shapes) & set(values):
+                continue
+            table = np.column_stack([values.get(shape, np.zeros(len(times))) for shape in part.shapes])
+            keys = times.astype("<f4")
+            sampler = {
+                "input": binary.accessor(keys, min=[float(keys.min())], max=[float(keys.max())]),
+                "output": binary.accessor(table.astype("<f4").ravel()),
+            }
+            target = {"node": nodes[part.name], "path": "weights"}
+            entry["samplers"].append(sampler)
+            entry["channels"].append({"sampler": len(entry["samplers"]) - 1, "target": target})
+        if not entry["channels"]:
+            entries.remove(entry)
+    return binary.document({key: value for key, value in top.items() if key != "animations" or value})

@@ -1,0 +1,152 @@
+"""UsdPreviewSurface shaders as materials of glTF, with their images."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.entries import Document, image_suffix, image_type
+from cagemap.files.gltf.material_images import png_bytes
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.images.image import image_of_bytes
+from cagemap.files.usd.read import usd_modules
+
+_log = logging.getLogger(__name__)
+
+# Slots of glTF: the inputs that an image holds, with the output of each.
+_SLOTS = {
+    "baseColorTexture": {"diffuseColor": "rgb"},
+    "metallicRoughnessTexture": {"metallic": "b", "roughness": "g"},
+    "normalTexture": {"normal": "rgb"},
+    "occlusionTexture": {"occlusion": "r"},
+    "emissiveTexture": {"emissiveColor": "rgb"},
+}
+_WRAP = {"clamp": 33071, "mirror": 33648}
+
+
+def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tuple[str, ...], bool]]) -> Document:
+    """The document with factors, images and opacity of the materials of a stage.
+
+    ``users``: by name of a material, the names of the UV sets of a mesh that has it, and whether it is double-sided.
+    """
+    shade = usd_modules().UsdShade
+    prims = [prim for prim in stage.Traverse() if prim.IsA(shade.Material)]
+    named = {prim.GetName(): prim for prim in reversed(prims)} | {str(prim.GetPath()): prim for prim in prims}
+    made = _Materials(document)
+    for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
+        sets, double_sided = users[name]
+        entry |= {"doubleSided": True} if double_sided else {}
+        surface = shade.Material(named[name]).ComputeSurfaceSource()[0] if name in named else None
+        if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
+            entry["name"] = named[name].GetDisplayName() or name
+            made.fill(entry, surface, sets)
+    return made.binary.document(made.top)
+
+
+def _source(shader: Any, name: str) -> Any:
+    """The attribute with the value of an input: its own, or the output of a shader; None without one."""
+    given = shader.GetInput(name)
+    sources = given.GetValueProducingAttributes() if given else ()
+    return sources[0] if sources else None
+
+
+def _setting(shader: Any, name: str, default: Any) -> Any:
+    source = _source(shader, name)
+    value = source.Get() if source else None
+    return default if value is None else value
+
+
+def _shader(shader: Any, name: str, kind: str) -> Any:
+    """The shader of a kind whose output an input takes; None if it takes another or none."""
+    source = _source(shader, name)
+    found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
+    return found if found and found.GetIdAttr().Get() == kind else None
+
+
+class _Materials:
+    """Materials of a document that are filled one by one."""
+
+    def __init__(self, document: Document) -> None:
+        self.binary, self.top = Binary(document), json.loads(json.dumps(document.json))
+        self._file, self._known = document.file, dict[str, int]()
+
+    def fill(self, entry: dict[str, Any], surface: Any, sets: tuple[str, ...]) -> None:
+        """Set an entry by the inputs of a surface."""
+
+        def factor(name: str, default: float | tuple[float, ...]) -> Any:
+            """Value of an input; with an image, its scale."""
+            texture = _shader(surface, name, "UsdUVTexture")
+            if texture is None:
+                return _setting(surface, name, default)
+            output, scale = _source(surface, name).GetBaseName(), _setting(texture, "scale", (1.0,) * 4)
+            return scale["rgba".index(output)] if len(output) == 1 else scale[:3]
+
+        alpha, threshold = float(factor("opacity", 1.0)), float(factor("opacityThreshold", 0.0))
+        base = entry.setdefault("pbrMetallicRoughness", {})
+        base["baseColorFactor"] = [*map(float, factor("diffuseColor", (0.18,) * 3)), alpha]
+        base |= {"metallicFactor": float(factor("metallic", 0.0)), "roughnessFactor": float(factor("roughness", 0.5))}
+        entry["emissiveFactor"] = np.clip(np.array(factor("emissiveColor", (0.0,) * 3)), 0.0, 1.0).tolist()
+        opacity = _shader(surface, "opacity", "UsdUVTexture")
+        if opacity or alpha < 1.0:
+            entry |= {"alphaMode": "MASK", "alphaCutoff": threshold} if threshold > 0.0 else {"alphaMode": "BLEND"}
+        for slot, outputs in {**_SLOTS, "": {"opacity": "a"}}.items():
+            pairs = {name: _shader(surface, name, "UsdUVTexture") for name in outputs}
+            if not any(pairs.values()):
+                continue
+            images = {self._image(texture) for texture in pairs.values()}
+            fits = [_source(surface, name).GetBaseName() for name in outputs if pairs[name]] == list(outputs.values())
+            if not slot:  # the opacity of glTF is in the image of the colour
+                fits &= images == {self._image(_shader(surface, "diffuseColor", "UsdUVTexture"))}
+            if len(images) > 1 or None in images or not fits:
+                _log.warning("%s: %s: the image of its %s is left out", self._file, entry["name"], "/".join(outputs))
+            elif slot:
+                texture = next(iter(pairs.values()))
+                in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
+                (base if in_base else entry)[slot] = {"index": images.pop()} | self._coordinates(texture, sets)
+
+    def _image(self, texture: Any) -> int | None:
+        """Number of the glTF texture for a texture shader, added once; None if its image cannot be read."""
+        file = _setting(texture, "file", None) if texture else None
+        pxr, path = usd_modules(), "" if file is None else str(file.resolvedPath)
+        asset = pxr.Ar.GetResolver().OpenAsset(pxr.Ar.ResolvedPath(path)) if path else None
+        if asset is None:
+            return None
+        wrap = {name: _WRAP.get(str(_setting(texture, name, "repeat")), 10497) for name in ("wrapS", "wrapT")}
+        key = f"{path} {wrap}"
+        if key not in self._known:
+            with asset as opened:
+                data = bytes(opened.GetBuffer())
+            suffix = image_suffix(data)
+            if suffix not in (".png", ".jpg"):
+                name = path.rstrip("]")
+                data, suffix = png_bytes(image_of_bytes(data, PurePath(name).suffix, name)), ".png"
+            for kind, item in (
+                ("images", {"bufferView": self.binary.view(data), "mimeType": image_type(suffix)}),
+                ("samplers", wrap),
+                ("textures", {"source": len(self.top.get("images", ())), "sampler": len(self.top.get("samplers", ()))}),
+            ):
+                self.top.setdefault(kind, []).append(item)
+            self._known[key] = len(self.top["textures"]) - 1
+        return self._known[key]
+
+    def _coordinates(self, texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
+        """UV set and transform of a texture in glTF; the inverse of `cagemap.files.usd.materials`."""
+        holder: dict[str, Any] = {}
+        transform = _shader(texture, "st", "UsdTransform2d")
+        if transform:
+            width, height = map(float, _setting(transform, "scale", (1.0, 1.0)))
+            right, up = map(float, _setting(transform, "translation", (0.0, 0.0)))
+            angle = float(np.radians(_setting(transform, "rotation", 0.0)))
+            offset = [right - height * np.sin(angle), 1.0 - up - height * np.cos(angle)]
+            stated = {"offset": offset, "rotation": angle, "scale": [width, height]}
+            holder["extensions"] = {"KHR_texture_transform": stated}
+            self.binary.extensions.add("KHR_texture_transform")
+        reader = _shader(transform or texture, "in" if transform else "st", "UsdPrimvarReader_float2")
+        name = str(_setting(reader, "varname", "")) if reader else ""
+        return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})

@@ -1,0 +1,48 @@
+"""Damaged USD characters: a named error or a valid result, never another exception."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.files.gltf.character import animation_names, character_of, read_shape_keys
+from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.write import character_glb
+
+from damage import mutated_bytes, outcome
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from cagemap.files.usd.character import write_usd_character
+from cagemap.files.usd.convert import usd_document
+
+from usd_characters import lively, painted, with_shape_weights
+
+
+def use(path: Path) -> None:
+    """All that `rig` reads of a character."""
+    document = usd_document(path)
+    character = character_of(document)
+    assert all(np.isfinite(part.mesh.positions).all() for part in character.parts)
+    for number in range(len(animation_names(document))):
+        read_shape_keys(read_scene(document), number)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_changed_bytes_are_a_named_error_or_a_character(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(11)
+    made = lively()
+    moved = with_shape_weights(character_glb(made), "walk | fast", np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]]))
+    read = []
+    for name, (character, document) in {"C": (made, moved), "P": painted()}.items():
+        given = tmp_path / f"{name}{suffix}"
+        write_usd_character(given, character, read_scene(document))
+        assert outcome(lambda given=given: use(given))
+        content = given.read_bytes()
+        for number in range(12):
+            path = tmp_path / f"{name}{number}{suffix}"
+            path.write_bytes(mutated_bytes(content, rng))
+            read.append(outcome(lambda path=path: use(path)))
+    assert 0 < sum(read) < len(read)

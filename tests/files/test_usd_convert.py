@@ -1,0 +1,162 @@
+"""USD characters as glTF documents: what cagemap wrote, and files of other programs."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.character.poses import pose_at
+from cagemap.character.values import skinned_positions
+from cagemap.errors import FormatError
+from cagemap.files.gltf.character import character_of, read_shape_keys
+from cagemap.files.gltf.document import read_document, write_document
+from cagemap.files.gltf.material_images import material_images, read_material_image
+from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.write import character_glb
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+from cagemap.files.usd.character import write_usd_character
+from cagemap.files.usd.convert import read_usd_character, usd_document
+
+from usd_characters import lively, painted, posed, with_shape_weights
+
+
+def test_a_written_character_comes_back(tmp_path: Path) -> None:
+    """Names, rest pose, weights, shapes, all animations and their weights of shapes."""
+    made = lively()
+    assert made.rig is not None
+    weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
+    document = with_shape_weights(character_glb(made), "walk | fast", weights)
+    write_usd_character(tmp_path / "C.usdz", made, read_scene(document))
+    given = usd_document(tmp_path / "C.usdz")
+    write_document(tmp_path / "C.glb", given)
+    found = character_of(read_document(tmp_path / "C.glb"))
+    assert found.rig is not None
+    assert found.rig.names == made.rig.names
+    np.testing.assert_allclose(found.rig.heads, made.rig.heads, atol=1e-6)
+    assert [part.name for part in found.parts] == [part.name for part in made.parts]
+    for part, back in zip(made.parts, found.parts, strict=True):
+        np.testing.assert_allclose(back.mesh.positions, part.mesh.positions, atol=1e-6)
+        assert list(back.shapes) == list(part.shapes)
+        for name, offsets in part.shapes.items():
+            np.testing.assert_allclose(back.shapes[name], offsets, atol=1e-6)
+        assert (back.weights is None) == (part.weights is None)
+        if part.weights is not None:
+            np.testing.assert_allclose(back.weights.toarray(), part.weights.toarray(), atol=1e-6)
+    assert [one.name for one in found.animations] == [one.name for one in made.animations]
+    for before, after in zip(made.animations, found.animations, strict=True):
+        for seconds in (0.0, 0.25, 0.5, 1.37, 2.0):
+            for part, back in zip(made.parts, found.parts, strict=True):
+                expected = skinned_positions(part, made.rig, pose_at(made.rig, before, seconds))
+                got = skinned_positions(back, found.rig, pose_at(found.rig, after, seconds))
+                np.testing.assert_allclose(got, expected, atol=1e-4, err_msg=f"{before.name} {seconds}")
+    keys = read_shape_keys(read_scene(given), 0)
+    for place, shape in enumerate(("raise", "wide")):
+        times, values, _ = keys["body", shape]
+        np.testing.assert_allclose(times, [0, 1, 2], atol=1e-6)
+        np.testing.assert_allclose(values[:, 0], weights[:, place], atol=1e-6)
+
+
+def test_materials_come_back(tmp_path: Path) -> None:
+    """Factors, opacity, images with their UV set, transform and sampler; what is written has no normal strength."""
+    made, document = painted()
+    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    found = usd_document(tmp_path / "C.usda")
+    assert material_names(found) == ("body", "hat", "eye")
+    for name in ("body", "hat", "eye"):
+        before, after = (of.entry("materials", material_names(of).index(name)) for of in (document, found))
+        for key in ("alphaMode", "alphaCutoff", "doubleSided", "emissiveFactor"):
+            default = [0.0] * 3 if key == "emissiveFactor" else None
+            assert after.get(key, default) == pytest.approx(before.get(key, default)), (name, key)
+        for key, factor in before["pbrMetallicRoughness"].items():
+            if key.endswith("Factor") and (key != "baseColorFactor" or name != "eye"):
+                assert after["pbrMetallicRoughness"][key] == pytest.approx(factor), (name, key)
+    images = [material_images(of, "body") for of in (document, found)]
+    assert {one.slot for one in images[0]} == {one.slot for one in images[1]}
+    uvs = np.random.default_rng(0).random((9, 2))
+    for one in images[0]:
+        back = next(other for other in images[1] if other.slot == one.slot)
+        assert back.uv_set == one.uv_set
+        np.testing.assert_allclose(back.on_image(uvs), one.on_image(uvs), atol=1e-6)
+        pixels = [read_material_image(of, image).pixels for of, image in ((document, one), (found, back))]
+        np.testing.assert_array_equal(*pixels)
+    hats = [next(one for one in character_of(of).parts if one.name == "hat") for of in (document, found)]
+    np.testing.assert_allclose(hats[1].normals, hats[0].normals, atol=1e-6)
+    color = found.entry("materials", 0)["pbrMetallicRoughness"]["baseColorTexture"]
+    sampler = found.entry("samplers", found.entry("textures", color["index"])["sampler"])
+    assert sampler == {"wrapS": 33071, "wrapT": 33648}
+
+
+def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> None:
+    """Posed points are those that USD computes in the world, in metres with Y up."""
+    made = lively()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(character_glb(made)))
+    stage = Usd.Stage.Open(str(path))
+    turn = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), 30.0)) * Gf.Matrix4d().SetTranslate((3.0, 4.0, 5.0))
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(turn)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset/hat")).AddTransformOp().Set(Gf.Matrix4d().SetTranslate((9, 9, 9)))
+    bound = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetGeomBindTransformAttr()
+    bound.Set(Gf.Matrix4d().SetTranslate((0.0, 0.25, 0.0)))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.Save()
+    found = character_of(usd_document(path))
+    assert found.rig is not None
+    expected = posed(path, "walk | fast", 0.5)
+    # Skinned points are in the space of the skeleton, others in that of their prim: here /Asset's for both.
+    for part in found.parts:
+        points = skinned_positions(part, found.rig, pose_at(found.rig, found.animations[0], 0.5))
+        world = np.column_stack([expected[part.name], np.ones(len(points))]) @ np.array(turn)
+        np.testing.assert_allclose(points, 0.01 * world[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6, err_msg=part.name)
+    alone = read_usd_character(path).parts
+    np.testing.assert_allclose(alone[0].mesh.positions, found.parts[0].mesh.positions, atol=1e-6)
+
+
+def test_several_skeletons_are_refused_and_missing_images_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    made, document = painted()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(document))
+    (tmp_path / "C_body_emissive.png").unlink()
+    with caplog.at_level(logging.WARNING):
+        found = usd_document(path)
+    assert "C.usda: body: the image of its emissiveColor is left out" in caplog.text
+    assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
+    stage = Usd.Stage.Open(str(path))
+    other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])
+    stage.Save()
+    with pytest.raises(FormatError, match="expected one skeleton, got /Asset/skeleton, /Asset/other"):
+        usd_document(path)
+
+
+def test_a_character_of_another_program(shared_data: Path) -> None:
+    """RiggedFigure: rotated by its prims, quaternions in key frames; posed points as USD computes them."""
+    path = shared_data / "characters" / "foreign" / "RiggedFigure.usdz"
+    found = read_usd_character(path)
+    assert found.rig is not None
+    assert len(found.rig.names) == 19
+    (animation,) = found.animations
+    stage = Usd.Stage.Open(str(path))
+    prim = next(one for one in stage.Traverse() if one.IsA(UsdGeom.Mesh))
+    root = UsdSkel.Root.Find(prim)
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
+    to_world = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(query.GetPrim()))
+    for frame in (0.0, 12.0, 30.0):
+        points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
+        assert cache.GetSkinningQuery(prim).ComputeSkinnedPoints(query.ComputeSkinningTransforms(frame), points, frame)
+        expected = np.column_stack([np.array(points), np.ones(len(points))]) @ to_world
+        seconds = frame / stage.GetTimeCodesPerSecond()
+        got = skinned_positions(found.parts[0], found.rig, pose_at(found.rig, animation, seconds))
+        np.testing.assert_allclose(got, expected[:, :3], atol=1e-5)
