@@ -233,7 +233,8 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
-        note_transfer(request.result, {**entry, "size": bakes.size, "space": request.space})
+        entry |= {"size": bakes.size, "space": request.space, "mesh": prepared.mesh}
+        note_transfer(request.result, entry)
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")
     return "\n".join(lines), warnings
