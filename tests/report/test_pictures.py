@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
-import cagemap.pictures.render as ray_casting
 from cagemap.errors import ParameterError
 from cagemap.pictures import (
     BALANCE_SCALE,
@@ -26,6 +27,7 @@ from cagemap.pictures import (
     visible_points,
 )
 
+ray_casting = sys.modules[render.__module__]
 SIZE = {"width": 96, "height": 72}
 STRAIGHT = View("straight", 0.0, 0.0)
 
@@ -143,10 +145,11 @@ def test_skins_of_one_view_are_drawn_with_few_more_rays_than_one(monkeypatch: py
 
 def test_light_of_the_sky_is_interpolated_on_smooth_surfaces_only(monkeypatch: pytest.MonkeyPatch) -> None:
     model, camera = cube(), frame(cube().positions)
-    quick = render(model, Skin(), camera, **SIZE).astype(int)
+    quick = render(model, Skin(), camera, width=600, height=460).astype(int)
     monkeypatch.setattr(ray_casting, "MIN_NORMAL_AGREEMENT", 2.0)  # never
-    exact = render(model, Skin(), camera, **SIZE).astype(int)
-    assert np.abs(quick - exact).max() <= 4
+    exact = render(model, Skin(), camera, width=600, height=460).astype(int)
+    assert np.abs(quick - exact).max() <= 8
+    assert np.abs(quick - exact).mean() < 0.02
 
 
 def test_visible_knows_front_from_back() -> None:
