@@ -148,8 +148,8 @@ def test_light_of_the_sky_is_interpolated_on_smooth_surfaces_only(monkeypatch: p
     quick = render(model, Skin(), camera, width=600, height=460).astype(int)
     monkeypatch.setattr(ray_casting, "MIN_NORMAL_AGREEMENT", 2.0)  # never
     exact = render(model, Skin(), camera, width=600, height=460).astype(int)
-    assert np.abs(quick - exact).max() <= 8
-    assert np.abs(quick - exact).mean() < 0.02
+    assert np.abs(quick - exact).max() <= 10
+    assert np.abs(quick - exact).mean() < 0.05
 
 
 def test_visible_knows_front_from_back() -> None:
