@@ -316,13 +316,13 @@ def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
     """(q, 3) diffuse colours of materials from the ``mtllib`` files; the first file with a name wins."""
     known: dict[str, tuple[float, float, float]] = {}
     for row in statements.rows(_MATERIAL_FILE):
-        for file in _material_files(statements.path.parent, statements.lines[row]):
+        for file in material_files(statements.path.parent, statements.lines[row]):
             known = read_material_colors(file) | known
     unknown = (np.nan, np.nan, np.nan)
     return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
 
 
-def _material_files(folder: Path, line: str) -> list[Path]:
+def material_files(folder: Path, line: str) -> list[Path]:
     """Existing files that an ``mtllib`` line names: the whole rest of the line, else each of its words."""
     whole, *words = _material_names(line)
     for names in ([whole], words):
