@@ -203,8 +203,8 @@ def _require_one_piece(control: ControlMesh) -> None:
     if len(pieces) > 1:
         listed = first_few(f"{part.title} ({len(part.faces)} faces)" for part in pieces)
         raise ParameterError(
-            f"{control.name}: expected a part of one connected piece, got {len(pieces)}: {listed}. Choose one of "
-            "these; `cagemap match --part each` maps all of them."
+            f"{control.name}: expected a part of one connected piece, got {len(pieces)}: {listed}. Press "
+            "Open… and choose one of these under Part."
         )
 
 

@@ -15,7 +15,7 @@ from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.autosave import FileTracker, autosave_path, move_aside, read_autosave_parts
 from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, plan_commands
-from cagemap.studio.finish_layout import explain_flags
+from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks, to_file_numbers
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side, SideNames
 from cagemap.studio.last_map import LastMap
@@ -312,7 +312,7 @@ class Session(SharedState):
                 self._change(outputs=(*self._state.outputs, output))
 
     def _on_message(self, message: Message) -> None:
-        self._say(message.kind, explain_flags(self.options, message.text))
+        self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
 
     def _on_end(self, message: Message) -> None:
         with self.report_errors():  # no lock: this takes longer than a click

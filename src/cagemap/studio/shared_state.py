@@ -8,7 +8,8 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from cagemap.errors import CagemapError, use_option_names
+from cagemap.errors import CagemapError
+from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import MessageKind, StudioState, add_message
 
@@ -48,11 +49,11 @@ class SharedState:
 
     def _say(self, kind: MessageKind, text: str) -> None:
         with self._lock:
-            self._change(messages=add_message(self._state.messages, kind, text))
+            self._change(messages=add_message(self._state.messages, kind, in_page_words(text)))
 
     def _say_all(self, texts: Iterable[str], kind: MessageKind = "note") -> None:
         for text in texts:
-            self._say(kind, use_option_names(text))
+            self._say(kind, text)
 
     def _change(self, **fields: object) -> None:
         with self._lock:

@@ -12,7 +12,7 @@ from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures.colors import distinct_colors
 from cagemap.studio.downloads import ARCHIVE_NAME, archive_name, textured_model_name
-from cagemap.studio.finish_layout import FOLDER_SUFFIX
+from cagemap.studio.finish_layout import FOLDER_SUFFIX, in_page_words
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import SAVE_FORMATS
 from cagemap.studio.landmarks import SIDES, Place, Side
@@ -72,8 +72,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "suggests": map_state.suggestion is not None,
         "said": [
             *([confidence_text(map_state.confidence)] if map_state.confidence else []),
-            *map_state.contradictions.values(),
-            *map_state.notes,
+            *map(in_page_words, (*map_state.contradictions.values(), *map_state.notes)),
         ],
         "answers": map_state.answers if len(map_state.answers) > 1 else (),
         "chosen": map_state.chosen_answer,
