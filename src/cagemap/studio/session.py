@@ -378,6 +378,7 @@ class Session(SharedState):
         if self._state.files is not None:
             files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
+            files = replace(files, target=target.path or files.target, source=source.path or files.source)
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
         self._say_all(target.notes + source.notes)
         self._load_initial_landmarks()
