@@ -191,7 +191,7 @@ def visible_points(model: Model, camera: Camera, points: FloatArray) -> NDArray[
     towards = points - camera.eye
     distance = np.linalg.norm(towards, axis=1)
     hit = _cast(model, _to_unit(model, camera.eye), towards / distance[:, None])
-    return np.asarray(hit["tfar"] * model.scale > distance - 0.01 * model.scale)
+    return np.asarray(hit["tfar"].astype(np.float64) * model.scale > distance - 0.01 * model.scale)
 
 
 @dataclass(frozen=True, eq=False)

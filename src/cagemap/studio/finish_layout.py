@@ -238,7 +238,7 @@ PAGE_WORDS = {
     "--part NAME": _CHOOSE_PART,
     "--part": "Open…, Part",
     "--scheme none": "Do not subdivide (Open…, Options)",
-    "--target-scheme": "Open…, Options, Target is",
+    "--target-scheme": "Open…, Options, Subdivide target",
     "--trust-landmarks": "Bake, Match, Trust landmarks",
     "--force": "Bake, Files, Overwrite",
     "--answer 1": "the other button above Match again",

@@ -315,11 +315,13 @@ class Session(SharedState):
         self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
 
     def _on_end(self, message: Message) -> None:
+        differences: tuple[str, ...] = ()
         with self.report_errors():  # no lock: this takes longer than a click
             if self._finish_inputs == self._state.map_inputs:
-                self._say_all(map_difference_notes(self._scene, self._state.outputs), "error")
+                differences = tuple(map_difference_notes(self._scene, self._state.outputs))
         with self._lock:
             self._say(message.kind, message.text)
+            self._say_all(differences, "error")  # last: the status line shows it
             if self._state.baked_images and self._finish_inputs == self._state.map_inputs:
                 self.show_baked_image(self._state.baked_images[0])
             elif self._state.baked_images:
@@ -351,6 +353,8 @@ class Session(SharedState):
                     self._open_pair(replace(files, parts=self._requested_parts), self._requested_parts)
             case OpenedPair():
                 self._apply_models(result)
+            case MapUpdate() if self._scene is None:  # the same models are being opened again
+                pass
             case MapUpdate() if self._scene is not None and isinstance(task, FindMap):
                 before, (target, source) = self._scene, result.skins
                 scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))

@@ -47,6 +47,10 @@ class SharedState:
         """Show an error."""
         self._say("error", f"{type(error).__name__}: {error}")
 
+    def note(self, text: str) -> None:
+        """Show a note."""
+        self._say("note", text)
+
     def _say(self, kind: MessageKind, text: str) -> None:
         with self._lock:
             self._change(messages=add_message(self._state.messages, kind, in_page_words(text)))

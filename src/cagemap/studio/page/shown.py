@@ -27,6 +27,8 @@ _COLORS = distinct_colors(64)
 _VIEW_FIELDS = ("mode", "cages", "doubts", "linked", "rest", "symmetric", "pose")
 # Height of lines above the model, in units of its radius.
 _LINE_HEIGHT = 0.004
+# Files written with an image for a target without UVs.
+_LAYOUT_FILES = {"_unwrapped.obj": "model with its new UVs", "_unwrapped.mtl": "its materials"}
 _CAGE_COLOR = np.array([0.35, 0.67, 1.0])
 
 
@@ -188,4 +190,5 @@ def _output_entries(state: StudioState) -> list[dict[str, Any]]:
 
 def _output_entry(output: Output) -> dict[str, Any]:
     name = archive_name(output.path) if output.path.is_dir() else output.path.name
-    return {"what": output.title, "name": name, "page": output.path.suffix.lower() == ".html"}
+    what = next((text for ending, text in _LAYOUT_FILES.items() if name.endswith(ending)), output.title)
+    return {"what": what, "name": name, "page": output.path.suffix.lower() == ".html"}
