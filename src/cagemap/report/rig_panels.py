@@ -181,7 +181,9 @@ def _images_panel(
     pictures = list[tuple[Image, str]]()
     for image, (pixels, _), on_target in zip(images, joined, _draw_all(jobs, size), strict=True):
         pictures += [(np.round(255 * pixels).astype(np.uint8), image.name), on_target]
-    lead = "Every image in the target's layout and on it. Heights and offsets: darkest lowest, brightest highest."
+    lead = "Every image in the target's layout and on it."
+    if any("displacement" in image.name for image in images):
+        lead += " Heights and offsets: darkest lowest, brightest highest."
     return Panel("Baked images", lead, tuple(pictures))
 
 

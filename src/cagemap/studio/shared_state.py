@@ -8,10 +8,10 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from cagemap.errors import CagemapError
+from cagemap.errors import CagemapError, ParameterError
 from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import MessageKind, StudioState, add_message
+from cagemap.studio.state import Files, MessageKind, StudioState, add_message
 
 log = logging.getLogger(__name__)
 
@@ -77,3 +77,8 @@ class SharedState:
         except Exception as error:  # a bug must not end the studio
             log.exception("internal error")
             self._say("error", f"internal error, {type(error).__name__}: {error}")
+
+    def _require_open(self) -> tuple[Files, Scene]:
+        if self._state.files is None or self._scene is None:
+            raise ParameterError("expected two open models, there are none yet. Choose a target and a source.")
+        return self._state.files, self._scene
