@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,56 @@ def test_transfer_bakes_and_report_shows_it(run: Run, result_folder: Path, monke
     (place / "t.png").unlink()
     assert run("report R -o r.html").code == 0
     assert shown["texture"] is None
+
+
+def test_the_report_shows_every_baked_image(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    result = read_result(result_folder)
+    white = np.ones((result.source.control.n_vertices, 3))
+    colored = result.source.with_control(replace(result.source.control, vertex_colors=white))
+    write_result(result_folder, replace(result, source=colored))
+    write_image(place / "h.exr", np.full((8, 12, 1), 0.25, np.float32))
+    write_image(place / "v.exr", np.full((8, 12, 3), -0.5, np.float32))
+    write_image(place / "n.png", np.full((8, 12, 3), [128, 128, 255], np.uint8))
+    for words in (
+        "--texture t.png -o t_baked.png",
+        "--texture albedo=t.png --texture roughness=t.png -o maps.png",
+        "--displacement h.exr -o h_baked.exr",
+        "--vector-displacement v.exr -o v_baked.exr",
+        "--normal-map n.png -o n_baked.png",
+        "--material-colors -o m_baked.png",
+        "--bake ao,colors --rays 8 --unwrap -o d.png",
+    ):
+        run.done(f"transfer R {words} --size 32")
+    run.done("report R -o r.html")
+    page = (place / "r.html").read_text(encoding="utf-8")
+    section = page.partition("Baked images")[2].partition("</details>")[0]
+    captions = re.findall("<figcaption>(.*?)</figcaption>", section)
+    assert captions == [
+        caption
+        for name in (
+            "texture: t_baked.png",
+            "texture albedo: maps_albedo.png",
+            "displacement: h_baked.exr",
+            "vector displacement: v_baked.exr",
+            "normal map: n_baked.png",
+            "material colours: m_baked.png",
+            "ambient occlusion: d_ao.png",
+            "colours: d_colors.png",
+        )
+        for caption in (name, f"{name}, on the target")
+    ]
+
+
+def test_the_report_shows_all_tiles_of_an_image(run: Run, result_folder: Path) -> None:
+    result = read_result(result_folder)
+    control = result.target.control
+    tiled = control.with_uvs(control.uvs * [2.0, 1.0], control.uv_indices)
+    write_result(result_folder, replace(result, target=result.target.with_control(tiled)))
+    run.done("transfer R --material-colors --size 32 -o m.png")
+    run.done("report R -o r.html")
+    page = (result_folder.parent / "r.html").read_text(encoding="utf-8")
+    assert 'width="64" height="32" alt="material colours: m.&lt;UDIM&gt;.png"' in page
 
 
 def test_report_is_written(run: Run, result_folder: Path) -> None:

@@ -152,7 +152,7 @@ def test_unwrapping_leaves_the_model_beside_the_image_alone(place: Path) -> None
     assert {name: after[name] for name in before if name != "R/manifest.json"} == {
         name: before[name] for name in before if name != "R/manifest.json"
     }
-    assert {"box.png", "box_unwrapped.obj"} <= set(after)
+    assert {"box.png", "box_unwrapped.obj", "box_unwrapped.mtl"} <= set(after)
 
 
 def unwrapped(place: Path, folder: str) -> tuple[str, list[str]]:
@@ -174,19 +174,51 @@ def unwrapped(place: Path, folder: str) -> tuple[str, list[str]]:
 def test_an_unwrapped_mesh_keeps_everything_its_file_had(place: Path, folder: str) -> None:
     text, warnings = unwrapped(place, folder)
     assert warnings == []
-    library = "box paint.mtl" if folder == "models" else "models/box paint.mtl"
     kept = [line for line in CUBE.splitlines() if not line.startswith(("f ", "  ", "mtllib"))]
     lines = text.splitlines()
     assert [line for line in lines if line in kept] == kept
-    assert lines.count(f"mtllib {library}") == CUBE.count("mtllib") == 2  # before the faces and after them
+    assert [line for line in lines if line.startswith("mtllib")] == ["mtllib skin_unwrapped.mtl"]
+    materials = (place / folder / "skin_unwrapped.mtl").read_text().splitlines()[1:]
+    white, image = "Kd 1.0 1.0 1.0", "map_Kd skin.png"
+    assert materials == ["newmtl skin", white, "Ks 0.5 0.5 0.5", image, "newmtl lid", white, "illum 2", image]
     faces = [line for line in lines if line.startswith("f ")]
     assert all(corner.count("/") == 2 for corner in faces[0].partition("#")[0].split()[1:])
     assert faces[0].endswith("# that side")
     laid_out, original = read_mesh(place / folder / "skin_unwrapped.obj"), read_mesh(place / "models" / "box.obj")
     np.testing.assert_array_equal(laid_out.face_indices, original.face_indices)
     np.testing.assert_array_equal(laid_out.face_materials, original.face_materials)
-    np.testing.assert_array_equal(laid_out.material_colors, original.material_colors)
+    assert laid_out.material_names == original.material_names
     assert laid_out.uvs is not None
+
+
+def test_an_unwrapped_mesh_shows_each_baked_image_on_every_face(place: Path) -> None:
+    result = read_result(place / "R")
+    bare = replace(result.target.control, face_materials=None, material_names=(), material_colors=None)
+    write_result(place / "R", replace(result, target=result.target.with_control(bare)))
+
+    def materials_of(name: str, **options: Any) -> list[str]:
+        run_transfer(TransferRequest(place / "R", place / f"{name}.png", size=16, unwrap=True, **options), Stages())
+        text = (place / f"{name}_unwrapped.obj").read_text()
+        assert text.index(f"mtllib {name}_unwrapped.mtl\n") < text.index("usemtl baked\n") < text.index("f ")
+        return (place / f"{name}_unwrapped.mtl").read_text().splitlines()[1:]
+
+    image, white = place / "t.png", "Kd 1.0 1.0 1.0"
+    assert materials_of("my skin", texture=image) == ["newmtl baked", white, "map_Kd my skin.png"]
+    maps = (("Base_Color", image), ("roughness", image), ("odd", image))
+    named = ["newmtl baked", white, "map_Kd m_Base_Color.png", "map_Pr m_roughness.png"]
+    assert materials_of("m", maps=maps) == named
+    normals = ["newmtl baked", "norm n.png", "map_Bump n.png"]
+    assert materials_of("n", normal_map=image) == normals
+    assert materials_of("c", material_colors=True) == ["newmtl baked", white, "map_Kd c.png"]
+    assert materials_of("ao", bake=("ao",), rays=4) == ["newmtl baked", white, "map_Ka ao.png", "map_Kd ao.png"]
+
+
+def test_a_foreign_material_file_of_an_unwrapped_mesh_is_not_replaced(place: Path) -> None:
+    (place / "a_unwrapped.mtl").write_text(PAINT)
+    before = contents(place)
+    with pytest.raises(FormatError, match=r"a_unwrapped\.mtl: exists"):
+        texture_of(place, "a.png", unwrap=True)
+    assert contents(place) == before
 
 
 def test_an_unwrapped_mesh_of_a_lost_file_says_what_it_lacks(place: Path) -> None:

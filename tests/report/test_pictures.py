@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from cagemap.pictures import (
     frame,
     position_colors,
     render,
+    render_skins,
     sample_texture,
     scalar_colors,
     to_display,
@@ -24,6 +27,7 @@ from cagemap.pictures import (
     visible_points,
 )
 
+ray_casting = sys.modules[render.__module__]
 SIZE = {"width": 96, "height": 72}
 STRAIGHT = View("straight", 0.0, 0.0)
 
@@ -117,6 +121,35 @@ def test_face_and_vertex_colours_arrive() -> None:
         drawn = picture[(picture != 255).any(-1)]
         assert (drawn[:, 0] >= drawn[:, 1]).all()
         assert drawn[:, 0].max() > 150
+
+
+def test_skins_of_one_view_are_drawn_with_few_more_rays_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Model(np.random.default_rng(3).normal(size=(300, 3)), np.arange(300).reshape(100, 3))
+    camera = frame(model.positions)
+    skins = [Skin(), Skin(vertex_colors=np.tile([0.2, 0.4, 0.6], (300, 1)))] * 2
+    alone = [render(model, skin, camera, **SIZE) for skin in skins]
+    cast, counts = ray_casting._cast, list[int]()
+
+    def counted(model: Model, origins: np.ndarray, directions: np.ndarray) -> dict[str, np.ndarray]:
+        counts.append(len(directions))
+        return cast(model, origins, directions)
+
+    monkeypatch.setattr(ray_casting, "_cast", counted)
+    render(model, skins[0], camera, **SIZE)
+    rays_of_one = sum(counts)
+    counts.clear()
+    together = list(render_skins(model, skins, camera, (SIZE["width"], SIZE["height"])))
+    assert sum(counts) < 2 * rays_of_one
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_light_of_the_sky_is_interpolated_on_smooth_surfaces_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, camera = cube(), frame(cube().positions)
+    quick = render(model, Skin(), camera, width=600, height=460).astype(int)
+    monkeypatch.setattr(ray_casting, "MIN_NORMAL_AGREEMENT", 2.0)  # never
+    exact = render(model, Skin(), camera, width=600, height=460).astype(int)
+    assert np.abs(quick - exact).max() <= 10
+    assert np.abs(quick - exact).mean() < 0.05
 
 
 def test_visible_knows_front_from_back() -> None:

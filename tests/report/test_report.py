@@ -141,7 +141,7 @@ def test_without_a_texture_material_colours_are_shown_and_without_those_a_checke
 def test_progress_names_every_picture(result: MatchResult) -> None:
     said: list[str] = []
     draw_gallery(result, size=(30, 20), progress=said.append)
-    assert said == [f"picture {i} of 7" for i in range(1, 8)]
+    assert said == [f"picture {i} of 12" for i in range(1, 13)]
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_what_the_page_bakes_is_what_the_command_line_writes(tmp_path: Path, bro
 def fill_in(page: Page) -> None:
     """All options of the finish."""
     page.option("", "Vertices", str(VERTICES))
-    page.option("", "Texels", str(SIZE))
+    page.option("", "Image size", str(SIZE))
     for fold, fields in ASKED.items():
         for label, value in fields.items():
             page.option(fold, label, value)

@@ -126,6 +126,19 @@ def test_views_change_what_is_shown(page: Page) -> None:
         page.until(lambda: not other(page.look("target"), still), f"no {name}")
 
 
+def test_what_is_chosen_in_the_dialog_stays_until_it_is_closed(page: Page, files: Files) -> None:
+    target = "return document.querySelector('#models [name=target]').value"
+    page.press("open")
+    page.set("models [name=target]", "pony.obj")
+    for name in ("else.json", files.landmarks.name):  # the server tells of other files meanwhile
+        page.set("file", name)
+        page.press("save")
+        page.until(lambda name=name: page.state("files")["landmarks"] == name, name)
+        assert page.run(target) == "pony.obj"
+    page.run("document.querySelector('#models button[value=\"\"]').click()")
+    page.until(lambda: page.run(target) == files.target.name, "the open model again")
+
+
 def test_nothing_is_asked_of_other_machines(page: Page) -> None:
     asked = page.run("return performance.getEntries().map(e => [e.entryType, e.name])")
     named = [name for kind, name in asked if kind in ("resource", "navigation")]
@@ -336,7 +349,7 @@ def test_two_tabs_and_a_reconnect_show_one_state(page: Page) -> None:
 
 def test_an_error_is_named_and_the_bake_goes_on_after_it(page: Page, files: Files) -> None:
     page.option("", "Vertices", "200000")  # a match that lasts until it is cancelled
-    page.option("", "Texels", "512")
+    page.option("", "Image size", "512")
     files.result.mkdir()
     (files.result / "thesis.tex").write_text("not ours")
     page.press("start")

@@ -18,6 +18,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.studio.compute import (
     FindMap,
     MapUpdate,
+    OpenedPair,
     OpenModels,
     PairFiles,
     PreviewCache,
@@ -65,6 +66,31 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     back = map_place(scene, "source", there)
     assert back is not None
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
+
+
+def test_an_fbx_model_is_converted_once_and_its_glb_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = unwrapped_cube()
+    write_mesh(tmp_path / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
+    write_mesh(tmp_path / "made.glb", mesh)
+    (tmp_path / "b.fbx").write_bytes(b"an FBX file")
+    (tmp_path / "b.glb").write_bytes(b"another file of this name")
+    converted = list[str]()
+
+    def convert(path: Path) -> bytes:
+        converted.append(path.name)
+        return (tmp_path / "made.glb").read_bytes()
+
+    for module in ("files.gltf.document", "studio.models"):
+        monkeypatch.setattr(f"cagemap.{module}.fbx_as_glb", convert, raising=False)
+    pair_files = PairFiles(tmp_path / "a.obj", tmp_path / "b.fbx", None, 300, tmp_path)
+    cache, opened = run_task(PreviewCache(), OpenModels(pair_files), lambda _: None)
+    run_task(cache, FindMap(pair_files, landmarks(cache, *range(8))), lambda _: None)
+    assert converted == ["b.fbx"]
+    assert isinstance(opened, OpenedPair)
+    assert opened.source.path == tmp_path / "b1.glb"
+    assert opened.source.path.read_bytes() == (tmp_path / "made.glb").read_bytes()
+    assert (tmp_path / "b.glb").read_bytes() == b"another file of this name"
+    assert "b.fbx is converted: b1.glb is used in its place" in opened.source.notes
 
 
 @pytest.mark.slow

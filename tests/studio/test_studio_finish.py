@@ -20,17 +20,20 @@ from hypothesis import strategies as st
 from test_obj import QUICK
 from typed_request import run_typed, typed
 
-from cagemap.errors import ParameterError
+from cagemap.errors import OPTION_NAMES, ParameterError, use_option_names
 from cagemap.files import MASK_SUFFIXES
+from cagemap.mesh.plain import Repairs
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
 from cagemap.studio.finish import SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
     ADVANCED,
+    NOT_ON_THE_PAGE,
     OMITTED_OPTIONS,
     SECTIONS,
     SIZE_KEY,
     VERTICES_KEY,
     explain_flags,
+    in_page_words,
     sections,
 )
 from cagemap.studio.opening import default_files
@@ -214,6 +217,17 @@ def test_a_message_says_where_on_the_page_its_remedy_is() -> None:
     text = explain_flags(OPTIONS, "x.png: exists. Give another name, or allow it with force (--force).")
     assert text.endswith("(On this page --force: Overwrite, under Files.)")
     assert explain_flags(OPTIONS, "too many landmarks") == "too many landmarks"
+
+
+def test_messages_name_what_to_press_on_the_page_not_options_of_the_command_line() -> None:
+    repairs = Repairs(pieces=2, pieces_share=0.1, pieces_vertices=16)
+    (note,) = repairs.sentences()
+    assert in_page_words(note).endswith("there. To open another piece, press Open… and choose it under Part")
+    assert "--" not in in_page_words(use_option_names(note))
+    for python, option in OPTION_NAMES.items():
+        words = in_page_words(f"a ({python} x)")
+        assert python not in words
+        assert option not in words or option in NOT_ON_THE_PAGE, words
 
 
 def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:

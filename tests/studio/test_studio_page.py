@@ -28,7 +28,7 @@ from cagemap.studio.state import MapState, Message, Output, RunningJob, StudioSt
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import all_options
 
-from studio_boxes import click
+from studio_boxes import click, session_of
 
 # Words that only a researcher knows.
 FOREIGN = ("hypothes", "projection", "coarse fit", "operator", "basis", "eigen", "energy", "solver")
@@ -175,6 +175,25 @@ def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, bo
     assert begun[1].texture is None  # that of another source
     for path in boxes.glob("c*.obj"):
         path.unlink()
+
+
+def test_models_dropped_one_after_the_other_are_opened_together(tmp_path: Path, boxes: Path) -> None:
+    begun: list[Any] = []
+    session = MagicMock(wraps=session_of(tmp_path))
+    session.workspace, session.state = Workspace.of(tmp_path), StudioState()
+    session.open.side_effect = begun.append
+    actions = Actions(session)
+    for name, role in (("a.mtl", "target"), ("b.png", "source"), ("a.obj", "target"), ("b.obj", "source")):
+        content = b"newmtl a" if name == "a.mtl" else (boxes / name).read_bytes()
+        assert not begun
+        actions.handle(json.dumps({"name": name, "role": role}).encode() + b"\n" + content)
+    assert [path.name for path in (begun[0].target, begun[0].source, begun[0].texture)] == ["a.obj", "b.obj", "b.png"]
+    session.load.assert_not_called()
+    said = [call.args[0] for call in session.note.call_args_list]
+    assert said == [
+        "b.png is here. Drop the target, on the left half and the source, on the right half.",
+        "a.obj is here. Drop the source, on the right half.",
+    ]
 
 
 def test_the_form_has_every_option_that_the_page_shows() -> None:

@@ -130,7 +130,8 @@ def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
 
     revision = opened.state.map.revision
     with monkeypatch.context() as patch:
-        patch.setattr("cagemap.studio.session.propose_place", broken)
+        for module in ("session", "landmark_edits"):
+            patch.setattr(f"cagemap.studio.{module}.propose_place", broken)
         click(opened, "target", 2)  # here, and where the answer of the computation is taken in
         opened.match_again()
         until(lambda: opened.state.preview_job is None, opened)

@@ -32,7 +32,7 @@ def pair(landmarks: LandmarkList, x: float) -> LandmarkList:
 
 
 def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
-    names = ("a.png", "tiles.1001.png", "tiles.1012.png", "wrapped.png", "RESULT", "a_unwrapped.obj")
+    names = ("a.png", "tiles.1001.png", "tiles.1012.png", "wrapped.png", "RESULT", "a_unwrapped.mtl", "a_unwrapped.obj")
     outputs = tuple(Output(Path(name), "wrap" if name == "wrapped.png" else "texture") for name in names)
     state = StudioState(outputs=outputs)
     assert state.baked_images == (Path("a.png"), Path("tiles.<UDIM>.png"))

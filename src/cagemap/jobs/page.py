@@ -20,7 +20,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task
 from cagemap.jobs.run import TaskOutcome
-from cagemap.report.page import flatten_entries
+from cagemap.report.tables import flatten_entries
 from cagemap.report.verdicts import overall_verdict, rate_figures
 
 VERDICT_RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}

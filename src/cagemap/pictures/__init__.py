@@ -13,7 +13,7 @@ from cagemap.pictures.colors import (
 )
 from cagemap.pictures.orientation import UP_AXES, Y_UP, Z_UP, Orientation, find_orientation, matching_turn
 from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
-from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible_points
+from cagemap.pictures.render import Image, Model, Skin, render, render_skins, sample_texture, visible_points
 
 __all__ = [
     "AMOUNT_SCALE",
@@ -41,6 +41,7 @@ __all__ = [
     "matching_turn",
     "position_colors",
     "render",
+    "render_skins",
     "sample_texture",
     "scalar_colors",
     "to_display",

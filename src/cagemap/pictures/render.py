@@ -6,6 +6,7 @@ light at the eye. A floor shows the contact shadow.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,7 @@ DEFAULT_COLOR = np.array([0.80, 0.78, 0.75])
 WHITE = np.ones(3)
 FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid points a side
 SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
+MIN_NORMAL_AGREEMENT = 0.97  # cosine below which the sky's light is not interpolated between pixels
 MIN_REFINED_CONTRAST = 0.06  # pixels with more contrast get several rays
 
 
@@ -139,21 +141,43 @@ def render(
     (height, width, 3) uint8
         Row 0 is the top.
     """
-    _check_skin(model, skin)
-    scene = _Scene(model, skin, camera, to_linear(background), floor)
-    light, openness = _radiance(scene, camera.rays(width, height))
-    colors = to_display(light)
-    refined = np.flatnonzero(_contrast(colors.reshape(height, width, 3)) > MIN_REFINED_CONTRAST)
-    if samples > 1 and len(refined):
-        # Sky light varies slowly: additional rays reuse that of the pixel or of a neighbour.
-        neighbor_openness = maximum_filter(openness.reshape(height, width), 3).ravel()
-        openness = np.where(openness < 0, neighbor_openness, openness)[refined]
-        light = np.zeros((len(refined), 3))
-        for row, column in np.ndindex(samples, samples):
-            offset = ((column + 0.5) / samples, (row + 0.5) / samples)
-            light += _radiance(scene, camera.rays(width, height, offset)[refined], openness)[0]
-        colors[refined] = to_display(light / samples**2)
-    return np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
+    size = width, height
+    return next(render_skins(model, [skin], camera, size, samples=samples, background=background, floor=floor))
+
+
+def render_skins(
+    model: Model,
+    skins: Sequence[Skin],
+    camera: Camera,
+    size: tuple[int, int],
+    *,
+    samples: int = 2,
+    background: FloatArray = WHITE,
+    floor: bool = True,
+) -> Iterator[Image]:
+    """Draw a surface in several skins; the sky's light is computed once. See `render`.
+
+    ``size``: width and height.
+    """
+    for skin in skins:
+        _check_skin(model, skin)
+    width, height = size
+    scene = _Scene(model, camera, to_linear(background), floor)
+    seen = _cast_eye_rays(scene, camera.rays(width, height), (height, width))
+    # Sky light varies slowly: additional rays reuse that of the pixel or of a neighbour.
+    neighbor_openness = maximum_filter(seen.openness.reshape(height, width), 3).ravel()
+    openness = np.where(seen.openness < 0, neighbor_openness, seen.openness)
+    for skin in skins:
+        colors = to_display(seen.radiance(scene, skin))
+        refined = np.flatnonzero(_contrast(colors.reshape(height, width, 3)) > MIN_REFINED_CONTRAST)
+        if samples > 1 and len(refined):
+            light = np.zeros((len(refined), 3))
+            for row, column in np.ndindex(samples, samples):
+                offset = ((column + 0.5) / samples, (row + 0.5) / samples)
+                rays = camera.rays(width, height, offset)[refined]
+                light += _cast_eye_rays(scene, rays, openness[refined]).radiance(scene, skin)
+            colors[refined] = to_display(light / samples**2)
+        yield np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
 
 
 def _contrast(image: FloatArray) -> FloatArray:
@@ -167,15 +191,14 @@ def visible_points(model: Model, camera: Camera, points: FloatArray) -> NDArray[
     towards = points - camera.eye
     distance = np.linalg.norm(towards, axis=1)
     hit = _cast(model, _to_unit(model, camera.eye), towards / distance[:, None])
-    return np.asarray(hit["tfar"] * model.scale > distance - 0.01 * model.scale)
+    return np.asarray(hit["tfar"].astype(np.float64) * model.scale > distance - 0.01 * model.scale)
 
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """Everything that the light along a ray depends on."""
+    """Everything that the light along a ray depends on, except the skin."""
 
     model: Model
-    skin: Skin
     camera: Camera
     background: FloatArray
     floor: bool
@@ -209,15 +232,27 @@ def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[s
     return hits
 
 
-def _radiance(
-    scene: _Scene, directions: FloatArray, openness: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Linear light (r, 3) along eye rays, and the sky's share (r,) at their hits.
+@dataclass(frozen=True, eq=False)
+class _EyeRays:
+    """Hits of eye rays and the light on them."""
 
-    The share is -1 without a hit, and is not computed if ``openness`` is given.
-    """
+    background: FloatArray  # (r, 3) linear light where nothing is hit
+    rows: IndexArray  # (h,) rays that hit the surface
+    triangle: IndexArray  # (h,)
+    corner: FloatArray  # (h, 3) barycentric coordinates
+    light: FloatArray  # (h, 3) linear
+    openness: FloatArray  # (r,) the sky's share at the hits, -1 without a hit
+
+    def radiance(self, scene: _Scene, skin: Skin) -> FloatArray:
+        """(r, 3) linear light along the rays."""
+        radiance = self.background.copy()
+        radiance[self.rows] = _colors(skin, scene.model, self.triangle, self.corner) * self.light
+        return radiance
+
+
+def _cast_eye_rays(scene: _Scene, directions: FloatArray, openness: FloatArray | tuple[int, int]) -> _EyeRays:
+    """Cast rays from the eye, with the sky's share of every ray, or the height and width of an image to compute it."""
     model, camera = scene.model, scene.camera
-    radiance = np.tile(scene.background, (len(directions), 1))
     hits = _cast(model, _to_unit(model, camera.eye), directions)
     hit_rows = np.flatnonzero(hits["primID"] >= 0)
     triangle = hits["primID"][hit_rows].astype(np.int64)
@@ -231,14 +266,13 @@ def _radiance(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Back faces of an open surface are lit as if they faced the eye.
     normals *= np.where(np.einsum("rd,rd->r", normals, directions[hit_rows]) > 0, -1.0, 1.0)[:, None]
-    if openness is None:
-        openness = np.full(len(directions), -1.0)
-        openness[hit_rows] = _openness(model, points, normals, _sky(SKY_DIRECTIONS))
-    sky = np.abs(openness[hit_rows])
-    radiance[hit_rows] = _colors(scene.skin, model, triangle, corner) * _light(camera, points, normals, sky)
+    if isinstance(openness, tuple):
+        openness = _pixel_openness(model, points, normals, hit_rows, openness)
+    background = np.tile(scene.background, (len(directions), 1))
     if scene.floor:
-        _shade_floor(model, camera, directions, hits["primID"] < 0, radiance)
-    return radiance, openness
+        _shade_floor(model, camera, directions, hits["primID"] < 0, background)
+    light = _light(camera, points, normals, np.abs(openness[hit_rows]))
+    return _EyeRays(background, hit_rows, triangle, corner, light, openness)
 
 
 def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) -> FloatArray:
@@ -274,6 +308,41 @@ def _sky(count: int) -> FloatArray:
     angle = 2.39996322973 * order
     ring = np.sqrt(1.0 - height**2)
     return np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
+
+
+def _pixel_openness(
+    model: Model, points: FloatArray, normals: FloatArray, hit_rows: IndexArray, size: tuple[int, int]
+) -> FloatArray:
+    """(h * w,) the sky's share at the hits of an image's pixels, -1 without a hit.
+
+    Every second pixel of every second row is computed; between them it is interpolated where normals agree.
+    """
+    height, width = size
+    hit = np.full(height * width, -1, dtype=np.int64)
+    hit[hit_rows] = np.arange(len(hit_rows))
+    coarse = hit.reshape(size)[::2, ::2]
+    sampled = coarse[coarse >= 0]
+    share = np.empty(len(hit_rows))
+    share[sampled] = _openness(model, points[sampled], normals[sampled], _sky(SKY_DIRECTIONS))
+    grid = np.zeros((*coarse.shape, 4))
+    grid[coarse >= 0] = np.column_stack([share[sampled], normals[sampled]])
+    between = _doubled(_doubled(grid, height).swapaxes(0, 1), width).swapaxes(0, 1).reshape(-1, 4)[hit_rows]
+    agree = np.einsum("pd,pd->p", between[:, 1:], normals) > MIN_NORMAL_AGREEMENT
+    agree[sampled] = True
+    share = np.where(agree, between[:, 0], share)
+    rest = np.flatnonzero(~agree)
+    share[rest] = _openness(model, points[rest], normals[rest], _sky(SKY_DIRECTIONS))
+    openness = np.full(height * width, -1.0)
+    openness[hit_rows] = share
+    return openness
+
+
+def _doubled(grid: FloatArray, length: int) -> FloatArray:
+    """(length, ...) rows of a grid, with the means of neighbours between them."""
+    rows = np.empty((length, *grid.shape[1:]))
+    rows[::2] = grid
+    rows[1::2] = ((grid + np.concatenate([grid[1:], grid[-1:]])) / 2)[: length // 2]
+    return rows
 
 
 def _openness(model: Model, points: FloatArray, normals: FloatArray, directions: FloatArray) -> FloatArray:

@@ -25,6 +25,7 @@ from cagemap.report.models import Models
 from cagemap.report.page import Texture, build_page, encode_texture
 from cagemap.report.rig_panels import (
     NO_DATA,
+    BakedImage,
     CarriedData,
     CarriedShape,
     Panel,
@@ -36,6 +37,7 @@ from cagemap.report.rig_panels import (
 from cagemap.report.viewpoints import choose_viewpoints
 
 __all__ = [
+    "BakedImage",
     "CarriedData",
     "CarriedShape",
     "Figure",
@@ -47,6 +49,7 @@ __all__ = [
     "Weights",
     "build_page",
     "check_page_path",
+    "display_image",
     "draw_carried",
     "draw_gallery",
     "draw_thumbnail",
@@ -97,7 +100,7 @@ def write_report(
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same baked into the target's layout.
     carried : CarriedData
-        Wrapped cage, weights, shapes, passengers and poses to show.
+        Baked images, wrapped cage, weights, shapes, passengers and poses to show.
     size : (int, int)
         Width and height of each picture, in pixels.
     progress : callable, optional

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.places import surface_curves
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.cage_points import CagePoints
-from cagemap.mesh.curves import CageCurves
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
@@ -21,6 +19,7 @@ from cagemap.pictures import (
     FRONT,
     TRUST_SCALE,
     VIEWS,
+    Camera,
     Image,
     Model,
     Skin,
@@ -30,13 +29,12 @@ from cagemap.pictures import (
     draw_line,
     frame,
     position_colors,
-    render,
+    render_skins,
     sample_texture,
     scalar_colors,
     to_display,
 )
 from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
-from cagemap.spectral import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.transfer import face_colors
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -146,7 +144,7 @@ def draw_gallery(
         *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
     ]
     masks, answers = _mask_jobs(result), _answer_jobs(result)
-    figures = tuple(_draw_figures(models, [*jobs, *masks, *answers], size, progress))
+    figures = _draw_figures(models, [*jobs, *masks, *answers], size, progress)
     mask_figures, answer_figures = figures[7 : 7 + len(masks)], figures[7 + len(masks) :]
     answer_pairs = tuple(zip(answer_figures[::2], answer_figures[1::2], strict=True))
     orientation = str(models.viewpoints.target)
@@ -194,7 +192,7 @@ def draw_thumbnail(result: MatchResult) -> Image:
     models = _model_pair(result, choose_viewpoints(result))
     source_skin = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
     target_skin = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
-    figure = _draw_figure(models, (FRONT, source_skin, target_skin, False), THUMBNAIL_SIZE)
+    (figure,) = _draw_figures(models, [(FRONT, source_skin, target_skin, False)], THUMBNAIL_SIZE)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
@@ -265,29 +263,40 @@ _FigureJob = tuple[View, Skin | None, Skin, bool]
 
 
 def _draw_figures(
-    models: _ModelPair, jobs: list[_FigureJob], size: tuple[int, int], progress: Progress | None
-) -> Iterator[Figure]:
+    models: _ModelPair, jobs: list[_FigureJob], size: tuple[int, int], progress: Progress | None = None
+) -> tuple[Figure, ...]:
+    """Draw figures; all skins of a surface in one view together."""
+    groups: dict[tuple[bool, View], list[int]] = {}
+    for number, (view, source_skin, _, _) in enumerate(jobs):
+        for is_source in (False,) if source_skin is None else (True, False):
+            groups.setdefault((is_source, view), []).append(number)
+    overlays = {is_source: _make_overlay(models, is_source=is_source) for is_source in (True, False)}
+    pictures: dict[tuple[bool, int], Image] = {}
+    n_pictures = sum(map(len, groups.values()))
+
+    def draw(group: tuple[bool, View]) -> list[Image]:
+        is_source, view = group
+        model = models.source_model if is_source else models.target_model
+        group_jobs = [jobs[number] for number in groups[group]]
+        skins = [skin for _, *skins, _ in group_jobs if (skin := skins[0 if is_source else 1]) is not None]
+        camera = frame(model.positions, view, aspect=size[0] / size[1])
+        images = render_skins(model, skins, camera, size, background=BACKGROUND)
+        return [
+            overlays[is_source].draw_on(image, model, camera) if has_overlay else image
+            for image, (*_, has_overlay) in zip(images, group_jobs, strict=True)
+        ]
+
     # NumPy and Embree release the interpreter lock, so two threads draw nearly twice as fast.
     with ThreadPool(2) as pool:
-        for number, figure in enumerate(pool.map(lambda job: _draw_figure(models, job, size), jobs), start=1):
-            if progress is not None:
-                progress(f"picture {number} of {len(jobs)}")
-            yield figure
-
-
-def _draw_figure(models: _ModelPair, job: _FigureJob, size: tuple[int, int]) -> Figure:
-    view, source_skin, target_skin, has_overlay = job
-    result = models.result
-    pairs = result.landmarks
-    overlay = [
-        _make_overlay(side, points, lines, turn) if has_overlay else None
-        for side, points, lines, turn in (
-            (result.target, pairs.target_points, pairs.curves.target, models.viewpoints.target.turn),
-            (result.source, pairs.source_points, pairs.curves.source, models.viewpoints.source_turn),
-        )
-    ]
-    source = None if source_skin is None else _draw(models.source_model, source_skin, view, size, overlay[1])
-    return Figure(view.name, source, _draw(models.target_model, target_skin, view, size, overlay[0]))
+        for (is_source, view), images in zip(groups, pool.map(draw, groups), strict=True):
+            for number, image in zip(groups[is_source, view], images, strict=True):
+                pictures[is_source, number] = image
+                if progress is not None:
+                    progress(f"picture {len(pictures)} of {n_pictures}")
+    return tuple(
+        Figure(view.name, pictures.get((True, number)), pictures[False, number])
+        for number, (view, *_) in enumerate(jobs)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,19 +306,30 @@ class _Overlay:
     dots: FloatArray
     curves: tuple[Polyline, ...]
 
+    def draw_on(self, image: Image, model: Model, camera: Camera) -> Image:
+        """The picture with the visible landmarks and curves."""
+        for line, color in zip(self.curves, distinct_colors(len(self.curves)), strict=True):
+            image = draw_line(image, model, camera, line, color)
+        return draw_dots(image, model, camera, self.dots, distinct_colors(len(self.dots)), radius=5.0)
 
-def _make_overlay(surface: Surface, points: CagePoints, cage_curves: CageCurves, turn: FloatArray) -> _Overlay:
+
+def _make_overlay(models: _ModelPair, *, is_source: bool) -> _Overlay:
+    pairs, viewpoints = models.result.landmarks, models.viewpoints
+    if is_source:
+        surface, points, cage_curves, turn = (
+            models.result.source,
+            pairs.source_points,
+            pairs.curves.source,
+            viewpoints.source_turn,
+        )
+    else:
+        surface, points, cage_curves, turn = (
+            models.result.target,
+            pairs.target_points,
+            pairs.curves.target,
+            viewpoints.target.turn,
+        )
     finest = surface.finest_triangles
     lines_on_surface = surface_curves(surface.refinement, finest, cage_curves) if len(cage_curves) else ()
     curves = tuple(Polyline(curve.line.positions @ turn / finest.scale, curve.closed) for curve in lines_on_surface)
     return _Overlay(surface.vertices[points.nearest_vertices] @ turn, curves)
-
-
-def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], overlay: _Overlay | None) -> Image:
-    camera = frame(model.positions, view, aspect=size[0] / size[1])
-    image = render(model, skin, camera, width=size[0], height=size[1], background=BACKGROUND)
-    if overlay is None:
-        return image
-    for line, color in zip(overlay.curves, distinct_colors(len(overlay.curves)), strict=True):
-        image = draw_line(image, model, camera, line, color)
-    return draw_dots(image, model, camera, overlay.dots, distinct_colors(len(overlay.dots)), radius=5.0)

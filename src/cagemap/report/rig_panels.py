@@ -1,10 +1,11 @@
-"""Pictures of the wrapped cage, and of carried skinning weights, blend shapes, passengers and poses."""
+"""Pictures of baked images, the wrapped cage, and carried skinning weights, blend shapes, passengers and poses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
@@ -24,19 +26,21 @@ from cagemap.pictures import (
     distinct_colors,
     draw_segments,
     frame,
-    render,
+    render_skins,
     scalar_colors,
 )
 from cagemap.report.figures import BACKGROUND
 from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.closest_points import closest_points
+from cagemap.transfer.textured_surface import TexturedSurface
 
 CLAY = np.array([0.86, 0.84, 0.80])
 WIRE_COLOR = np.array([0.13, 0.28, 0.36])
 # Blend shapes (the largest) and poses (the first) with pictures.
 MAX_PANEL_SHAPES = 4
 MAX_PANEL_POSES = 4
+MAX_LAYOUT_PIXELS = 512  # longest side of a baked image on the page
 # Quantiles of distances and of offset lengths that get the last colour of the scale.
 DISTANCE_QUANTILE, OFFSET_QUANTILE = 0.95, 0.995
 
@@ -77,11 +81,30 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
+class BakedImage:
+    """An image in a layout of the target.
+
+    Attributes
+    ----------
+    name : str
+    tiles : dict of int to (H, W, 3) float64
+        sRGB in [0, 1] by UDIM number; 0 for a layout in the unit square.
+    control : ControlMesh
+        The target's cage with the layout.
+    """
+
+    name: str
+    tiles: dict[int, FloatArray]
+    control: ControlMesh
+
+
+@dataclass(frozen=True, eq=False)
 class CarriedData:
     """Data carried by the map that a report shows.
 
     Attributes
     ----------
+    images : tuple of BakedImage
     wrapped : ControlMesh or None
         The target's cage, or the mesh of a finer level, in the source's shape.
     weights : Weights or None
@@ -90,6 +113,7 @@ class CarriedData:
     poses : tuple of Pose
     """
 
+    images: tuple[BakedImage, ...] = field(default=())
     wrapped: ControlMesh | None = None
     weights: Weights | None = None
     shapes: tuple[CarriedShape, ...] = field(default=())
@@ -128,6 +152,8 @@ def draw_carried(
         Default: `choose_viewpoints`.
     """
     panels, viewpoints = list[Panel](), viewpoints or choose_viewpoints(result)
+    if carried.images:
+        panels.append(_images_panel(result, carried.images, viewpoints, size))
     if carried.wrapped is not None:
         panels.append(_wrap_panel(result, carried.wrapped, viewpoints, size))
     if carried.weights is not None:
@@ -139,6 +165,51 @@ def draw_carried(
     if carried.poses:
         panels.append(_poses_panel(result, carried.poses, viewpoints, size))
     return tuple(panels)
+
+
+def _images_panel(
+    result: MatchResult, images: tuple[BakedImage, ...], viewpoints: Viewpoints, size: tuple[int, int]
+) -> Panel:
+    """Every image in its layout, and on the target from the front."""
+    model = _finest_model(result.target.refinement, viewpoints.target.turn)
+    joined = [join_tiles(image.tiles) for image in images]
+    jobs: list[_PictureJob] = []
+    for image, (pixels, cells) in zip(images, joined, strict=True):
+        finest = result.target.with_control(image.control).refinement.finest
+        skin = Skin(texture=pixels, corner_uvs=TexturedSurface.from_level(finest).corner_uvs() / cells)
+        jobs.append((model, skin, FRONT, None, f"{image.name}, on the target"))
+    pictures = list[tuple[Image, str]]()
+    for image, (pixels, _), on_target in zip(images, joined, _draw_all(jobs, size), strict=True):
+        pictures += [(np.round(255 * pixels).astype(np.uint8), image.name), on_target]
+    lead = "Every image in the target's layout and on it."
+    if any("displacement" in image.name for image in images):
+        lead += " Heights and offsets: darkest lowest, brightest highest."
+    return Panel("Baked images", lead, tuple(pictures))
+
+
+def join_tiles(tiles: dict[int, FloatArray], longest: int = MAX_LAYOUT_PIXELS) -> tuple[FloatArray, IndexArray]:
+    """One picture of all tiles, at most ``longest`` pixels a side, and its (columns, rows) of tiles."""
+    cells = {number: np.array(udim_origin(number), dtype=np.int64) for number in tiles}
+    columns, rows = counts = np.max(list(cells.values()), axis=0) + 1
+    height, width = np.max([pixels.shape[:2] for pixels in tiles.values()], axis=0)
+    share = min(1.0, longest / max(columns * width, rows * height))
+    height, width = max(1, int(height * share)), max(1, int(width * share))
+    joined = np.ones((rows * height, columns * width, 3))
+    for number, (column, row) in cells.items():
+        top, left = (rows - 1 - row) * height, column * width
+        joined[top : top + height, left : left + width] = shrink(tiles[number], height, width)
+    return joined, counts
+
+
+def shrink(pixels: FloatArray, height: int, width: int) -> FloatArray:
+    """Image of another size: the mean of the texels of each pixel, or the nearest texel."""
+    rows, columns = (
+        np.arange(count) * side // count for count, side in zip((height, width), pixels.shape[:2], strict=True)
+    )
+    sums = np.add.reduceat(np.add.reduceat(pixels, rows, axis=0), columns, axis=1)
+    heights = np.maximum(np.diff(rows, append=pixels.shape[0]), 1)
+    widths = np.maximum(np.diff(columns, append=pixels.shape[1]), 1)
+    return np.asarray(sums / (heights[:, None, None] * widths[:, None]))
 
 
 def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
@@ -264,15 +335,21 @@ def _join_models(models: Sequence[Model]) -> Model:
 
 
 def _draw_all(jobs: Sequence[_PictureJob], size: tuple[int, int]) -> Iterator[tuple[Image, str]]:
+    """Draw pictures with their captions; consecutive ones of one model in one view together."""
+    groups = [list(group) for _, group in groupby(jobs, key=lambda job: (id(job[0]), job[2]))]
     with ThreadPool(2) as pool:
-        yield from zip(pool.map(partial(_draw, size=size), jobs), (job[4] for job in jobs), strict=True)
+        for group, images in zip(groups, pool.map(partial(_draw, size=size), groups), strict=True):
+            yield from zip(images, (job[4] for job in group), strict=True)
 
 
-def _draw(job: _PictureJob, size: tuple[int, int]) -> Image:
-    model, skin, view, segments, _ = job
+def _draw(group: Sequence[_PictureJob], size: tuple[int, int]) -> list[Image]:
+    model, _, view, *_ = group[0]
     camera = frame(model.positions, view, aspect=size[0] / size[1])
-    image = render(model, skin, camera, width=size[0], height=size[1], background=BACKGROUND)
-    return image if segments is None else draw_segments(image, model, camera, segments, WIRE_COLOR)
+    images = render_skins(model, [job[1] for job in group], camera, size, background=BACKGROUND)
+    return [
+        image if segments is None else draw_segments(image, model, camera, segments, WIRE_COLOR)
+        for image, (_, _, _, segments, _) in zip(images, group, strict=True)
+    ]
 
 
 def _clay_skin(model: Model) -> Skin:

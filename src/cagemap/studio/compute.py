@@ -19,7 +19,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList, SideNames
-from cagemap.studio.models import OpenedModel, open_model, with_texture
+from cagemap.studio.models import OpenedModel, converted_model, open_model, with_texture
 from cagemap.studio.poses import NO_CHARACTER, animated_character, animation_poses, pose_shapes
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
@@ -39,7 +39,7 @@ class PairFiles:
     vertices : int
         Approximate number of vertices of each previewed surface.
     folder : Path
-        Receives an image that is inside the source's file.
+        Receives FBX models as GLB, and an image that is inside the source's file.
     schemes, ups, parts : (str or None, str or None)
         See `cagemap.studio.state.Files`.
     """
@@ -204,9 +204,11 @@ def run_task(
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
     """Read, check and refine both models."""
     progress("reading the models")
-    sides = zip((files.target, files.source), files.schemes, files.ups, files.parts, strict=True)
-    target, source = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
-    image = files.texture or extract_texture(files.source, source.control, files.folder)
+    paths, notes = zip(*(converted_model(path, files.folder) for path in (files.target, files.source)), strict=True)
+    sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
+    models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
+    target, source = (replace(model, notes=(*said, *model.notes)) for said, model in zip(notes, models, strict=True))
+    image = files.texture or extract_texture(paths[1], source.control, files.folder)
     if image is not None:
         progress("reading the texture")
         source = replace(source, look=with_texture(source.look, image), texture=image)
@@ -286,8 +288,8 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
     skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
     if cache.character is None:
-        assert cache.pair_files is not None
-        cache = replace(cache, character=animated_character(cache.pair_files.source))
+        assert source.path is not None
+        cache = replace(cache, character=animated_character(source.path))
     map_state = MapState(
         answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,

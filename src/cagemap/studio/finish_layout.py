@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from cagemap.errors import use_option_names
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.meshes.formats import MESH_SUFFIXES
@@ -227,6 +228,32 @@ def sections(options: Options) -> tuple[Section, ...]:
     suffixes = (*_TABLES, *_IMAGES)
     fields = [Field(option.key, option.name.replace("_", " ").capitalize(), suffixes) for option in others]
     return *SECTIONS, Section(ADVANCED, tuple(fields))
+
+
+_CHOOSE_PART = "press Open… and choose it under Part"
+# What to press on the page in place of options in messages; longer texts first.
+PAGE_WORDS = {
+    "--part each matches every piece with its counterpart": f"To open another piece, {_CHOOSE_PART}",
+    "--part NAME, largest, or each; the check lists them": _CHOOSE_PART,
+    "--part NAME": _CHOOSE_PART,
+    "--part": "Open…, Part",
+    "--scheme none": "Do not subdivide (Open…, Options)",
+    "--target-scheme": "Open…, Options, Subdivide target",
+    "--trust-landmarks": "Bake, Match, Trust landmarks",
+    "--force": "Bake, Files, Overwrite",
+    "--answer 1": "the other button above Match again",
+    "--unwrap": "the studio does this when it bakes",
+}
+# Options of `OPTION_NAMES` that the page does not have: it welds by itself, and landmarks are always in its direction.
+NOT_ON_THE_PAGE = ("--weld", "--exchange-landmarks")
+
+
+def in_page_words(text: str) -> str:
+    """A message with Python names and options replaced by what to press on the page."""
+    text = use_option_names(text)
+    for option, words in PAGE_WORDS.items():
+        text = re.sub(rf"(?<![\w-]){re.escape(option)}(?![\w-])", words, text)
+    return text
 
 
 def explain_flags(options: Options, text: str) -> str:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
+from cagemap.files.fbx.read import fbx_as_glb
+from cagemap.files.gltf.material_images import write_beside
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.usd.space import upright_turn
@@ -61,6 +63,8 @@ class OpenedModel:
         Welding tolerance, as `cagemap match --weld` takes it.
     texture : Path or None
         File of the look's texture.
+    path : Path or None
+        The model's file.
     """
 
     level: int
@@ -73,6 +77,7 @@ class OpenedModel:
     dense: bool = False
     weld: str | None = None
     texture: Path | None = None
+    path: Path | None = None
 
     @property
     def control(self) -> ControlMesh:
@@ -144,7 +149,16 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     tolerance = weld_tolerance(file_mesh)
     welded = keep_unwelded(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
     model = _open_welded(welded, file_mesh, scheme, part, vertices, rotation)
-    return replace(model, notes=(*welded.notes, *model.notes), weld=None if tolerance is None else f"{tolerance:g}")
+    weld = None if tolerance is None else f"{tolerance:g}"
+    return replace(model, notes=(*welded.notes, *model.notes), weld=weld, path=path)
+
+
+def converted_model(path: Path, folder: Path) -> tuple[Path, tuple[str, ...]]:
+    """An FBX file as a GLB in a folder, and a note about it; any other file as it is."""
+    if path.suffix.lower() != ".fbx":
+        return path, ()
+    converted = write_beside(folder / f"{path.stem}.glb", fbx_as_glb(path))
+    return converted, (f"{path.name} is converted: {converted.name} is used in its place",)
 
 
 def _open_welded(
@@ -203,8 +217,8 @@ def _require_one_piece(control: ControlMesh) -> None:
     if len(pieces) > 1:
         listed = first_few(f"{part.title} ({len(part.faces)} faces)" for part in pieces)
         raise ParameterError(
-            f"{control.name}: expected a part of one connected piece, got {len(pieces)}: {listed}. Choose one of "
-            "these; `cagemap match --part each` maps all of them."
+            f"{control.name}: expected a part of one connected piece, got {len(pieces)}: {listed}. Press "
+            "Open… and choose one of these under Part."
         )
 
 

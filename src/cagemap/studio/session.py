@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,20 +11,19 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import map_difference_notes
-from cagemap.studio.autosave import FileTracker, autosave_path, move_aside, read_autosave_parts
+from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
 from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, plan_commands
-from cagemap.studio.finish_layout import explain_flags
-from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks, to_file_numbers
-from cagemap.studio.landmarks import History, LandmarkList, Place, Side, SideNames
+from cagemap.studio.finish_layout import explain_flags, in_page_words
+from cagemap.studio.landmark_edits import LandmarkEdits
+from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
+from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
 from cagemap.studio.last_map import LastMap
 from cagemap.studio.opening import result_folder, with_parts
-from cagemap.studio.places import hit_place, vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.runner import Runner
-from cagemap.studio.scene import Scene, add_counterpart, mirror_place, probe_map, propose_place
+from cagemap.studio.scene import probe_map, propose_place
 from cagemap.studio.shape import pick
-from cagemap.studio.shared_state import SharedState
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import INITIAL_FIELDS, Files, Message, Output, View, baked_view, map_view, update_view
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
@@ -35,7 +33,7 @@ from cagemap.tasks.requests.catalogue import Options
 log = logging.getLogger(__name__)
 
 
-class Session(SharedState):
+class Session(LandmarkEdits):
     """State and actions of a running studio; may be called from any thread.
 
     Parameters
@@ -54,7 +52,7 @@ class Session(SharedState):
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: object = None
-        self._last_map, self._tracker = LastMap(), FileTracker()
+        self._last_map = LastMap()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
         self._preview = Preview(
             vertices,
@@ -118,14 +116,7 @@ class Session(SharedState):
             return path
         return None
 
-    # Landmarks
-
-    def click(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
-        """Place a landmark under the mouse."""
-        with self.report_errors(), self._lock:
-            place = self.place_on_ray(side, origin, direction)
-            if place is not None:
-                self._edit(lambda present: edit.add_place(present, side, place), select=True)
+    # View and map
 
     def probe(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
         """Show the image of the point under the mouse, or none beside the model."""
@@ -133,73 +124,6 @@ class Session(SharedState):
             scene = self._scene
             hit = None if scene is None else pick(scene.shape(side), origin, direction)
             self._change(probe=None if scene is None or hit is None else probe_map(scene, side, hit))
-
-    def place_on_ray(self, side: Side, origin: FloatArray, direction: FloatArray) -> Place | None:
-        """Place where a ray of the view first meets a model."""
-        scene = self._scene
-        hit = None if scene is None else pick(scene.shape(side), origin, direction)
-        return None if scene is None or hit is None else hit_place(scene.shape(side), hit)
-
-    def accept(self) -> None:
-        """Complete the open landmark at the proposed place."""
-        with self.report_errors(), self._lock:
-            proposal = self._state.proposal
-            if proposal is None:
-                raise ParameterError("Accept: expected a proposed place, there is none. Click a model first.")
-            self._edit(lambda present: edit.move(present, proposal.number, proposal.side, proposal.place))
-
-    def next_landmark(self) -> None:
-        """Start a landmark at the suggested vertex, with a proposed place on the source."""
-        with self.report_errors(), self._lock:
-            _, scene = self._require_open()
-            vertex = self._state.map.suggestion
-            if vertex is None:
-                raise ParameterError("Next landmark: expected a map, there is none yet. Wait for the first one.")
-            self._edit(lambda present: edit.begin(present, "target", vertex_place(scene.target, vertex)), select=True)
-
-    def move(self, number: int, side: Side, origin: FloatArray, direction: FloatArray) -> None:
-        """Move a landmark on one model to the surface point under the mouse; nothing if there is none."""
-        place = self.place_on_ray(side, origin, direction)
-        if place is not None:
-            self._edit(lambda present: edit.move(present, number, side, place))
-
-    def remove(self, number: int) -> None:
-        """Remove a landmark."""
-        self._edit(lambda present: edit.remove(present, number))
-
-    def rename(self, number: int, name: str) -> None:
-        """Rename a landmark."""
-        with self.report_errors(), self._lock:
-            self._set_history(self._state.history.rename_landmark(number, name))
-
-    def mirror(self, number: int) -> None:
-        """Add the mirror image of a landmark."""
-        with self.report_errors(), self._lock:
-            _, scene = self._require_open()
-            before = self._state.history.present
-            after = edit.mirror(before, number, lambda side, place: mirror_place(scene, side, place))
-            if after == before:
-                raise ParameterError(
-                    "Mirror: expected a complete landmark of two symmetric models that is not on the mirror plane. "
-                    "Place the mirrored landmark by hand."
-                )
-            self._edit(lambda _: after)
-
-    def undo(self) -> None:
-        """Undo the last edit of landmarks."""
-        with self.report_errors(), self._lock:
-            self._set_history(self._state.history.undo())
-
-    def redo(self) -> None:
-        """Redo the last undone edit."""
-        with self.report_errors(), self._lock:
-            self._set_history(self._state.history.redo())
-
-    def select(self, number: int | None) -> None:
-        """Select a landmark."""
-        self._change(selected=number)
-
-    # View and map
 
     def show(self, view: View) -> None:
         """Set the view."""
@@ -312,14 +236,16 @@ class Session(SharedState):
                 self._change(outputs=(*self._state.outputs, output))
 
     def _on_message(self, message: Message) -> None:
-        self._say(message.kind, explain_flags(self.options, message.text))
+        self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
 
     def _on_end(self, message: Message) -> None:
+        differences: tuple[str, ...] = ()
         with self.report_errors():  # no lock: this takes longer than a click
             if self._finish_inputs == self._state.map_inputs:
-                self._say_all(map_difference_notes(self._scene, self._state.outputs), "error")
+                differences = tuple(map_difference_notes(self._scene, self._state.outputs))
         with self._lock:
             self._say(message.kind, message.text)
+            self._say_all(differences, "error")  # last: the status line shows it
             if self._state.baked_images and self._finish_inputs == self._state.map_inputs:
                 self.show_baked_image(self._state.baked_images[0])
             elif self._state.baked_images:
@@ -351,6 +277,8 @@ class Session(SharedState):
                     self._open_pair(replace(files, parts=self._requested_parts), self._requested_parts)
             case OpenedPair():
                 self._apply_models(result)
+            case MapUpdate() if self._scene is None:  # the same models are being opened again
+                pass
             case MapUpdate() if self._scene is not None and isinstance(task, FindMap):
                 before, (target, source) = self._scene, result.skins
                 scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
@@ -378,6 +306,7 @@ class Session(SharedState):
         if self._state.files is not None:
             files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
+            files = replace(files, target=target.path or files.target, source=source.path or files.source)
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
         self._say_all(target.notes + source.notes)
         self._load_initial_landmarks()
@@ -395,37 +324,7 @@ class Session(SharedState):
                     break
         self._request_map(fresh=True)
 
-    def _edit(self, change: Callable[[LandmarkList], LandmarkList], *, select: bool = False) -> None:
-        with self.report_errors(), self._lock:  # another page may edit at the same time
-            before = self._state.history.present
-            landmarks = change(before)
-            if self._state.view.symmetric and self._scene is not None:
-                landmarks = add_counterpart(self._scene, before, landmarks)
-            self._set_history(self._state.history.advance(landmarks))
-            if select and landmarks.items:
-                self._change(selected=(before.open_landmark or landmarks.open_landmark or landmarks.items[-1]).number)
-
-    def _set_history(self, history: History) -> None:
-        before, after = self._state.history.present, history.present
-        if history == self._state.history:
-            return
-        files, scene = self._state.files, self._scene
-        if files is not None and scene is not None:  # before the page shows the edit, so that it cannot be lost
-            with self.report_errors():
-                self._say_all(self._tracker.autosave(files.landmarks, to_file_numbers(after, scene), files.parts))
-        map_state = self._state.map.rename_landmarks(before, after)
-        self._change(history=history, saved=False, map=map_state, proposal=propose_place(self._scene, after))
-        if after.get(self._state.selected) is None:
-            self._change(selected=None)
-        if after.constraints != before.constraints:
-            self._request_map(fresh=False)
-
     def _request_map(self, *, fresh: bool) -> None:
         if self._scene is not None:
             self.show(map_view(self._state.view))  # a baked image shows an earlier map
             self._preview.find(fresh=fresh)
-
-    def _require_open(self) -> tuple[Files, Scene]:
-        if self._state.files is None or self._scene is None:
-            raise ParameterError("expected two open models, there are none yet. Choose a target and a source.")
-        return self._state.files, self._scene

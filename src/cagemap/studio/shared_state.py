@@ -8,9 +8,10 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from cagemap.errors import CagemapError, use_option_names
+from cagemap.errors import CagemapError, ParameterError
+from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import MessageKind, StudioState, add_message
+from cagemap.studio.state import Files, MessageKind, StudioState, add_message
 
 log = logging.getLogger(__name__)
 
@@ -46,13 +47,17 @@ class SharedState:
         """Show an error."""
         self._say("error", f"{type(error).__name__}: {error}")
 
+    def note(self, text: str) -> None:
+        """Show a note."""
+        self._say("note", text)
+
     def _say(self, kind: MessageKind, text: str) -> None:
         with self._lock:
-            self._change(messages=add_message(self._state.messages, kind, text))
+            self._change(messages=add_message(self._state.messages, kind, in_page_words(text)))
 
     def _say_all(self, texts: Iterable[str], kind: MessageKind = "note") -> None:
         for text in texts:
-            self._say(kind, use_option_names(text))
+            self._say(kind, text)
 
     def _change(self, **fields: object) -> None:
         with self._lock:
@@ -72,3 +77,8 @@ class SharedState:
         except Exception as error:  # a bug must not end the studio
             log.exception("internal error")
             self._say("error", f"internal error, {type(error).__name__}: {error}")
+
+    def _require_open(self) -> tuple[Files, Scene]:
+        if self._state.files is None or self._scene is None:
+            raise ParameterError("expected two open models, there are none yet. Choose a target and a source.")
+        return self._state.files, self._scene

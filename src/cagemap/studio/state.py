@@ -17,7 +17,7 @@ MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
 MessageKind = Literal["error", "note"]
 _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
-_UNWRAPPED_ENDING = "_unwrapped"
+_UNWRAPPED_ENDING = "_unwrapped.obj"
 # Older messages disappear from the page.
 MAX_MESSAGES = 5
 
@@ -281,8 +281,8 @@ def baked_view(state: StudioState, image: Path | None) -> View:
 
 def layout_mesh(state: StudioState, image: Path) -> Path | None:
     """The mesh written with the UV layout of a baked image, if there is one."""
-    meshes = (output.path for output in state.outputs if output.path.stem.endswith(_UNWRAPPED_ENDING))
-    return next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED_ENDING))), None)
+    meshes = (output.path for output in state.outputs if output.path.name.endswith(_UNWRAPPED_ENDING))
+    return next((path for path in meshes if image.stem.startswith(path.name.removesuffix(_UNWRAPPED_ENDING))), None)
 
 
 def update_view(state: StudioState, **fields: object) -> View:

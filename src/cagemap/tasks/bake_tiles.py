@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,10 +28,10 @@ from cagemap.files.images.image import (
     with_udim_mark,
     write_image,
 )
-from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.meshes.obj_write import write_obj_layout
+from cagemap.files.meshes.obj_write import write_obj, write_obj_layout
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, read_files
+from cagemap.files.usd.results import preview_inputs
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
@@ -111,9 +111,12 @@ def read_source_image(
 
 
 def prepare_bake(
-    request: TransferRequest, result: MatchResult, stages: Stages, outputs: Sequence[Path] | None = None
+    request: TransferRequest, result: MatchResult, stages: Stages, outputs: Mapping[str, Path]
 ) -> Prepared:
-    """Prepare the target's layout, a new one if requested, and find its tiles."""
+    """Prepare the target's layout, a new one if requested, and find its tiles.
+
+    ``outputs``: the images to bake, by their use as `preview_inputs` takes it.
+    """
     mesh: Path | None = None
     warnings: list[str] = []
     of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
@@ -138,12 +141,14 @@ def prepare_bake(
     warnings += [*outside, *doubled_target(result.target.control)]
     if any(of_source) and result.masks.source is None:
         warnings += _doubled_source(result.source.control)
-    images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
-    others = [path for path in (mesh, request.usd) if path is not None]
+    images = [udim_path(output, tile) for output in outputs.values() for tile in tiles]
+    meshes = () if mesh is None else (mesh, mesh.with_suffix(".mtl"))
+    others = [*meshes, *([] if request.usd is None else [request.usd])]
     inputs = [*inputs_of(request), *read_files(request.result, result.manifest)]
     check_outputs([*images, *others], inputs, force=request.force)
     if mesh is not None:
-        warnings += _write_unwrapped(request, result.target.control, result.manifest)
+        bound = _material_images(request, {use: udim_path(output, tiles[0]) for use, output in outputs.items()})
+        warnings += _write_unwrapped(request, result.target.control, result.manifest, bound)
     return Prepared(transfer, result.target.control, tiles, mesh, warnings)
 
 
@@ -301,15 +306,43 @@ def unwrapped_name(image: Path) -> Path:
     return image.with_name(f"{image.stem.replace(UDIM_MARK, '').rstrip('._')}_unwrapped.obj")
 
 
-def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: dict[str, Any]) -> list[str]:
-    """Write the target with its new layout, as its file with other UVs if possible; returns warnings."""
+# Statements of a .mtl file for the inputs of UsdPreviewSurface. Blender reads normals from map_Bump.
+_MATERIAL_STATEMENTS = {
+    "diffuseColor": ("map_Kd",),
+    "emissiveColor": ("map_Ke",),
+    "roughness": ("map_Pr",),
+    "metallic": ("map_Pm",),
+    "occlusion": ("map_Ka",),
+    "opacity": ("map_d",),
+    "displacement": ("disp",),
+    "normal": ("norm", "map_Bump"),
+}
+
+
+def _material_images(request: TransferRequest, images: Mapping[str, Path]) -> dict[str, str]:
+    """Image names of a ``.mtl`` file beside the images, by statement."""
+    bound = {
+        statement: images[use].name
+        for use, name in preview_inputs(images).items()
+        for statement in _MATERIAL_STATEMENTS[name]
+        if name != "normal" or (request.space, request.green) == ("tangent", "up")
+    }
+    if "map_Kd" not in bound and "map_Ka" in bound:  # programs show ambient occlusion only as a colour
+        bound["map_Kd"] = bound["map_Ka"]
+    return bound
+
+
+def _write_unwrapped(
+    request: TransferRequest, control: ControlMesh, manifest: dict[str, Any], images: Mapping[str, str]
+) -> list[str]:
+    """Write the target with its new layout and images, as its file with other UVs if possible; returns warnings."""
     mesh = unwrapped_name(request.output)
     original = input_file(request.result, manifest, "target")
     whole = control.file_vertices is None
     if whole and original is not None and original.suffix.lower() == ".obj":
-        write_obj_layout(mesh, original, control, force=request.force)
+        write_obj_layout(mesh, original, control, images, force=request.force)
         return []
-    write_mesh(mesh, control, force=request.force)
+    write_obj(mesh, control, images, force=request.force)
     why = "was not found, or has changed since the match" if original is None else "is no OBJ"
     why = why if whole else "was matched in part, mended or welded"
     return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]

@@ -69,7 +69,9 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         dtype, channels = read_image_form(path)
         kept = dtype if request.bits is None else pixel_type(request.bits, output.suffix)
         check_writable(output, kept, written_channels(request, result, channels, name))
-    prepared = prepare_bake(request, result, stages, outputs)
+    prepared = prepare_bake(
+        request, result, stages, dict(zip((name or "texture" for name, _ in maps), outputs, strict=True))
+    )
     for (name, path), output in zip(maps, outputs, strict=True):
         map_request = replace(request, output=output)
         image = _bake_map(map_request, result, prepared, name, path, stages)
@@ -169,7 +171,7 @@ def _carry(
     """Bake an image of the source into all tiles; the manifest entry gets ``more``."""
     assert path is not None
     source_image = read_source_image(request, result, path, channels)
-    prepared = prepare_bake(request, result, stages)
+    prepared = prepare_bake(request, result, stages, {kind.removesuffix("-map"): request.output})
     if kind == "normal-map" and (share := share_of_normals(source_image.first.pixels)) < FEWEST_NORMALS:
         prepared.warnings.append(
             f"{path}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
@@ -192,7 +194,7 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
     check_writable(request.output, dtype, written_channels(request, result, 3))
     colors = face_colors(result.source.control)
     size = request.size or base_size(request) or DEFAULT_SIZE
-    prepared = prepare_bake(request, result, stages)
+    prepared = prepare_bake(request, result, stages, {"color": request.output})
 
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
     bake_tiles(request, prepared, bake, stages)
@@ -209,7 +211,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, cast(Filter, request.filter)))
     channels = {kind: bakes.channels(kind) for kind in kinds}
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
-    prepared = prepare_bake(request, result, stages, list(images.values()))
+    prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
     warnings = prepared.warnings
     if mesh is not None:
         stages("detail")
@@ -233,7 +235,8 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
-        note_transfer(request.result, {**entry, "size": bakes.size, "space": request.space})
+        entry |= {"size": bakes.size, "space": request.space, "mesh": prepared.mesh}
+        note_transfer(request.result, entry)
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")
     return "\n".join(lines), warnings

@@ -12,7 +12,7 @@ import numpy as np
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
-from cagemap.files.images.image import Image, Pixels, read_image, read_texture
+from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, read_texture
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file
@@ -22,8 +22,16 @@ from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows
 from cagemap.files.values.rigs import read_shapes
 from cagemap.maps.result import MatchResult
-from cagemap.pictures import UP_AXES
-from cagemap.report import CarriedData, CarriedShape, Weights, check_page_path, write_report
+from cagemap.pictures import UP_AXES, to_display
+from cagemap.report import (
+    BakedImage,
+    CarriedData,
+    CarriedShape,
+    Weights,
+    check_page_path,
+    display_image,
+    write_report,
+)
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.report import ReportRequest
@@ -49,16 +57,17 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
         check_outputs([output], [texture], force=force)
     shown_texture = None if texture is None else read_texture(texture)
     pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
-    baked = None
+    baked, worn = None, None
     for entry in known:
         shown = entry.get("level", whole.target.refinement.n_levels) == result.target.refinement.n_levels
         if shown and texture is not None and _same(folder / entry["image"], texture):
             try:
                 result, baked = _baked(folder, result, entry)
+                worn = entry if baked is not None else worn
             except FormatError as error:
                 _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
                 continue
-    carried = carried_data(folder, result)
+    carried = replace(carried_data(folder, result), images=_baked_images(folder, result, worn))
     stages("draw")
     file = input_file(folder, result.manifest, "target")
     upright, reason = None if file is None else upright_turn(file), "as its file says"
@@ -83,6 +92,42 @@ def carried_data(folder: Path, result: MatchResult) -> CarriedData:
         except CagemapError as error:
             _log.info("%s of %s are not shown: %s", kind, folder, error)
     return carried
+
+
+def _baked_images(folder: Path, result: MatchResult, worn: dict[str, Any] | None) -> tuple[BakedImage, ...]:
+    """All baked images in the manifest whose files still exist, without the one that the models wear."""
+    images = list[BakedImage]()
+    for entry in result.manifest.get("transfers", []):
+        if "tiles" not in entry or entry is worn:
+            continue
+        try:
+            images.append(_baked_image(folder, result, entry))
+        except CagemapError as error:
+            _log.info("%s is not shown: %s", entry["output"], error)
+    return tuple(images)
+
+
+def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> BakedImage:
+    first, tiles = folder / entry["output"], entry["tiles"]
+    stem = first.stem.removesuffix(str(tiles[0]) if tiles[0] else "")
+    file = first.name if tiles == [0] else f"{stem}{UDIM_MARK}{first.suffix}"
+    pixels = {tile: read_image(first.with_stem(f"{stem}{tile or ''}")).pixels for tile in tiles}
+    control = result.target.control
+    if entry.get("mesh") is not None:
+        laid_out = read_mesh(folder / entry["mesh"])
+        control = control.with_uvs(laid_out.uvs, laid_out.uv_indices)
+    if control.uvs is None:
+        raise FormatError(f"{control.name} has no texture coordinates (any more)")
+    kind = entry["kind"].removeprefix("bake-").replace("-", " ").replace("colors", "colours")
+    if kind.endswith("displacement"):
+        low, high = (float(f([f(image) for image in pixels.values()])) for f in (np.min, np.max))
+        shown = {tile: display_image((image - low) / (high - low or 1.0)) for tile, image in pixels.items()}
+    else:
+        is_linear = next(iter(pixels.values())).dtype.kind == "f" and not kind.startswith("normal")
+        shown = {tile: display_image(image) for tile, image in pixels.items()}
+        shown = {tile: to_display(image) if is_linear else image for tile, image in shown.items()}
+    title = "ambient occlusion" if kind == "ao" else " ".join(filter(None, [kind, entry.get("map")]))
+    return BakedImage(f"{title}: {file}", shown, control)
 
 
 def _wrapped(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:

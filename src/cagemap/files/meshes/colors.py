@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -60,6 +61,7 @@ def polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], 
     return np.asarray(colors / 255.0)
 
 
+NO_IMAGES: Mapping[str, str] = MappingProxyType({})
 Color = tuple[float, float, float]
 _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))
 
@@ -92,13 +94,49 @@ def _parse_color(path: Path, number: int, line: str, fields: list[str]) -> Color
     return values[0], values[1], values[2]
 
 
-def write_materials(path: Path, names: Sequence[str], colors: FloatArray | None, *, force: bool = False) -> None:
-    """Write a ``.mtl`` file; materials of unknown colour get no ``Kd``."""
-    lines = [f"# {mark()}\n"]
-    for i, name in enumerate(names):
-        is_known = colors is not None and np.isfinite(colors[i]).all()
-        if name or is_known:
-            lines.append(f"newmtl {name}\n")
-        if colors is not None and is_known:
-            lines.append("Kd {!r} {!r} {!r}\n".format(*colors[i].tolist()))
-    write_whole(path, "".join(lines), force=force)
+# Statements of a material that name an image, without their prefix ``map_``.
+_IMAGE_STATEMENTS = ("bump", "disp", "decal", "norm", "refl")
+
+
+def read_material_statements(path: Path) -> dict[str, list[str]]:
+    """Statements of every material of a ``.mtl`` file, without its images and comments."""
+    statements: dict[str, list[str]] = {}
+    name = None
+    for line in map(str.strip, read_text(path, "a material file").split("\n")):
+        keyword, _, rest = line.replace("\t", " ").partition(" ")
+        if keyword == "newmtl":
+            name = rest.strip()
+            statements[name] = []
+        elif (
+            name is not None and keyword and not keyword.startswith(("#", "map_")) and keyword not in _IMAGE_STATEMENTS
+        ):
+            statements[name].append(line)
+    return statements
+
+
+def color_statements(names: Sequence[str], colors: FloatArray | None) -> dict[str, list[str]]:
+    """Statement ``Kd`` of every material; none for unknown colours."""
+    return {
+        name: ["Kd {!r} {!r} {!r}".format(*colors[i].tolist())]
+        if colors is not None and np.isfinite(colors[i]).all()
+        else []
+        for i, name in enumerate(names)
+    }
+
+
+def write_materials(
+    path: Path, statements: Mapping[str, Sequence[str]], images: Mapping[str, str] = NO_IMAGES, *, force: bool = False
+) -> None:
+    """Write a ``.mtl`` file.
+
+    ``statements``: of every material, by name.
+    ``images``: of all materials, by statement (``map_Kd``); white is multiplied by a colour image.
+    """
+    lines = [f"# {mark()}"]
+    for name, kept in statements.items():
+        if name or kept or images:
+            lines.append(f"newmtl {name}")
+        if "map_Kd" in images:
+            kept = ["Kd 1.0 1.0 1.0", *(statement for statement in kept if statement.split()[0] != "Kd")]
+        lines += [*kept, *(f"{statement} {image}" for statement, image in images.items())]
+    write_whole(path, "\n".join([*lines, ""]), force=force)

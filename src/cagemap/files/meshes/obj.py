@@ -316,13 +316,13 @@ def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
     """(q, 3) diffuse colours of materials from the ``mtllib`` files; the first file with a name wins."""
     known: dict[str, tuple[float, float, float]] = {}
     for row in statements.rows(_MATERIAL_FILE):
-        for file in _material_files(statements.path.parent, statements.lines[row]):
+        for file in material_files_of_line(statements.path.parent, statements.lines[row]):
             known = read_material_colors(file) | known
     unknown = (np.nan, np.nan, np.nan)
     return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
 
 
-def _material_files(folder: Path, line: str) -> list[Path]:
+def material_files_of_line(folder: Path, line: str) -> list[Path]:
     """Existing files that an ``mtllib`` line names: the whole rest of the line, else each of its words."""
     whole, *words = _material_names(line)
     for names in ([whole], words):
@@ -341,7 +341,7 @@ def _material_names(line: str) -> list[str]:
 def material_files(path: Path) -> list[Path]:
     """Existing material files of an OBJ file."""
     lines = re.findall(r"(?m)^[ \t]*(mtllib[ \t].*)$", read_text(path, "an OBJ file"))
-    return [file for line in lines for file in _material_files(path.parent, line.replace("\t", " "))]
+    return [file for line in lines for file in material_files_of_line(path.parent, line.replace("\t", " "))]
 
 
 def named_material_files(name: str, content: bytes) -> list[str]:

@@ -4,28 +4,38 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import require_replaceable, write_whole
-from cagemap.files.meshes.colors import write_materials
-from cagemap.files.meshes.obj import read_obj
+from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_material_statements, write_materials
+from cagemap.files.meshes.obj import material_files_of_line, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
 from cagemap.files.text import check_writable_name, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
+# Material of faces without one, where an image is bound.
+UNNAMED = "baked"
 
-def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+
+def write_obj(
+    path: str | Path, mesh: ControlMesh, images: Mapping[str, str] = NO_IMAGES, *, force: bool = False
+) -> None:
     """Write a mesh as OBJ, with a ``.mtl`` of the same stem if it has materials.
 
     Numbers have as many digits as are needed to read the same float64 back.
+
+    ``images``: of all materials, see `write_materials`; a mesh without materials gets one.
     """
     file = Path(path)
+    if images and (mesh.face_materials is None or "" in mesh.material_names):
+        mesh = _all_named(mesh)
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
     for written in obj_files(file, mesh):
@@ -35,8 +45,16 @@ def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
     parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
     parts += obj_statements(mesh)
     if mesh.face_materials is not None:
-        write_materials(library, mesh.material_names, mesh.material_colors, force=force)
+        statements = color_statements(mesh.material_names, mesh.material_colors)
+        write_materials(library, statements, images, force=force)
     write_whole(file, "".join(parts), force=force)
+
+
+def _all_named(mesh: ControlMesh) -> ControlMesh:
+    """The mesh with a named material on every face."""
+    if mesh.face_materials is None:
+        return replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=(UNNAMED,))
+    return replace(mesh, material_names=tuple(name or UNNAMED for name in mesh.material_names))
 
 
 def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
@@ -107,17 +125,22 @@ _NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
 _WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
 _FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
 _LIBRARY = re.compile(r"(?m)^([ \t]*mtllib[ \t]+)([^\n]*?)[ \t]*$")
+_LIBRARY_LINE = re.compile(r"(?m)^[ \t]*mtllib\b[^\n]*\n?")
+_MATERIAL = re.compile(r"(?m)^[ \t]*usemtl[ \t]+([^\n]*)")
 _OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
 
 
-def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMesh, *, force: bool = False) -> None:
-    """Write a copy of an OBJ file with the texture coordinates of ``laid_out``.
+def write_obj_layout(
+    path: str | Path, original: str | Path, laid_out: ControlMesh, images: Mapping[str, str], *, force: bool = False
+) -> None:
+    """Write a copy of an OBJ file with the texture coordinates of ``laid_out``, and a ``.mtl`` of the same stem.
 
-    Groups, objects, normals, names, materials, comments and the numbering of vertices and faces are kept. Material
-    libraries are named relative to the new file.
+    Groups, objects, normals, names, comments and the numbering of vertices and faces are kept. Materials keep their
+    names and statements; images of the old layout are left out.
 
     ``original``: the file that ``laid_out`` was read from.
     ``laid_out``: the mesh with texture coordinates.
+    ``images``: of all materials, see `write_materials`.
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:
@@ -127,13 +150,24 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
         laid_out.face_offsets
     ):
         raise FormatError(f"{kept}: expected the faces of {laid_out.name}, found others. Match the meshes again.")
-    text = _UV_LINE.sub("", _text_for(file, kept))
+    text = _UV_LINE.sub("", _OLD_MARK.sub("", read_text(kept, "an OBJ file")))
+    statements: dict[str, list[str]] = {}
+    for _, library in _LIBRARY.findall(text):
+        for found in material_files_of_line(kept.parent, f"mtllib {library}"):
+            statements = read_material_statements(found) | statements
+    text = _LIBRARY_LINE.sub("", text)
     first = _FACE.search(text)
     assert first is not None  # the mesh has faces
+    used = [name.strip() for name in _MATERIAL.findall(text)]
+    head = text[: first.start()]
+    if not _MATERIAL.search(head):
+        used, head = [UNNAMED, *used], f"{head}usemtl {UNNAMED}\n"
     uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
     numbers = iter((laid_out.uv_indices + 1).tolist())
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
-    write_whole(file, f"# {mark()}\n{text[: first.start()]}{uvs}{faces}", force=force)
+    library_file = file.with_suffix(".mtl")
+    write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)
+    write_whole(file, f"# {mark()}\nmtllib {library_file.name}\n{head}{uvs}{faces}", force=force)
 
 
 def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:

@@ -19,6 +19,7 @@ from cagemap.studio.landmarks import SIDES, Side
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.form import read_form
 from cagemap.studio.session import Session
+from cagemap.studio.workspace import LANDMARK_SUFFIXES
 
 _FILES = ("target", "source", "texture")
 Entries = Mapping[str, Any]
@@ -29,6 +30,7 @@ class Actions:
 
     def __init__(self, session: Session) -> None:
         self._session = session
+        self._dropped: dict[str, Path | None] = {}  # files dropped before there is a model for each side
         self._handlers: dict[str, Callable[[Entries], object]] = {
             "list": lambda _: None,  # `StudioApp` replies
             "open": self._open,
@@ -85,21 +87,32 @@ class Actions:
         """Add a file to the workspace; with a role, also open it."""
         head, content = message.split(b"\n", 1)
         sent = json.loads(head)
-        path = self._session.add_file(str(sent["name"]), content)
-        files, role = self._session.state.files, sent.get("role")
+        path, role = self._session.add_file(str(sent["name"]), content), sent.get("role")
         if path is None or role is None:
             return
-        if path.suffix.lower() in IMAGE_SUFFIXES:
-            role = "texture"
-        elif path.suffix.lower() not in MESH_SUFFIXES:
+        suffix = path.suffix.lower()
+        if suffix in LANDMARK_SUFFIXES:
             self._session.load(path)
             return
-        opened = {} if files is None else {name: getattr(files, name) for name in _FILES}
-        chosen = opened | ({"texture": None} if role == "source" else {}) | {str(role): path}
-        if None in (chosen.get("target"), chosen.get("source")):
+        if suffix not in (*IMAGE_SUFFIXES, *MESH_SUFFIXES):  # a .mtl, or a table that the form names
             return
-        paths = (chosen["target"], chosen["source"], chosen.get("texture"))
-        self._session.open(default_files(self._session.workspace.folders[0], *paths))
+        files = self._session.state.files
+        before = self._dropped if files is None else {name: getattr(files, name) for name in _FILES}
+        replaced = {"texture": None} if files is not None and role == "source" else {}
+        chosen = before | replaced | {"texture" if suffix in IMAGE_SUFFIXES else str(role): path}
+        target, source = chosen.get("target"), chosen.get("source")
+        if target is not None and source is not None:
+            self._dropped = {}
+            folder = self._session.workspace.folders[0]
+            self._session.open(default_files(folder, target, source, chosen.get("texture")))
+            return
+        self._dropped = chosen
+        missing = [
+            f"the {side}, on the {half} half"
+            for side, half, model in (("target", "left", target), ("source", "right", source))
+            if model is None
+        ]
+        self._session.note(f"{path.name} is here. Drop {' and '.join(missing)}.")
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images

@@ -51,7 +51,7 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
     case 'choice': case 'number': {
       if (choices) {
         const select = element('select');
-        fill(select, usual === false ? choices : [['', 'as usual'], ...choices], String(value));
+        fill(select, usual === false ? choices : [['', 'default'], ...choices], String(value));
         return [select, () => select.value];
       }
       const number = element('input', {type: 'number', value, min: least ?? '', max: most ?? '', step: 'any'});

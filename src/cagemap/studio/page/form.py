@@ -26,7 +26,12 @@ def form_fields(options: Options) -> dict[str, Any]:
     vertices_hint = "how finely the final map is computed, on each model; more is slower"
     first = [
         _entry("texture", "Texture", "flag", _DEFAULTS.texture, "bake the open image into the target's layout"),
-        _option_entry(options, Field(SIZE_KEY, "Texels"), hint="width and height of every image", choices=SIZES),
+        _option_entry(
+            options,
+            Field(SIZE_KEY, "Image size"),
+            hint="width and height in texels; default: as the source's image",
+            choices=SIZES,
+        ),
         _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), value=DEFAULT_VERTICES),
     ]
     finish_entries: dict[str, list[dict[str, Any]]] = {

@@ -4,14 +4,15 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', typed = null;
+let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', picked = false, typed = null;
 
-$('empty').textContent = 'This browser draws no 3D. Turn WebGL on, or open the page in another browser.';
+const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
+hint('This browser draws no 3D. Turn WebGL on, or open the page in another browser.');
 const views = new Views($('views'), {
   click: ray => send('click', ray), probe: ray => send('probe', ray), move: ray => send('move', ray),
   select: number => send('select', {number}), hint: text => { $('status').textContent = text; },
 });
-$('empty').textContent = 'Drop two models here, or press Open.';
+hint('Drop the target here: the model that receives.\nOr press Open…', 'Drop the source here: the model that gives.\nOr press Open…');
 window.studio = {views, get state() { return state; }};
 
 // The server
@@ -64,6 +65,8 @@ function show() {
   for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric']) $(name).checked = view[name];
   $('rest-line').hidden = !state.rest;
   $('symmetric').disabled = !state.symmetric;
+  $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
+    : 'Needs two models whose meshes are mirror symmetric';
 }
 function text(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
 
@@ -75,7 +78,7 @@ function showMessages() {
 
 function showViews() {
   const {drawn, models, view} = state;
-  $('empty').hidden = !!models;
+  $('empty').hidden = !!models || state.status.kind === 'busy';
   const modes = fixed.modes.filter(one => one !== 'baked' || state.images.length);
   fill($('mode'), modes.map(one => [one, one[0].toUpperCase() + one.slice(1)]), view.mode);
   fill($('other'), [['', '–'], ...modes.map(one => [one, one[0].toUpperCase() + one.slice(1)])], $('other').value);
@@ -115,7 +118,7 @@ function showMap() {
 function showLandmarks() {
   const {landmarks, count, curves, selected, saved} = state;
   $('list').hidden = !landmarks.length;
-  text('count', !landmarks.length && state.models ? 'No landmarks. Where the map is wrong, click that place on one model, then on the other.'
+  text('count', !state.models ? '' : !landmarks.length ? 'No landmarks. Where the map is wrong, click that place on one model, then on the other.'
     : `${count} landmark${count === 1 ? '' : 's'}${curves ? `, ${curves} curves` : ''}${saved ? '' : ' · not saved yet'}`);
   const rows = [...landmarks].reverse().sort((a, b) => !!b.wrong - !!a.wrong).map(one => {
     const off = !one.complete ? '…' : one.strain === null ? '' : `${(100 * one.strain).toFixed(1)} %`;
@@ -165,8 +168,8 @@ function showModels() {
     $(`plain-${side}`).hidden = !model?.dense;
   }
   const {meshes, images, landmarks} = fixed.kinds, none = [['', '–']], fields = dialog.elements;
-  const opened = shownFiles !== JSON.stringify(files);  // what is chosen or typed meanwhile stays otherwise
-  shownFiles = JSON.stringify(files);
+  const opened = !picked && shownFiles !== JSON.stringify(files);  // what the user chose in the dialog stays
+  if (opened) shownFiles = JSON.stringify(files);
   for (const [name, suffixes] of [['target', meshes], ['source', meshes], ['texture', images]]) {
     const known = opened ? files?.[name] ?? '' : fields[name].value, found = matching(listing, suffixes);
     fill(fields[name], [...none, ...new Set(known ? [known, ...found] : found)], known);
@@ -233,6 +236,7 @@ for (const tab of document.querySelectorAll('[role=tab]')) {
 
 const form = $('models').querySelector('form');
 on('open', 'click', () => { send('list'); $('models').showModal(); });
+form.addEventListener('change', event => { picked ||= !event.target.id.startsWith('part-') && event.target.id !== 'add'; });
 form.elements.source.addEventListener('change', () => {  // an image named after the source is most likely its texture
   const stem = form.elements.source.value.replace(/^.*\//, '').replace(/\.[^.]*$/, '');
   const named = [...form.elements.texture.options].find(one => one.value.replace(/^.*\//, '').startsWith(stem) && one.value);
@@ -251,6 +255,8 @@ on('models', 'close', () => {
     ...Object.fromEntries(['target', 'source', 'texture'].map(name => [name, form.elements[name].value])),
     schemes: SIDES.map(side => $(`scheme-${side}`).value), ups: SIDES.map(side => $(`up-${side}`).value)});
   $('models').returnValue = '';
+  [picked, shownFiles] = [false, ''];
+  if (state) showModels();
 });
 on('add', 'change', () => { for (const file of $('add').files) add(file, null); $('add').value = ''; });
 
@@ -264,7 +270,9 @@ drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
 drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
-  for (const file of event.dataTransfer.files) add(file, half(event));
+  const rank = file => [meshes, images].findIndex(kind => matching([file.name], kind).length);  // what meshes name comes first
+  const {meshes, images} = fixed.kinds;
+  for (const file of [...event.dataTransfer.files].sort((a, b) => rank(a) - rank(b))) add(file, half(event));
 });
 
 document.addEventListener('keydown', event => {

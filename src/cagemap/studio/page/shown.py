@@ -12,7 +12,7 @@ from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures.colors import distinct_colors
 from cagemap.studio.downloads import ARCHIVE_NAME, archive_name, textured_model_name
-from cagemap.studio.finish_layout import FOLDER_SUFFIX
+from cagemap.studio.finish_layout import FOLDER_SUFFIX, in_page_words
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import SAVE_FORMATS
 from cagemap.studio.landmarks import SIDES, Place, Side
@@ -27,6 +27,8 @@ _COLORS = distinct_colors(64)
 _VIEW_FIELDS = ("mode", "cages", "doubts", "linked", "rest", "symmetric", "pose")
 # Height of lines above the model, in units of its radius.
 _LINE_HEIGHT = 0.004
+# Files written with an image for a target without UVs.
+_LAYOUT_FILES = {"_unwrapped.obj": "model with its new UVs", "_unwrapped.mtl": "its materials"}
 _CAGE_COLOR = np.array([0.35, 0.67, 1.0])
 
 
@@ -72,8 +74,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "suggests": map_state.suggestion is not None,
         "said": [
             *([confidence_text(map_state.confidence)] if map_state.confidence else []),
-            *map_state.contradictions.values(),
-            *map_state.notes,
+            *map(in_page_words, (*map_state.contradictions.values(), *map_state.notes)),
         ],
         "answers": map_state.answers if len(map_state.answers) > 1 else (),
         "chosen": map_state.chosen_answer,
@@ -189,4 +190,5 @@ def _output_entries(state: StudioState) -> list[dict[str, Any]]:
 
 def _output_entry(output: Output) -> dict[str, Any]:
     name = archive_name(output.path) if output.path.is_dir() else output.path.name
-    return {"what": output.title, "name": name, "page": output.path.suffix.lower() == ".html"}
+    what = next((text for ending, text in _LAYOUT_FILES.items() if name.endswith(ending)), output.title)
+    return {"what": what, "name": name, "page": output.path.suffix.lower() == ".html"}

@@ -160,6 +160,7 @@ export class Views {
     pen.stroke();
     if (!number || !this.shown.numbers) return;
     const text = `${number}${wrong ? '!' : solid ? '' : '?'}`;
+    pen.globalAlpha = 1;
     pen.font = '600 10px system-ui, sans-serif';
     pen.lineWidth = 2.5;
     pen.lineJoin = 'round';

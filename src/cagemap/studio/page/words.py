@@ -37,7 +37,8 @@ _VERDICTS = {"two answers: ": "Two ways fit", "look at it: ": "Have a look"}
 
 def confidence_text(message: str) -> str:
     """The confidence message of a match in words of the page."""
-    return _VERTEX_HINT.sub(" at the place that Next landmark shows", _ANSWER_HINT.sub("", message))
+    text = _VERTEX_HINT.sub(" at the place that Next landmark shows", _ANSWER_HINT.sub("", message))
+    return text[:1].upper() + text[1:]
 
 
 def verdict(state: StudioState, scene: Scene | None) -> str:
@@ -94,7 +95,7 @@ def _stage_text(stage: str) -> tuple[str, float | None]:
 
 def _next_step(state: StudioState) -> str:
     if state.files is None:
-        return "Open two models, or drop their files here."
+        return state.messages[-1].text if state.messages else "Open two models, or drop their files here."
     if state.map.rough:  # the search was cancelled
         return "This is a first look at the map. Press Match again for the checked one."
     if state.map.revision == 0:
