@@ -173,3 +173,9 @@ def test_least_rotation() -> None:
 def test_worlds_and_parents_are_inverse() -> None:
     rig = person()
     np.testing.assert_allclose(world_transforms(rig.local, rig.parents), rig.bind, atol=1e-12)
+
+
+def test_a_reference_of_another_rig_is_refused() -> None:
+    rig = person()
+    with pytest.raises(ParameterError, match=rf"^reference: expected one transform a joint \({len(rig.names)}, 4, 4\)"):
+        retarget(dance(rig), rig, rig, reference=rig.bind[:3])
