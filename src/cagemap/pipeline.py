@@ -320,7 +320,9 @@ def other_answer(
 def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
     """Pair of two surfaces with landmarks, and with symmetries, given or found for "paper" (5.2)."""
     if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
-        raise ParameterError("symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none")
+        raise ParameterError(
+            "symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none. Leave them out."
+        )
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if config.method != "paper" or not config.use_symmetry or config.symmetries:
         return pair

@@ -192,3 +192,9 @@ def test_a_mirrored_rig_moves_like_its_copy_elsewhere() -> None:
     animation = Animation("turn", tuple(Track(joint, "rotation", TIMES, QUATERNIONS) for joint in range(5)))
     expected = pose_at(rig, animation, 0.3) @ change
     np.testing.assert_allclose(pose_at(copy, retarget(animation, rig, copy), 0.3), expected, atol=1e-6)
+
+
+def test_a_reference_of_another_rig_is_refused() -> None:
+    rig = person()
+    with pytest.raises(ParameterError, match=rf"^reference: expected one transform a joint \({len(rig.names)}, 4, 4\)"):
+        retarget(dance(rig), rig, rig, reference=rig.bind[:3])

@@ -33,10 +33,10 @@ def graph() -> tuple[ElasticGraph, np.ndarray, TriangleSurface]:
 def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarray, TriangleSurface]) -> None:
     rest = graph[0]
     factors = rest.smoother(DataConfig.received_smoothing)
-    np.testing.assert_allclose(received_weights(factors, rest.areas), 1.0)
-    np.testing.assert_allclose(received_weights(factors, np.zeros(rest.n)), 0.0)
+    np.testing.assert_allclose(received_weights(factors, rest.areas, of_parts=False), 1.0)
+    np.testing.assert_allclose(received_weights(factors, np.zeros(rest.n), of_parts=False), 0.0)
     distance = np.linalg.norm(rest.positions - rest.positions[100], axis=1)
-    weights = received_weights(factors, np.where(distance < 0.06, 0.0, rest.areas))
+    weights = received_weights(factors, np.where(distance < 0.06, 0.0, rest.areas), of_parts=False)
     assert (weights[distance < 0.03] == 0).all()
     assert (weights[distance > 0.08] > 0.999).all()
 

@@ -63,6 +63,17 @@ def room_for(size: int) -> Iterator[None]:
         signal.signal(signal.SIGXFSZ, before)
 
 
+def test_content_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done, rename = [], os.replace
+    monkeypatch.setattr(os, "fsync", lambda number: done.append("flush"))
+    monkeypatch.setattr(os, "replace", lambda *given: (done.append("rename"), rename(*given)))
+    write_whole(tmp_path / "a.txt", "a")
+    assert done == ["flush", "rename"]
+    done.clear()
+    write_result(tmp_path / "R", identity_result(1))
+    assert done == ["flush", "flush", "rename"]
+
+
 FORMATS = [
     *("m.obj", "m.ply", "m.off", "m.glb", "m.usda", "m.usdc"),
     *("i.png", "i.tif", "i.exr", "i.jpg"),

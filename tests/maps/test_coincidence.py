@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -179,6 +180,12 @@ def test_both_sides_of_a_thin_part_stay_apart() -> None:
     np.testing.assert_allclose(carried[inside], np.sign(z - z.mean())[inside], atol=1e-9)
 
 
+@cache
+def body(file: Path) -> Surface:
+    """Read once for all pairs that it is in."""
+    return unprepared(read_mesh(file))
+
+
 HUMANS = "female1605 male1591", "anny10pc anny5pc", "proxy741 base"
 
 
@@ -188,8 +195,9 @@ def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_dat
     bodies = ("male_young", "female_old_heavy", "neutral")
 
     def lies(target: str, source: str) -> bool:
-        sides = (read_mesh(shared_data / "humans" / f"{name}.obj") for name in (target, source))
-        return Coincidence.find(*map(unprepared, sides)) is not None
+        return (
+            Coincidence.find(*(body(shared_data / "humans" / f"{name}.obj") for name in (target, source))) is not None
+        )
 
     assert lies(f"{mine}_male_young", f"{theirs}_male_young")
     assert not any(
@@ -201,17 +209,17 @@ def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_dat
 def test_clothes_lie_on_the_body_that_wears_them(shared_data: Path) -> None:
     folder = shared_data / "characters" / "passengers"
     shirt = unprepared(read_mesh(folder / "shirt_neutral.obj"))
-    for body, lies in (("neutral", True), ("male_young", False)):
-        wearer = unprepared(read_mesh(shared_data / "humans" / f"base_{body}.obj"))
+    for shape, lies in (("neutral", True), ("male_young", False)):
+        wearer = body(shared_data / "humans" / f"base_{shape}.obj")
         assert (Coincidence.find(shirt, wearer) is not None) == lies
 
 
-@pytest.mark.parametrize("body", ["female1605_male_young_crouch", "proxy741_female_old_heavy_sit"])
+@pytest.mark.parametrize("posed", ["female1605_male_young_crouch", "proxy741_female_old_heavy_sit"])
 def test_weights_of_a_posed_body_under_another_mesh_are_as_good_as_of_its_nearest_faces(
-    shared_data: Path, body: str
+    shared_data: Path, posed: str
 ) -> None:
     """MakeHuman's rig; by the map that was fitted, weights differed by 0.10. Truth is the nearest point at rest."""
-    mesh, rest = body.split("_", 1)
+    mesh, rest = posed.split("_", 1)
     target, source = (
         unprepared(read_mesh(shared_data / "humans" / "posed" / f"{name}_{rest}.obj"), 25_000)
         for name in (mesh, "base")

@@ -28,7 +28,10 @@ def creatures() -> tuple[Surface, Surface, Landmarks]:
 @pytest.mark.parametrize(
     "names",
     [
-        ["nose_tip", "tail_tip", "hoof_front_L", "hoof_front_R", "hoof_hind_L", "hoof_hind_R"],
+        pytest.param(
+            ["nose_tip", "tail_tip", "hoof_front_L", "hoof_front_R", "hoof_hind_L", "hoof_hind_R"],
+            marks=pytest.mark.slow,
+        ),
         # Along the middle all but one: a single hoof tells left from right.
         ["nose_tip", "tail_tip", "chest", "poll", "belly", "hoof_front_L"],
     ],

@@ -57,6 +57,7 @@ def test_boxes_agree_and_no_start_mirrors() -> None:
     np.testing.assert_allclose(stretched.min(axis=0), others.min(axis=0), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
     turn = axis_rotations()[-1]
     twin = bent(creature())

@@ -27,7 +27,7 @@ from cagemap.maps.landmarks.outliers import (
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.topology import handle_count
-from cagemap.pipeline import match_pair, prepare_pair
+from cagemap.pipeline import prepare_pair
 
 from quick_match import QUICK
 
@@ -239,13 +239,12 @@ def test_mirrored_landmarks_turn_the_other_way_round(pair, graphs):
     assert orientation_agreement(target, (source[0] * mirror, source[1] * mirror)) < -0.4
 
 
-def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(pair, monkeypatch):
+def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(pair, followed, monkeypatch):
     """Where arms are crossed, correct ones seem mirrored, and were called 'two answers'."""
     target, source, landmarks = pair
     prepared = prepare_pair(target, source, QUICK)
     points = Pair(target, source, point_pairs(target, source, landmarks))
-    found = match_pair(prepared, landmarks, QUICK).point_map
-    near = np.asarray(found.images.positions[: prepared.mesh.n])
+    near = np.asarray(followed.point_map.images.positions[: prepared.mesh.n])
     other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
     monkeypatch.setattr(other_answers, "search", lambda problem, progress: (other,))
     known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
@@ -389,11 +388,9 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     assert judged.still(before, corrected).suspects == ()
 
 
-def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair):
-    target, source, landmarks = pair
-    before = match(target, source, landmarks, QUICK)
-    assert before.suspects == ()
-    before = replace(before, landmark_check=LandmarkCheck(notes=("a note",)))
+def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair, followed):
+    _, source, landmarks = pair
+    before = replace(followed, landmark_check=LandmarkCheck(notes=("a note",)))
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
     updated = update_match(before, wrong, QUICK)
     assert [suspect.pair for suspect in updated.suspects] == [3]

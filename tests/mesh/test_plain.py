@@ -16,6 +16,7 @@ from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import signed_volume
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh, turn_faces
+from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_among
 
@@ -229,3 +230,12 @@ def test_closest_points_among_few_triangles_are_those_of_plain_numpy() -> None:
         assert np.isclose(found, np.sqrt(squared.min()), atol=1e-9)
         nearest = weights[squared.argmin()] @ corners[mine[squared.argmin()]]
         assert np.allclose(nearest, barycentric[i] @ corners[triangle[i]], atol=1e-6)
+
+
+def test_with_a_vertex_for_each_fan_no_edge_has_three_faces() -> None:
+    """Triangles between random vertices, most of them on edges of many."""
+    random = np.random.default_rng(8)
+    for count in (5, 6, 8):
+        faces = [random.choice(count, 3, replace=False).tolist() for _ in range(40)]
+        mesh = ControlMesh.from_faces(random.normal(size=(count, 3)), faces)
+        assert mesh_topology(plain_mesh(mesh).mesh).face_counts.max() <= 2

@@ -7,7 +7,9 @@ takes a few hundredths of a second.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -148,7 +150,7 @@ def mesh_of(kind: Kind) -> ControlMesh:
 
 
 @pytest.fixture(scope="module", params=[f"{kind}, {numbers}" for kind in KINDS for numbers in ("same", "others")])
-def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
     name, numbers = request.param.split(", ")
     kind, folder = KINDS[name], tmp_path_factory.mktemp("case")
     source = mesh_of(kind)
@@ -187,7 +189,9 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     corners = share["vertices"][target.mesh.face_indices]
     if kind.masked:
         share["faces"] = corners.reshape(source.n_faces, -1).mean(axis=1)
-    return Case(kind, folder, source, target, share | {"corners": corners})
+    with pytest.MonkeyPatch.context() as patch:  # the result is read once for all that is transferred
+        patch.setattr("cagemap.tasks.transfer.read_result", cache(read_result))
+        yield Case(kind, folder, source, target, share | {"corners": corners})
 
 
 def test_values_at_vertices_faces_and_corners(case: Case) -> None:

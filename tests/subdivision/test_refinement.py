@@ -37,7 +37,7 @@ from cagemap.subdivision import (
     refine,
     triangles,
 )
-from cagemap.subdivision.refinement import state_of, vertex_counts
+from cagemap.subdivision.refinement import state_of, vertex_counts, with_options
 from cagemap.subdivision.topology import control_topology
 
 CLOSED = [cube(), tetrahedron(), icosahedron(), torus(5, 4), poles(3), poles(8), bipyramid(7), pyramid(), creature()]
@@ -380,3 +380,8 @@ def test_uvs_of_a_level_are_made_when_they_are_asked_for():
     assert "layout" not in vars(level)
     assert level.uvs is level.uvs is not None
     assert level.uv_indices.max() < len(level.uvs)
+
+
+def test_a_scheme_that_is_not_known_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"^scheme: expected one of catmull-clark, .*, got 'doo-sabin'"):
+        with_options(cube(), "doo-sabin")

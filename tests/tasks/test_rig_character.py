@@ -27,7 +27,10 @@ from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
+from cagemap.tasks.carry_character import Bodies, match_bodies
+from cagemap.tasks.progress import Stages
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -36,6 +39,26 @@ from example_character import ball, bare_body, character, with_material, write_c
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:
     return bare_body(1)
+
+
+@pytest.fixture(scope="module")
+def kept() -> dict[object, Bodies]:
+    """Matches of the tests before."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def matched_once(kept: dict[object, Bodies], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two bodies that an earlier test has matched are not matched again."""
+
+    def match_or_take(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
+        meshes = (target.mesh, source.mesh)
+        key = (landmarks.names, *((mesh.positions.tobytes(), mesh.face_indices.tobytes()) for mesh in meshes))
+        if key not in kept:
+            kept[key] = match_bodies(target, source, landmarks, stages)
+        return replace(kept[key], given=(target, source))
+
+    monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", match_or_take)
 
 
 @pytest.fixture

@@ -171,7 +171,7 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
 
 
 def received_weights(
-    smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool = False
+    smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool
 ) -> FloatArray:
     """(n,) weights from 0 to 1, by the source's area that vertices receive (n,), relative to their own.
 

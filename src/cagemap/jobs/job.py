@@ -124,7 +124,9 @@ def read_job(
         inside = f" {file / 'job.toml'} is one." if os.path.isfile(file / "job.toml") else ""
         raise FormatError(f"{error}{inside}") from None
     except RecursionError:
-        raise FormatError(f"{file}: expected a TOML file, got brackets within brackets without end.") from None
+        raise FormatError(
+            f"{file}: expected a TOML file, got brackets within brackets without end. Write it again."
+        ) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FormatError(f"{file}: expected a TOML file, got a mistake in it: {error}.") from None
     parsed, problems = parse_job(data)

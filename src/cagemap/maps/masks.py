@@ -137,7 +137,7 @@ def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     given = _checked(values, refinement.control.n_faces, "control face")
     finest = refinement.finest
     if finest.faces is None:
-        raise ParameterError("face mask: expected a mesh refined at least once, got its control mesh")
+        raise ParameterError("face mask: expected a mesh refined at least once, got its control mesh. Refine it once.")
     mask = np.ones(finest.n_vertices)
     for corner in finest.faces.T:
         np.minimum.at(mask, corner, given[finest.face_parents])

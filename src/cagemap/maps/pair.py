@@ -153,7 +153,8 @@ def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = 
         free = next((int(vertex) for vertex in near if int(vertex) not in taken), None)
         if free is None:
             raise ParameterError(
-                f"expected at most {tree.n} landmarks on a level of as many vertices, got {len(points)}"
+                f"landmarks: expected at most {tree.n} on a level of as many vertices, got {len(points)}. "
+                "Give fewer, or refine once more."
             )
         vertices[place] = free
         taken.add(free)

@@ -117,15 +117,18 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
     branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
     if branching or len(ends) > 2:
         raise InvalidLandmarksError(
-            f"expected the edges of one chain or loop, got a branch at vertex {first_few(branching)}."
+            f"expected the edges of one chain or loop, got a branch at vertex {first_few(branching)}. "
+            "Make each a curve of its own."
             if branching
-            else f"expected the edges of one chain or loop, got pieces that end at vertices {first_few(ends)}."
+            else f"expected the edges of one chain or loop, got pieces that end at vertices {first_few(ends)}. "
+            "Make each a curve of its own."
         )
     order = depth_first_order(graph, int(np.argmax(degrees == 1)), return_predecessors=False)
     if len(order) != len(vertices):
         left = np.delete(vertices, order).tolist()
         raise InvalidLandmarksError(
-            f"expected the edges of one chain or loop, got pieces: vertices {first_few(left)} are joined to no other."
+            f"expected the edges of one chain or loop, got pieces: vertices {first_few(left)} are joined to no other. "
+            "Make each a curve of its own."
         )
     return vertices[order].astype(np.int64), not ends
 

@@ -167,7 +167,10 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     work, turned = turn_faces(work, faces), int(faces.sum())
     work, aside = _largest_piece(work)
     if not face_areas(work).sum() > 0.0:
-        raise InvalidMeshError(f"{mesh.name}: expected a surface with an area, got {work.n_faces} faces without")
+        raise InvalidMeshError(
+            f"{mesh.name}: expected a surface with an area, got {work.n_faces} faces without. "
+            "Repair it in a modelling program."
+        )
     problem = inside_out_problem(work, _loops(work))
     inwards = problem is not None and problem.kind == "inside out"
     work = turn_faces(work, np.ones(work.n_faces, dtype=bool)) if inwards else work
@@ -235,12 +238,18 @@ def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
         mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1]))
         mesh, newly_cut = _one_fan_per_vertex(mesh)
         cut += newly_cut
-    raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges")
+    raise InvalidMeshError(
+        f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges. "
+        "Repair it in a modelling program."
+    )
 
 
 def _only_faces(mesh: ControlMesh, kept: NDArray[np.bool_]) -> ControlMesh:
     if not kept.any():
-        raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at all edges")
+        raise InvalidMeshError(
+            f"{mesh.name}: expected a surface, got faces that meet in more than two at all edges. "
+            "Repair it in a modelling program."
+        )
     return keep_faces(mesh, np.flatnonzero(kept))
 
 

@@ -133,7 +133,7 @@ def _solve_coupled(
     )
     if failed:
         raise ParameterError(
-            "the functional map of these operators was not found: are they scaled to norms of about 1, and their "
-            "weight comparable to that of the descriptors?"
+            "descriptor operators: no functional map was found. Scale them to norms of about 1, and their weight "
+            "to that of the descriptors."
         )
     return np.asarray(solution)

@@ -86,7 +86,9 @@ def hfm_map(
     levels = search_levels(pair.target, pair.source, config.search_vertices, config.source_search_vertices)
     most = min(pair.target.basis.count, pair.source.basis.count)
     if most < FEWEST_FUNCTIONS:
-        raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces, got {most}")
+        raise ParameterError(
+            f"basis: expected at least {FEWEST_FUNCTIONS} functions on both surfaces, got {most}. Give a larger count."
+        )
     first = min(config.zoomout.first, most)
     if start is None:
         constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints

@@ -162,7 +162,8 @@ def _shift_inside(
             return shifted, shift
         shift *= middle / max(below, 1)
     raise SolverError(
-        f"expected a shift among eigenvalues {low} to {high} of the level, found none; the last try {shift:g}"
+        f"shift: expected one among eigenvalues {low} to {high} of the level, found none; the last try {shift:g}. "
+        "Ask for fewer eigenpairs."
     )
 
 
@@ -208,7 +209,8 @@ def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: floa
         if counted is not None:
             return counted
     raise SolverError(
-        f"expected to count the eigenvalues below {value:g}, but the factorisation tells no inertia there"
+        f"eigenvalues below {value:g}: expected to count them, but the factorisation tells no inertia there. "
+        "Install rslab."
     )
 
 

@@ -66,4 +66,4 @@ def truncate_refinement(refinement: Refinement, level: int) -> Refinement:
     fans = replace(last, faces=split, face_parents=parents)
     if control.uvs is not None and control.uv_indices is not None:
         fans = fans.with_uvs(control.uvs, fan_triangles(control.face_offsets, control.uv_indices)[0])
-    return replace(shortened, levels=(*shortened.levels[:-1], fans))
+    return replace(shortened, levels=(fans,))

@@ -46,11 +46,14 @@ class TriangleTree:
 def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     """Search tree of triangles (t, 3) with vertices (n, 3); ParameterError if empty or not finite."""
     if len(triangles) == 0:
-        raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
+        raise ParameterError("triangles: expected at least one to search, got none. Give a surface with faces.")
     positions = np.ascontiguousarray(positions, dtype=np.float64)
     if not np.isfinite(positions).all():
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-        raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
+        raise ParameterError(
+            f"positions: expected finite ones, got {len(bad)} that are not, first at vertices {bad[:5]}. "
+            "Repair the mesh."
+        )
     order = _leaf_order(positions, triangles)
     ordered, normals = triangles.take(order, axis=0), np.empty((len(order), 3))
 
@@ -85,7 +88,9 @@ def closest_points(
     queries, -1 for none; they only make the search faster.
     """
     if normals is None and (normal_weight > 0 or minimum_cosine > -1):
-        raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
+        raise ParameterError(
+            "normals: expected those of the queries, got none: normal_weight and minimum_cosine need them"
+        )
     queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
     given = np.zeros(queries.shape) if normals is None else normals
     directions = read_only(np.ascontiguousarray(given, dtype=np.float64))

@@ -121,7 +121,10 @@ class SurfacePoints:
         triangle[np.repeat(np.arange(rows.shape[0]), np.diff(shared.indptr))[full]] = shared.indices[full]
         if np.any(triangle < 0):
             bad = np.flatnonzero(triangle < 0)[:5]
-            raise ParameterError(f"expected every row to have vertices of one triangle, not so in rows {bad}")
+            raise ParameterError(
+                f"matrix: expected every row to have vertices of one triangle, not so in rows {bad}. "
+                "Give a map to points of the surface."
+            )
         weights = rows[np.arange(len(triangle))[:, None], surface.triangles[triangle]]
         return cls(surface, triangle, sparse.csr_array(weights).toarray())
 

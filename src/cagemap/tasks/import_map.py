@@ -71,7 +71,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
 def _surface(control: ControlMesh, level: int | None) -> Surface:
     require_valid(control)
     if level is not None and level < 1:
-        raise ParameterError(f"--level: expected 1 or more, got {level}")
+        raise ParameterError(f"--level: expected 1 or more, got {level}. Leave it out to have one chosen.")
     finest = level or choose_level(control, MAP_VERTICES)
     require_size(control, finest)
     return Surface(refine(control, finest, control.scheme))

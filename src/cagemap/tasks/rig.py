@@ -226,7 +226,8 @@ def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> F
     joints = mirrored_joints(names)
     if np.array_equal(joints, np.arange(len(names))):
         raise ParameterError(
-            "--mirror: expected joints of both sides, such as arm.L and arm.R, got none by their names"
+            "--mirror: expected joints of both sides, such as arm.L and arm.R, got none by their names. "
+            "Rename them, or leave it out."
         )
     mirrored = [mirrored_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
     if not mirrored:

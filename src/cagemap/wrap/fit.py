@@ -78,7 +78,9 @@ def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
     """Connected pieces of free points (k,) only, such as eyes; refuses a graph without other points."""
     pieces = whole_pieces(graph, free)
     if sum(map(len, pieces)) == graph.n:
-        raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
+        raise ParameterError(
+            "weights: expected a part of the target that follows the source, got 0 everywhere. Give weights above 0."
+        )
     return pieces
 
 

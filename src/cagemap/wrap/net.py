@@ -43,7 +43,9 @@ def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
     Raises ParameterError if the level is not 0 and the mesh has hole faces, which the level's mesh would lack.
     """
     if level and refinement.holes(level).any():
-        raise ParameterError(f"{refinement.control.name}: has hole faces, so that only level 0 can be a net")
+        raise ParameterError(
+            f"{refinement.control.name}: has hole faces, so that only level 0 can be a net. Give level 0."
+        )
     return finest_mesh(replace(refinement, matrices=refinement.matrices[:level], levels=refinement.levels[: level + 1]))
 
 

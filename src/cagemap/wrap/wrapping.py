@@ -119,7 +119,9 @@ def wrap(
     adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
     follows = weights >= config.net.followed
     if not follows.any():
-        raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
+        raise ParameterError(
+            "weights: expected a part of the target that follows the source, got 0 everywhere. Give weights above 0."
+        )
     source = point_map.source
 
     def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:

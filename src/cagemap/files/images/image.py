@@ -202,7 +202,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
             _reserve(temporary, pixels.nbytes + _HEADER)
         output = oiio.ImageOutput.create(str(temporary))
         if output is None:
-            raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())}")
+            raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())} Choose another suffix.")
         written = output.open(str(temporary), spec) and output.write_image(np.ascontiguousarray(pixels))
         error = output.geterror()
         if not (output.close() and written):

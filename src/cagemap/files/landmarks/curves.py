@@ -83,7 +83,9 @@ def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurv
     except (TypeError, ValueError, OverflowError):
         positions = np.zeros(0)
     if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
-        raise FormatError(f"{path}: curve '{name}': expected a list of finite places [x, y, z], got something else.")
+        raise FormatError(
+            f"{path}: curve '{name}': expected a list of finite places [x, y, z], got something else. Write it again."
+        )
     return NamedCurve(name, np.full(len(positions), -1, dtype=np.int64), positions, closed)
 
 

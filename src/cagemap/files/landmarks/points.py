@@ -142,7 +142,9 @@ def _rows(path: Path, text: str) -> list[list[str]]:
     try:
         return list(csv.reader(io.StringIO(text)))
     except csv.Error as error:
-        raise FormatError(f"{path}: expected a table of landmark points, got broken CSV ({error}).") from None
+        raise FormatError(
+            f"{path}: expected a table of landmark points, got broken CSV ({error}). Export it again."
+        ) from None
 
 
 def _fiducials(path: Path, text: str) -> Named:

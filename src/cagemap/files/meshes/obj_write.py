@@ -144,7 +144,9 @@ def write_obj_layout(
     """
     file, kept = Path(path), Path(original)
     if laid_out.uvs is None or laid_out.uv_indices is None:
-        raise FormatError(f"{laid_out.name}: expected texture coordinates to write to {file}, the mesh has none.")
+        raise FormatError(
+            f"{laid_out.name}: expected texture coordinates to write to {file}, the mesh has none. `unwrap` makes them."
+        )
     known = read_obj(kept)
     if known.face_indices.tolist() != laid_out.face_indices.tolist() or len(known.face_offsets) != len(
         laid_out.face_offsets

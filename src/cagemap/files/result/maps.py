@@ -76,7 +76,7 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
         try:
             matrix = sparse.csr_array(sparse.load_npz(file))
         except ValueError as error:
-            raise FormatError(f"{file}: expected a sparse matrix, found {error}") from error
+            raise FormatError(f"{file}: expected a sparse matrix, found an error ({error}). {_REMEDY}") from error
         return SurfacePoints.from_matrix(source, matrix)
     raise FormatError(
         f"{file}: expected 'triangle' and 'barycentric', or a sparse matrix written by SciPy, found {', '.join(arrays)}"

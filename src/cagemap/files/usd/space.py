@@ -33,7 +33,9 @@ def stage_units(path: str | Path) -> StageSpace:
     with named_damage(path):
         axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
     if axis not in ("Y", "Z") or not 0.0 < length < float("inf"):
-        raise FormatError(f"{path}: expected the up axis Y or Z and a positive metersPerUnit, got {axis}, {length}.")
+        raise FormatError(
+            f"{path}: expected the up axis Y or Z and a positive metersPerUnit, got {axis}, {length}. Export it again."
+        )
     return StageSpace(axis, length)
 
 

@@ -289,7 +289,9 @@ def _write_results(
     geometry = pxr.UsdGeom.Mesh(prim)
     if results.points is not None:
         if results.points.shape != (mesh.n_vertices, 3):
-            raise ParameterError(f"points: expected ({mesh.n_vertices}, 3), got {results.points.shape}")
+            raise ParameterError(
+                f"points: expected ({mesh.n_vertices}, 3), got {results.points.shape}. Give a position for each vertex."
+            )
         points = pxr.Vt.Vec3fArray.FromNumpy(results.points.astype(np.float32))
         geometry.CreatePointsAttr().Set(points)
         geometry.CreateExtentAttr().Set(pxr.UsdGeom.PointBased.ComputeExtent(points))
@@ -327,7 +329,10 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
     pxr = usd_modules()
     rows = _rows(mesh)
     if len(values) not in rows:
-        raise ParameterError(f"{name}: expected a row for each vertex, face or face corner, got {len(values)}")
+        raise ParameterError(
+            f"{name}: expected a row for each vertex, face or face corner, got {len(values)}. "
+            "Give the values of this mesh."
+        )
     table: NDArray[Any] = values.reshape(len(values), -1)
     names = pxr.Sdf.ValueTypeNames
     integral = table.dtype.kind in "iu"

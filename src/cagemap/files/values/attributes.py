@@ -213,7 +213,9 @@ def groups_text(attributes: Mapping[str, NDArray[Any]], path: Path) -> str:
     groups = []
     for name, array in attributes.items():
         if array.ndim != 1:
-            raise FormatError(f"{path}: vertex groups have one weight a vertex, {name} has shape {array.shape}.")
+            raise FormatError(
+                f"{path}: vertex groups have one weight a vertex, {name} has shape {array.shape}. Write a .npz."
+            )
         inside = np.flatnonzero(np.abs(array) > _NOTHING)
         groups.append({"name": name, "vertices": inside, "weights": array[inside].astype(np.float64)})
     return to_json({"written_by": mark(), "groups": groups})

@@ -123,7 +123,10 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
         return {file.stem: _read_shape(file, rest, rows)}
     shapes = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
     if any(values.shape != (rest.n_vertices, 3) for values in shapes.values()):
-        raise FormatError(f"{file}: expected blend shapes of {rest.n_vertices} vertices, as {rest.name} has.")
+        raise FormatError(
+            f"{file}: expected blend shapes of {rest.n_vertices} vertices, as {rest.name} has. "
+            "Give the shapes of this mesh."
+        )
     return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in shapes.items()}
 
 

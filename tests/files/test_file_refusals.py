@@ -1,0 +1,402 @@
+"""Files that cannot be read or written: every message names the file, what is wrong in it, and what to do."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from examples.shapes import creature, cube
+
+from cagemap.files.gltf.character import character_of
+from cagemap.files.gltf.document import read_document
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.material_images import with_copied_materials
+from cagemap.files.images.image import image_of_bytes, read_image, write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.landmarks.points import read_points
+from cagemap.files.meshes.arrays import curves_from_arrays
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.obj_write import write_obj_layout
+from cagemap.files.npz import write_npz
+from cagemap.files.result.folder import ARRAYS, read_result, write_result
+from cagemap.files.result.manifest import MANIFEST, REMEDY
+from cagemap.files.result.maps import read_images
+from cagemap.files.result.merged_parts import merge_results
+from cagemap.files.result.surface_store import load_surface, prepared, save_surface
+from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.mesh import Plain
+from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.operators import Operators
+from cagemap.pipeline import prepare_surface
+from cagemap.spectral import BasisConfig, Surface
+
+from example_result import identity_result, textured_cube
+from gltf_scenes import arm
+from refusals import Refusal
+
+AGAIN = "Delete the file and prepare the surface again."
+EDGES = "expected the edges of one chain or loop, got pieces"
+TABLE = ["name,x,y,z", f"{'a' * 200_000},1,2,3"]
+STL = "solid s\n" + "vertex 1 2 3\n" * 2 + "vertex 1 2 e\nendsolid s\n"
+CURVE = {
+    "target_curve_corners": np.zeros((1, 3), int),
+    "target_curve_weights": np.eye(3)[:1],
+    "target_curve_starts": np.array([0, 1]),
+    "target_curve_closed": np.zeros(1, int),
+}
+
+
+def text(name: str, content: object) -> Callable[[Path], Path]:
+    """Writes a file of text, or of JSON."""
+
+    def write(place: Path) -> Path:
+        (place / name).write_text(content if isinstance(content, str) else json.dumps(content))
+        return place / name
+
+    return write
+
+
+def points(*curves: object) -> Callable[[Path], object]:
+    return lambda place: read_points(text("p.json", {"points": [], "curves": list(curves)})(place))
+
+
+def changed(place: Path, **arrays: np.ndarray | None) -> None:
+    """Read a RESULT with some arrays replaced or, for None, removed."""
+    write_result(place / "R", identity_result(), force=True)
+    with np.load(place / "R" / ARRAYS) as stored:
+        kept = {**stored, **arrays}
+    write_npz(place / "R" / ARRAYS, {name: array for name, array in kept.items() if array is not None})
+    manifest = json.loads((place / "R" / MANIFEST).read_text())
+    (place / "R" / MANIFEST).write_text(json.dumps({**manifest, "files": {}}))
+    read_result(place / "R")
+
+
+def two_results(place: Path) -> None:
+    write_result(place / "R", identity_result())
+    write_result(place / "S", identity_result(2))
+    shutil.copy(place / "S" / ARRAYS, place / "R" / ARRAYS)
+    read_result(place / "R")
+
+
+def stored(place: Path, *, plain: bool = False, level: int | None = None, **arrays: Any) -> None:
+    """Read a prepared surface with another number of levels, or with arrays replaced by functions of them."""
+    mesh = replace(creature(), scheme=Plain()) if plain else cube()
+    save_surface(place / "s.npz", prepare_surface(mesh, 0 if plain else 2, BasisConfig(count=5)), force=True)
+    with np.load(place / "s.npz") as found:
+        kept = dict(found)
+    kept |= {name: change(kept[name]) for name, change in arrays.items()}
+    if level is not None:
+        header = json.loads(kept["header"].tobytes()) | {"level": level}
+        kept["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    write_npz(place / "s.npz", kept)
+    load_surface(place / "s.npz")
+
+
+def one_more(array: np.ndarray) -> np.ndarray:
+    return np.pad(array, [(0, 1)] * array.ndim)
+
+
+def of_another_mesh(place: Path) -> None:
+    """A mesh of as many vertices, edges and faces, one of which is turned over."""
+    stored(place)
+    faces = cube().face_indices.copy()
+    faces[:4] = faces[:4][::-1]
+    load_surface(place / "s.npz", replace(cube(), face_indices=faces))
+
+
+def of_two_patterns(place: Path) -> None:
+    surface = prepare_surface(cube(), 2, BasisConfig(count=5))
+    kept = surface.operators
+    other = Operators(kept.mass, (kept.mass[0] * 0 + kept.mass[0] @ kept.mass[0], *kept.stiffness[1:]), kept.scale)
+    save_surface(place / "s.npz", Surface.of(surface.refinement, other, surface.basis))
+
+
+def picture(name: str, kind: Any, **stated: int) -> Callable[[Path], object]:
+    """Reads an image of a kind of numbers, with attributes of its specification."""
+
+    def read(place: Path) -> object:
+        spec = oiio.ImageSpec(4, 4, 1, kind)
+        for attribute, value in stated.items():
+            setattr(spec, attribute, value)
+        output = oiio.ImageOutput.create(str(place / name))
+        output.open(str(place / name), spec)
+        output.write_image(np.zeros((4, 4, 1), np.uint32 if kind == oiio.UINT32 else np.float32))
+        output.close()
+        return read_image(place / name)
+
+    return read
+
+
+def enlarged() -> Document:
+    """A scene with a ball that two nodes scale."""
+    nodes = arm().json["nodes"]
+    (ball,) = (number for number, node in enumerate(nodes) if node["name"] == "ball")
+    (above,) = (node for node in nodes if ball in node.get("children", ()))
+    above["children"] = [len(nodes) if child == ball else child for child in above["children"]]
+    nodes[ball]["scale"] = [1e51] * 3
+    return replace(arm(), json=arm().json | {"nodes": [*nodes, {"children": [ball], "scale": [1e51] * 3}]})
+
+
+def between_vertices(place: Path) -> None:
+    line = CageCurves(
+        CagePoints(np.array([[0, 1, 2]] * 2), np.full((2, 3), 1 / 3)), np.array([0, 2]), np.array([False])
+    )
+    write_landmarks(place / "l.json", replace(Landmarks.none(), curves=Curves(("lips",), line, line)))
+
+
+REFUSED = {
+    "a material that is not there": Refusal(
+        lambda place: with_copied_materials(arm(), [("cape", "cape")]),
+        "",
+        "expected a material named 'cape', there is none",
+        "Export it again.",
+    ),
+    "places beyond numbers": Refusal(
+        lambda place: character_of(enlarged()),
+        ": expected places of a moderate size",
+        "got others",
+        "Export it again.",
+    ),
+    "bytes that are no image": Refusal(
+        lambda place: image_of_bytes(b"x" * 20, ".png", "the skin of arm.glb"),
+        "the skin of arm.glb: expected an image",
+        "could not open it",
+        "Export it again in one of these formats.",
+    ),
+    "an image of another kind of numbers": Refusal(
+        picture("u.tif", oiio.UINT32), "u.tif: expected a flat image", "found 1 of uint. ", "Convert it first."
+    ),
+    "an image in a window without end": Refusal(
+        picture("w.exr", oiio.FLOAT, full_width=1 << 17),
+        "w.exr: expected a display window",
+        "found 131072 x 4",
+        "Export it again.",
+    ),
+    "curves between vertices in a file of pairs": Refusal(
+        between_vertices,
+        "l.json: expected curves of control vertices",
+        "got 'lips' with points between them",
+        "Write a file of points for each mesh instead.",
+    ),
+    "a curve through no places": Refusal(
+        points({"name": "hem", "positions": [[0, 0, 0], [1, "x", 0]]}),
+        "p.json: curve 'hem'",
+        "expected a list of finite places [x, y, z], got something else",
+        "Write it again.",
+    ),
+    "curves that are no list": Refusal(
+        lambda place: read_points(text("p.json", {"points": [], "curves": 7})(place)),
+        "p.json: expected a list 'curves'",
+        "got 7",
+        "An entry is {",
+    ),
+    "edges of two chains": Refusal(
+        points({"name": "lips", "vertices": [[0, 1], [2, 3]]}),
+        "p.json: curve 'lips', 'vertices'",
+        EDGES,
+        "Make each a curve of its own.",
+    ),
+    "a table without end": Refusal(
+        lambda place: read_points(text("p.csv", "\n".join(TABLE))(place)),
+        "p.csv: expected a table of landmark points",
+        "got broken CSV (field larger than",
+        "Export it again.",
+    ),
+    "arrays that belong together": Refusal(
+        lambda place: changed(place, target_control_uv_indices=None),
+        ARRAYS,
+        "target_control_uvs and target_control_uv_indices belong together, one is missing",
+        REMEDY,
+    ),
+    "copies of vertices that are not there": Refusal(
+        lambda place: changed(place, target_control_file_copies=np.array([[99, 0]])),
+        ARRAYS,
+        "target_control_file_copies name vertices that are not there",
+        REMEDY,
+    ),
+    "a control mesh with a face twice": Refusal(
+        lambda place: changed(place, target_control_face_indices=np.tile(cube().face(0), 6)),
+        ARRAYS,
+        "its control mesh is damaged",
+        REMEDY,
+    ),
+    "names that are numbers": Refusal(
+        lambda place: changed(place, target_control_object_names=np.arange(1)),
+        ARRAYS,
+        "target_control_object_names holds int64 of shape (1,), expected names",
+        REMEDY,
+    ),
+    "numbers of vertices with fractions": Refusal(
+        lambda place: changed(place, target_control_face_indices=cube().face_indices + 0.5),
+        ARRAYS,
+        "face_indices holds float64, expected whole numbers",
+        REMEDY,
+    ),
+    "places as text": Refusal(
+        lambda place: changed(place, target_control_positions=np.full((8, 3), "a")),
+        ARRAYS,
+        "positions holds <U1, expected numbers",
+        REMEDY,
+    ),
+    "curves with weights beyond 1": Refusal(
+        lambda place: curves_from_arrays(
+            place,
+            CURVE | {"target_curve_weights": np.full((1, 3), 5.0)},
+            ["a"],
+            (8, 8),
+            REMEDY,
+        ),
+        "",
+        "target_curve_corners and target_curve_weights are not points of the mesh",
+        REMEDY,
+    ),
+    "curves of one point": Refusal(
+        lambda place: curves_from_arrays(place, CURVE, ["a"], (8, 8), REMEDY),
+        "",
+        "target_curve_starts leave curves of fewer than two points",
+        REMEDY,
+    ),
+    "arrays of another result": Refusal(
+        two_results, ARRAYS, f"belongs to another {MANIFEST} than the one beside it", REMEDY
+    ),
+    "a layout without coordinates": Refusal(
+        lambda place: write_obj_layout(place / "o.obj", place / "a.obj", cube()),
+        "cube: ",
+        "expected texture coordinates to write to",
+        "`unwrap` makes them.",
+    ),
+    "a layout of other faces": Refusal(
+        lambda place: (
+            write_mesh(place / "a.obj", creature()),
+            write_obj_layout(place / "o.obj", place / "a.obj", textured_cube("large.obj")),
+        ),
+        "a.obj: expected the faces of large.obj",
+        "found others",
+        "Match the meshes again.",
+    ),
+    "a scan with words for numbers": Refusal(
+        lambda place: read_mesh(text("s.stl", STL)(place)),
+        "s.stl: expected numbers",
+        "got others (could not convert",
+        "Export the mesh again as STL, PLY or OBJ.",
+    ),
+    "a matrix without its form": Refusal(
+        lambda place: (
+            np.savez(place / "m.npz", indices=[0], indptr=[0, 1], data=[1.0], shape=[1, 1]),
+            read_images(place / "m.npz", identity_result(1).point_map.source),
+        ),
+        "m.npz: expected a sparse matrix",
+        "found an error (",
+        "Write it again.",
+    ),
+    "a matrix of fewer entries than it states": Refusal(
+        lambda place: read_images(
+            text("m.mtx", "%%MatrixMarket matrix coordinate real general\n3 3 2\n1 1 1.0\n")(place),
+            identity_result(1).point_map.source,
+        ),
+        "m.mtx: expected a sparse matrix",
+        "found not 2 entries in 3 x 3",
+        "Write it again.",
+    ),
+    "parts of two levels": Refusal(
+        lambda place: merge_results([identity_result(1), identity_result(2)], {}),
+        "parts: ",
+        "expected all to have the same level and scheme, got different ones",
+        "match one by one",
+    ),
+    "a plain mesh of more levels": Refusal(
+        lambda place: stored(place, plain=True, level=3), "s.npz: its plain mesh has", "coarse levels, not 3", AGAIN
+    ),
+    "a surface of another mesh": Refusal(
+        of_another_mesh, "s.npz: its arrays do not belong to one surface (", "", AGAIN
+    ),
+    "a surface of more functions than bands": Refusal(
+        lambda place: stored(place, **dict.fromkeys(("eigenvalues", "residuals", "indices", "gram"), one_more)),
+        "s.npz: ",
+        "its arrays do not belong to one surface. ",
+        AGAIN,
+    ),
+    "arrays that are no surface": Refusal(
+        lambda place: (write_npz(place / "s.npz", {"a": np.ones(3)}), load_surface(place / "s.npz")),
+        "s.npz: expected a surface stored by cagemap",
+        "got something else",
+        "Give another file.",
+    ),
+    "operators of two patterns": Refusal(
+        of_two_patterns,
+        "level 0: ",
+        "expected mass and stiffness with the same pattern of nonzeros",
+        "Build the operators with cagemap.operators.build_operators.",
+    ),
+    "vertex groups without a mesh": Refusal(
+        lambda place: read_attributes(text("g.json", "[]")(place)),
+        "g.json: ",
+        "vertex groups are not taken here",
+        "Write a .csv or .npz with a row a vertex.",
+    ),
+    "vertex groups of two columns": Refusal(
+        lambda place: write_attributes(place / "g.json", {"a": np.ones((8, 2))}),
+        "g.json: ",
+        "vertex groups have one weight a vertex, a has shape (8, 2)",
+        "Write a .npz.",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_file_that_cannot_be_used_is_refused(name: str, tmp_path: Path) -> None:
+    REFUSED[name].check(tmp_path)
+
+
+def test_a_format_that_the_library_lacks_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without = SimpleNamespace(**{**vars(oiio), "ImageOutput": SimpleNamespace(create=lambda path: None)})
+    monkeypatch.setattr("cagemap.files.images.image.oiio", without)
+    image = np.zeros((4, 4, 3), np.uint8)
+    Refusal(
+        lambda place: write_image(place / "a.png", image),
+        "a.png: ",
+        "cannot write this format",
+        "Choose another suffix",
+    ).check(tmp_path)
+
+
+def test_an_image_with_text_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenImageIO's messages may quote what a file says."""
+    monkeypatch.setattr("cagemap.files.images.image._read", lambda file: b"\xff".decode())
+    Refusal(read_image, "e.exr: ", "the image is damaged: 'utf-8' codec", "Export it again.").check(tmp_path / "e.exr")
+
+
+def test_compressed_faces_that_are_none_are_refused(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draco = pytest.importorskip("DracoPy")
+    monkeypatch.setattr(draco, "decode", lambda data: SimpleNamespace(faces=()))
+    file = shared_data / "characters" / "foreign" / "mh_male_young_draco.glb"
+    Refusal(read_document, file.name, "its Draco data cannot be read (no faces)", "xport it again").check(file)
+
+
+def test_files_and_folders_without_permission_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By stand-ins: an administrator may read and write everything."""
+
+    def forbidden(path: Path) -> bytes:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "access", lambda *given: False)
+    Refusal(
+        lambda place: prepared(place, cube(), 1, BasisConfig(count=5)),
+        f"{tmp_path}: ",
+        "prepared surfaces cannot be written there",
+        "Give a folder that you may write to.",
+    ).check(tmp_path)
+    file = text("a.obj", "v 0 0 0\n")(tmp_path)
+    monkeypatch.setattr(Path, "read_bytes", forbidden)
+    what = "cannot be read ([Errno 13] Permission denied)"
+    Refusal(read_mesh, f"{file}: ", what, "Check its permissions.").check(file)
