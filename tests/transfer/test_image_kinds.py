@@ -67,7 +67,7 @@ def test_a_kind_of_image_stays_what_it_is(folder: Path, suffix: str, dtype: str,
     given, base = _texture(dtype, channels, 1), _texture(dtype, channels, 2)
     texture, own = folder / f"given{suffix}", folder / f"base{suffix}"
     for path, pixels in ((texture, given), (own, base)):
-        write_image(path, Image(pixels, (), "Linear"), force=True)
+        write_image(path, Image(pixels, (), "Linear", associated=suffix == ".exr"), force=True)
     back = _run(folder, "WHOLE", f"back{suffix}", texture=texture)
     assert (back.pixels.dtype, back.pixels.shape) == (given.dtype, given.shape)
     near = 1 if dtype.startswith("uint") else 0.01
