@@ -26,6 +26,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import scheme_name
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb
 
 _JOINTS_KEPT = 8
 _CORNERS = "faceVarying"
@@ -219,7 +220,8 @@ def _write_topology(prim: Any, mesh: ControlMesh) -> None:
         prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         color = prim.CreateDisplayColorPrimvar("vertex")
-        color.Set(pxr.Vt.Vec3fArray.FromNumpy(mesh.vertex_colors.astype(np.float32)))
+        linear = decode_srgb(np.clip(mesh.vertex_colors, 0.0, 1.0))
+        color.Set(pxr.Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
 
 
 def _camel_case(word: str) -> str:
