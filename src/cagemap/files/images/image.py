@@ -67,6 +67,8 @@ class Image:
         One name for each channel.
     color_space : str
         The file's name for the encoding of colours ("sRGB", "Linear", ...), empty without one.
+    icc_profile : bytes
+        ICC profile of the colours, empty without one.
     associated : bool
         Whether colours are multiplied by alpha: always in an EXR with alpha, and if a TIFF states it.
     """
@@ -74,6 +76,7 @@ class Image:
     pixels: Pixels
     channel_names: tuple[str, ...] = ()
     color_space: str = ""
+    icc_profile: bytes = b""
     associated: bool = False
 
     def __repr__(self) -> str:
@@ -129,7 +132,14 @@ def _read(file: Path) -> Image:
     associated = associates and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
     array = on_display(array, spec) if file.suffix.lower() == ".exr" else array
     array = upright(array, int(spec.getattribute("Orientation") or 1))
-    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""), associated)
+    profile = spec.getattribute("ICCProfile")
+    return Image(
+        array,
+        tuple(spec.channelnames),
+        str(spec.getattribute("oiio:ColorSpace") or ""),
+        b"" if profile is None else profile.tobytes(),
+        associated,
+    )
 
 
 def _open(file: Path) -> tuple[Any, str]:
@@ -197,13 +207,17 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
         spec.attribute("oiio:ColorSpace", given.color_space)
+    # A profile of other channels stays out: that of a CMYK image, which was read as RGB, or of colours in a grey image.
+    if given.icc_profile[16:20] == (b"RGB " if channels > 2 else b"GRAY"):
+        profile = np.frombuffer(given.icc_profile, dtype=np.uint8)
+        spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), profile)
     if file.suffix.lower() != ".png":  # in a PNG the mark is added as a chunk to the finished file
         spec.attribute("Software", mark())
     if file.suffix.lower() in _JPEG:
         spec.attribute("CompressionQuality", 95)
     with atomic_path(file, force=force, verify=partial(_holds, pixels)) as temporary:
         if file.suffix.lower() in _JPEG:
-            _reserve(temporary, pixels.nbytes + _HEADER)
+            _reserve(temporary, pixels.nbytes + len(given.icc_profile) + _HEADER)
         output = oiio.ImageOutput.create(str(temporary))
         if output is None:
             raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())}")
