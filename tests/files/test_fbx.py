@@ -74,6 +74,17 @@ def test_an_animation_moves_joints_and_shapes(tmp_path: Path) -> None:
     assert paths == ["rotation", "weights"]
 
 
+def test_a_shape_moves_on_all_nodes_that_share_its_mesh(tmp_path: Path) -> None:
+    made = fbx_arm()
+    mesh = next(one.properties[0] for one in made.objects if one.properties[-1] == "Mesh" and one.name == "Geometry")
+    made.connect(mesh, made.add("Model", "second", "Mesh"))
+    document = read_document(_file(tmp_path, made))
+    nodes = [node["name"] for node in document.json["nodes"]]
+    targets = [channel["target"] for channel in document.json["animations"][0]["channels"]]
+    moved = {nodes[target["node"]] for target in targets if target["path"] == "weights"}
+    assert moved == {"strip", "second"}
+
+
 def test_a_shape_that_an_animation_does_not_move_keeps_its_weight(tmp_path: Path) -> None:
     made = fbx_arm()
     blend = next(one.properties[0] for one in made.objects if one.properties[-1] == "BlendShape")
@@ -143,6 +154,16 @@ def test_a_texture_that_is_moved_turned_and_scaled(
         assert "is turned and stretched" in caplog.text
         on_image = uvs
     np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)
+
+
+def test_a_texture_that_is_clamped_stays_so(tmp_path: Path) -> None:
+    made = fbx_arm(image=PNG)
+    texture = next(one for one in made.objects if one.name == "Texture")
+    texture.inside.append(properties(WrapModeU=1, WrapModeV=0))
+    document = read_document(_file(tmp_path, made))
+    (sampler,) = document.json["samplers"]
+    assert document.json["textures"][0]["sampler"] == 0
+    assert sampler == {"wrapS": 33071, "wrapT": 10497}
 
 
 def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

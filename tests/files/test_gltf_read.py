@@ -334,6 +334,20 @@ def test_a_mirrored_node_keeps_its_outside() -> None:
     assert np.einsum("ni,ni->", a, np.cross(b, c)) > 0
 
 
+def test_copies_of_an_instanced_mesh_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    maker = Maker()
+    attributes = {"POSITION": maker.add(np.eye(3))}
+    places = maker.add(np.arange(6.0).reshape(2, 3))
+    instances = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}}
+    document = maker.document(
+        meshes=[{"primitives": [{"attributes": attributes}]}],
+        nodes=[{"mesh": 0, "name": "leaf", "extensions": instances}],
+        extensionsUsed=["EXT_mesh_gpu_instancing"],
+    )
+    assert len(character_of(document).parts) == 1
+    assert "copies of leaf by EXT_mesh_gpu_instancing are left out" in caplog.text
+
+
 def test_strips_and_fans() -> None:
     make = Maker()
     square = make.add([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import errno
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.images.image import Image, pixel_type, read_image, read_texture, udim_path, write_image
+from cagemap.files.images.image import Image, pixel_type, read_image, read_texture, straight, udim_path, write_image
 
 
 def noise(dtype: str, channels: int, shape: tuple[int, int] = (5, 7)) -> np.ndarray:
@@ -34,12 +35,30 @@ CASES = [
 @pytest.mark.parametrize(("suffix", "dtype", "channels"), CASES)
 def test_pixels_come_back_exactly(tmp_path: Path, suffix: str, dtype: str, channels: int) -> None:
     pixels = noise(dtype, channels)
-    write_image(tmp_path / f"a{suffix}", pixels)
+    # An EXR holds only colours multiplied by alpha.
+    write_image(tmp_path / f"a{suffix}", Image(pixels, associated=suffix == ".exr"))
     image = read_image(tmp_path / f"a{suffix}")
     assert image.pixels.dtype == pixels.dtype
     assert image.pixels.shape == pixels.shape
     np.testing.assert_array_equal(image.pixels, pixels)
     assert len(image.channel_names) == channels
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32"])
+@pytest.mark.parametrize("channels", [2, 4])
+def test_exr_colours_are_multiplied_by_alpha(tmp_path: Path, dtype: str, channels: int) -> None:
+    alpha = np.array([[0.0, 0.25, 1.0]])[..., None]
+    colors = np.full((1, 3, channels - 1), 0.5)
+    plain = np.dstack([colors, alpha]).astype(dtype)
+    write_image(tmp_path / "given.exr", plain)
+    given = read_image(tmp_path / "given.exr")
+    assert given.associated
+    np.testing.assert_array_equal(given.pixels, np.dstack([colors * [[[1.0], [0.25], [1.0]]], alpha]))
+    np.testing.assert_array_equal(straight(given).pixels, plain)
+    write_image(tmp_path / "again.exr", given)
+    np.testing.assert_array_equal(read_image(tmp_path / "again.exr").pixels, given.pixels)
+    write_image(tmp_path / "divided.png", replace(given, pixels=np.rint(255 * given.pixels).astype(np.uint8)))
+    np.testing.assert_allclose(read_image(tmp_path / "divided.png").pixels / 255.0, plain, atol=0.01)
 
 
 def test_two_dimensional_16_bit_pixels_are_one_channel(tmp_path: Path) -> None:

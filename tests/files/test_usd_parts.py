@@ -302,6 +302,18 @@ def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_p
     np.testing.assert_array_equal(again.attributes["back"], np.arange(6))
 
 
+def test_large_whole_numbers_are_written_unchanged(tmp_path: Path) -> None:
+    ids = {
+        "int64": 2**40 + np.arange(8),
+        "uint32": np.arange(2**32 - 8, 2**32, dtype=np.uint32),
+        "uint64": np.arange(8, dtype=np.uint64) + np.uint64(2**63),
+    }
+    write_usd(tmp_path / "cube.usda", cube(), UsdResults(attributes=ids))
+    (read,) = read_usd_meshes(tmp_path / "cube.usda")
+    for name, values in ids.items():
+        np.testing.assert_array_equal(read.attributes[name], values)
+
+
 def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for creasing in ("uniform", "chaikin"):
         scheme = CatmullClark(creasing=creasing)

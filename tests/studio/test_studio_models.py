@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.studio.autosave import FileTracker
 from cagemap.studio.compute import (
     FindMap,
@@ -51,7 +52,6 @@ from cagemap.studio.skins import (
 from cagemap.studio.state import Output, StudioState
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
-from cagemap.transfer.attributes import encode_srgb as to_display
 
 from studio_boxes import landmarks, unwrapped_cube
 

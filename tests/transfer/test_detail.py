@@ -15,6 +15,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import Level, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -297,7 +298,10 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     heights = read_image(place / "o_displacement.png").pixels
     assert heights.dtype == np.uint16
     assert np.ptp(heights.astype(int)) > 40_000
-    assert read_image(place / "o_colors.png").pixels.shape == (64, 64, 3)
+    as_bytes = read_image(place / "o_colors.png").pixels
+    assert as_bytes.shape == (64, 64, 3)
+    run.done("transfer R --bake colors --detail high.obj --size 64 -o linear.exr")
+    np.testing.assert_allclose(encode_srgb(read_image(place / "linear.exr").pixels) * 255, as_bytes, atol=2)
     normals = read_image(place / "o_normal.png").pixels / 65535
     assert (2 * normals[:, :, 2] - 1).mean() > 0.7
     assert normals[:, :, 0].std() > 0.01

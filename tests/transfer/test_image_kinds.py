@@ -13,6 +13,7 @@ from hypothesis import given as given_by
 from hypothesis import settings
 from hypothesis import strategies as st
 from PIL import Image as PillowImage
+from PIL import ImageCms
 
 from cagemap.errors import FormatError
 from cagemap.files.images.image import Image, read_image, write_image
@@ -67,7 +68,7 @@ def test_a_kind_of_image_stays_what_it_is(folder: Path, suffix: str, dtype: str,
     given, base = _texture(dtype, channels, 1), _texture(dtype, channels, 2)
     texture, own = folder / f"given{suffix}", folder / f"base{suffix}"
     for path, pixels in ((texture, given), (own, base)):
-        write_image(path, Image(pixels, (), "Linear"), force=True)
+        write_image(path, Image(pixels, (), "Linear", associated=suffix == ".exr"), force=True)
     back = _run(folder, "WHOLE", f"back{suffix}", texture=texture)
     assert (back.pixels.dtype, back.pixels.shape) == (given.dtype, given.shape)
     near = 1 if dtype.startswith("uint") else 0.01
@@ -179,6 +180,19 @@ def test_colours_multiplied_by_alpha_stay_so_or_are_divided(tmp_path: Path) -> N
     # Directions of a normal map, without the alpha that its image had.
     write_image(tmp_path / "turned.png", replace(given, pixels=multiplied[..., :3]))
     np.testing.assert_array_equal(read_image(tmp_path / "turned.png").pixels, multiplied[..., :3])
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".tif", ".png"])
+def test_an_icc_profile_is_kept_if_it_is_of_the_same_channels(folder: Path, suffix: str) -> None:
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    PillowImage.new("RGB", (8, 8), (200, 30, 60)).save(folder / f"color{suffix}", icc_profile=profile)
+    _run(folder, "WHOLE", f"baked{suffix}", texture=folder / f"color{suffix}")
+    assert PillowImage.open(folder / f"baked{suffix}").info.get("icc_profile") == profile
+    _run(folder, "MASKED", "faded.png", texture=folder / f"color{suffix}")
+    assert PillowImage.open(folder / "faded.png").info.get("icc_profile") == profile
+    colors = read_image(folder / f"color{suffix}")
+    write_image(folder / f"grey{suffix}", replace(colors, pixels=colors.pixels[..., :1]), force=True)
+    assert "icc_profile" not in PillowImage.open(folder / f"grey{suffix}").info
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".tif", ".png"])

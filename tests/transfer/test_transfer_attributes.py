@@ -12,6 +12,7 @@ from examples.shapes import cube
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import Level, refine
 from cagemap.transfer import (
     BakeOptions,
@@ -23,7 +24,6 @@ from cagemap.transfer import (
     pull_back_faces,
     unwrap,
 )
-from cagemap.transfer.attributes import encode_srgb
 
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map
 

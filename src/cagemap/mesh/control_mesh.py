@@ -54,7 +54,7 @@ class ControlMesh:
     material_colors : (q, 3) float64 or None
         Linear RGB diffuse colour of every material, NaN where unknown.
     vertex_colors : (n, 3) float64 or None
-        Colours in the file, NaN for vertices without one.
+        sRGB colours, NaN for vertices without one.
     face_objects, face_groups : (m,) int64 or None
         Index into ``object_names`` and ``group_names`` for every face.
     object_names, group_names : tuple of str

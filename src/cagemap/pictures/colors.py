@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.attributes import encode_srgb as to_display
+from cagemap.numerics.srgb import decode_srgb as to_linear
+from cagemap.numerics.srgb import encode_srgb as to_display
 
 __all__ = [
     "AMOUNT_SCALE",
@@ -32,11 +33,6 @@ BALANCE_SCALE = np.array(
 TRUST_SCALE = (
     np.array([[140, 20, 40], [196, 60, 60], [232, 132, 100], [240, 190, 160], [228, 218, 208], [216, 216, 212]]) / 255.0
 )
-
-
-def to_linear(display: FloatArray) -> FloatArray:
-    """Linear light of sRGB values (IEC 61966-2-1)."""
-    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
 
 
 def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray = AMOUNT_SCALE) -> FloatArray:

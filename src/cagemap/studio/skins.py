@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.pictures.camera import turn_angle
 from cagemap.studio.file_parts import OtherParts
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.shape import Shape
-from cagemap.transfer.attributes import encode_srgb as to_display
 from cagemap.transfer.locate import triangle_frames, walk_from
 
 # Displayed colour of a model without materials.

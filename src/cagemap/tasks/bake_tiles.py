@@ -253,7 +253,7 @@ def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOp
     weight = bake_mask(transfer, size=image.size, options=options)
     if base is None:
         image = straight(image)
-        return Image(with_alpha(image.pixels, weight), (), image.color_space)
+        return replace(image, pixels=with_alpha(image.pixels, weight), channel_names=())
     under = read_image(udim_path(base, options.tile))
     if under.associated != image.associated:
         image, under = straight(image), straight(under)

@@ -29,6 +29,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
@@ -210,6 +211,8 @@ def _baker(
     if kind in ("ao", "colors"):
         values = ambient_occlusion(detail.surface, bakes.request.rays) if kind == "ao" else colors
         assert values is not None
+        if kind == "colors" and dtype.kind == "f":  # images of floats are linear
+            values = decode_srgb(values)
         return partial(bake_detail_values, transfer, detail, values, size=size, dtype=dtype)
     if kind == "normal":
         return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=green, dtype=dtype)

@@ -10,6 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.srgb import encode_srgb
 from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, locate_centers
@@ -142,12 +143,6 @@ def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_
         near = near | (np.where(neighbors >= 0, near[neighbors], False)).any(axis=1)
     start = transfer.mapped.start_triangles[transfer.target.triangles]
     return near[start].any(axis=1) | (labels[start] != labels[start][:, :1]).any(axis=1)
-
-
-def encode_srgb(linear: FloatArray) -> FloatArray:
-    """Encode linear values from 0 to 1 as sRGB (IEC 61966-2-1)."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
 
 
 def _require_rows(values: NDArray[Any], transfer: Transfer) -> None:

@@ -24,15 +24,15 @@ def animation_entry(
     nodes: Sequence[Mapping[str, Any]],
     before: Mapping[int, Mapping[str, Any]],
     numbers: Mapping[int, int],
-    channels: Mapping[int, tuple[int, int, list[float]]],
+    channels: Mapping[int, list[tuple[int, int, list[float]]]],
 ) -> dict[str, Any]:
     """Entry of ``animations`` for an animation stack; without channels if nothing moves.
 
     ``nodes``: entries of the nodes, at rest.
     ``before``: transforms in the file of nodes whose entries were changed; used where no track moves such a node.
     ``numbers``: number of each node by its ``typed_id``.
-    ``channels``: by ``element_id`` of a blend channel: node of the mesh, number of the shape, weights of
-        all its shapes at rest.
+    ``channels``: by ``element_id`` of a blend channel, for each node with its mesh: the node, number of the shape,
+        weights of all its shapes at rest.
     """
     baked = held(
         ufbx.bake_anim(
@@ -67,18 +67,17 @@ def animation_entry(
 
 
 def _weights(
-    baked: Any, channels: Mapping[int, tuple[int, int, list[float]]]
+    baked: Any, channels: Mapping[int, list[tuple[int, int, list[float]]]]
 ) -> dict[int, tuple[FloatArray, FloatArray]]:
     """Times (k,) and weights (k, shapes) of the shapes of every mesh node with moving shapes."""
     keys_of: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
     for element in items(baked, "elements"):
-        if get(element, "element_id") in channels:
-            node, place, _ = channels[get(element, "element_id")]
+        for node, place, _ in channels.get(get(element, "element_id"), []):
             for prop in items(element, "props"):
                 if get(prop, "name") == "DeformPercent":
                     times, values = _keys(prop, "keys")
                     keys_of.setdefault(node, {})[place] = times, values[:, 0] / 100.0
-    at_rest = {node: amounts for node, _, amounts in channels.values()}
+    at_rest = {node: amounts for users in channels.values() for node, _, amounts in users}
     tracks = {}
     for node, keys in keys_of.items():
         times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))

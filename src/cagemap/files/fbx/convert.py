@@ -110,12 +110,11 @@ class _Scene:
             "scenes": [{"nodes": [n for n, node in enumerate(self._nodes) if self._parent(node) is None]}],
             "nodes": entries,
         }
-        channels = {
-            get(channel, "element_id"): (number, place, mesh.amounts)
-            for number, node in enumerate(self._nodes)
-            if "mesh" in entries[number] and (mesh := self._mesh(node)) is not None
-            for place, channel in enumerate(mesh.channels)
-        }
+        channels: dict[int, list[tuple[int, int, list[float]]]] = {}
+        for number, node in enumerate(self._nodes):
+            if "mesh" in entries[number] and (mesh := self._mesh(node)) is not None:
+                for place, channel in enumerate(mesh.channels):
+                    channels.setdefault(get(channel, "element_id"), []).append((number, place, mesh.amounts))
         moving = [
             animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels)
             for stack in items(self._scene, "anim_stacks")

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+import ufbx
 
 from cagemap.errors import FormatError
 from cagemap.files.fbx.meshes import get, held, items
@@ -21,6 +22,7 @@ _SLOTS = {
     "emission_color": "emissiveTexture",
     "ambient_occlusion": "occlusionTexture",
 }
+_REPEAT, _CLAMP = 10497, 33071  # wrap modes of glTF
 # Relative to the largest number of a transform.
 _ROUNDING = 1e-5
 
@@ -36,7 +38,7 @@ class Materials:
 
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
         self._binary, self._path, self._note = binary, path, note
-        self.lists: dict[str, list[Any]] = {"materials": [], "textures": [], "images": []}
+        self.lists: dict[str, list[Any]] = {"materials": [], "textures": [], "images": [], "samplers": []}
         self._known: dict[int, int] = {}
         self._image_of: dict[bytes, int] = {}
 
@@ -90,7 +92,7 @@ class Materials:
         for file in files:
             number = self._image(file)
             if number is not None:
-                self.lists["textures"].append({"source": number})
+                self.lists["textures"].append({"source": number, "sampler": self._sampler(file)})
                 transform = _transform(file) if get(file, "has_uv_transform") else {}
                 if transform is None:
                     self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
@@ -100,6 +102,14 @@ class Materials:
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
         self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
         return None
+
+    def _sampler(self, texture: Any) -> int:
+        """Number of the sampler with a texture's wrap modes."""
+        modes = {name: get(texture, stated) for name, stated in (("wrapS", "wrap_u"), ("wrapT", "wrap_v"))}
+        sampler = {name: _CLAMP if mode == ufbx.WrapMode.CLAMP else _REPEAT for name, mode in modes.items()}
+        if sampler not in self.lists["samplers"]:
+            self.lists["samplers"].append(sampler)
+        return self.lists["samplers"].index(sampler)
 
     def _image(self, texture: Any) -> int | None:
         """Number of a texture's image; None if there is no readable one."""

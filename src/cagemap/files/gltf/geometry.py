@@ -16,6 +16,7 @@ from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_f
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 
 
@@ -59,7 +60,8 @@ def mesh_entry(
         uvs = uv_set.uvs[uv_set.uv_indices[first]] * [1.0, -1.0] + [0.0, 1.0]
         attributes[f"TEXCOORD_{number}"] = binary.accessor(uvs.astype("<f4"), VERTICES)
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
-        attributes["COLOR_0"] = binary.accessor(mesh.vertex_colors[vertices].astype("<f4"), VERTICES)
+        colors = decode_srgb(np.clip(mesh.vertex_colors[vertices], 0.0, 1.0))
+        attributes["COLOR_0"] = binary.accessor(colors.astype("<f4"), VERTICES)
     if weights is not None:
         attributes |= _skinning(binary, weights[vertices])
     common: dict[str, Any] = {"attributes": attributes} | ({"extensions": {NGONS: {}}} if polygons else {})

@@ -35,6 +35,8 @@ from cagemap.surface.triangles import normalize_rows
 
 _log = logging.getLogger(__name__)
 
+_INSTANCES = "EXT_mesh_gpu_instancing"
+
 
 @dataclass(frozen=True, eq=False)
 class ReadPart:
@@ -73,6 +75,9 @@ def read_scene(document: Document) -> Scene:
         document.entry("meshes", entry["mesh"], f"nodes {node}")
         name = nodes.names[node] if entry.get("name") else document.name("meshes", int(entry["mesh"]))
         arrays = read_vertex_arrays(document, int(entry["mesh"]), name or nodes.names[node])
+        if _INSTANCES in document.table(entry, "extensions", f"nodes {node}"):
+            text = "%s: the copies of %s by %s are left out; it is read once"
+            _log.warning(text, document.file, name or nodes.names[node], _INSTANCES)
         if arrays is not None:
             part = _placed(document, nodes, skins, joints, node, arrays)
             parts += [] if part is None else [part]

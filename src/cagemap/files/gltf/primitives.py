@@ -16,6 +16,7 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray, shown
+from cagemap.numerics.srgb import encode_srgb
 
 _log = logging.getLogger(__name__)
 
@@ -118,7 +119,7 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
             control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*earlier, *control.uv_sets)
         )
     if "COLOR_0" in attributes:
-        control = replace(control, vertex_colors=read("COLOR_0", "VEC3", "VEC4")[:, :3])
+        control = replace(control, vertex_colors=encode_srgb(read("COLOR_0", "VEC3", "VEC4")[:, :3]))
     joints, weights = [np.zeros((count, 0))], [np.zeros((count, 0))]
     for set_number in range(_MOST_SETS):
         if {f"JOINTS_{set_number}", f"WEIGHTS_{set_number}"} <= set(attributes):

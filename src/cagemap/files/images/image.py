@@ -47,6 +47,7 @@ _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A
 _LARGEST_CHANNELS = 4
 _READ_AS = {"float16": "half", "float32": "float"}
 _TIFF, _JPEG = (".tif", ".tiff"), (".jpg", ".jpeg")
+_ASSOCIATES = (*_TIFF, ".exr")  # formats that can hold colours multiplied by alpha; EXR holds no others
 # Texels of a written image that are read back at a time.
 _VERIFIED_TEXELS = 1 << 22
 _HEADER = 1 << 16  # most bytes of a file besides its texels
@@ -61,18 +62,21 @@ class Image:
     Attributes
     ----------
     pixels : (h, w, c) uint8, uint16, float16 or float32
-        Row 0 at the top. Colours are not multiplied by alpha.
+        Row 0 at the top.
     channel_names : tuple of str
         One name for each channel.
     color_space : str
         The file's name for the encoding of colours ("sRGB", "Linear", ...), empty without one.
+    icc_profile : bytes
+        ICC profile of the colours, empty without one.
     associated : bool
-        Whether colours are multiplied by alpha; only a TIFF can state this.
+        Whether colours are multiplied by alpha: always in an EXR with alpha, and if a TIFF states it.
     """
 
     pixels: Pixels
     channel_names: tuple[str, ...] = ()
     color_space: str = ""
+    icc_profile: bytes = b""
     associated: bool = False
 
     def __repr__(self) -> str:
@@ -124,11 +128,18 @@ def _read(file: Path) -> Image:
     finally:
         opened.close()
     array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
-    tiff = file.suffix.lower() in _TIFF
-    associated = tiff and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
+    associates = file.suffix.lower() in _ASSOCIATES
+    associated = associates and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
     array = on_display(array, spec) if file.suffix.lower() == ".exr" else array
     array = upright(array, int(spec.getattribute("Orientation") or 1))
-    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""), associated)
+    profile = spec.getattribute("ICCProfile")
+    return Image(
+        array,
+        tuple(spec.channelnames),
+        str(spec.getattribute("oiio:ColorSpace") or ""),
+        b"" if profile is None else profile.tobytes(),
+        associated,
+    )
 
 
 def _open(file: Path) -> tuple[Any, str]:
@@ -187,19 +198,26 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, _OIIO[str(pixels.dtype)])
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
-    tiff = file.suffix.lower() in _TIFF
-    pixels = pixels if tiff else straight(replace(given, pixels=pixels)).pixels
-    spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated and tiff else 1)
+    if file.suffix.lower() not in _ASSOCIATES:
+        given = straight(replace(given, pixels=pixels))
+        pixels = given.pixels
+    elif file.suffix.lower() not in _TIFF and not given.associated and spec.channelnames[-1] == "A":
+        pixels = _multiplied(pixels)
+    spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated else 1)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
         spec.attribute("oiio:ColorSpace", given.color_space)
+    # A profile of other channels stays out: that of a CMYK image, which was read as RGB, or of colours in a grey image.
+    if given.icc_profile[16:20] == (b"RGB " if channels > 2 else b"GRAY"):
+        profile = np.frombuffer(given.icc_profile, dtype=np.uint8)
+        spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), profile)
     if file.suffix.lower() != ".png":  # in a PNG the mark is added as a chunk to the finished file
         spec.attribute("Software", mark())
     if file.suffix.lower() in _JPEG:
         spec.attribute("CompressionQuality", 95)
     with atomic_path(file, force=force, verify=partial(_holds, pixels)) as temporary:
         if file.suffix.lower() in _JPEG:
-            _reserve(temporary, pixels.nbytes + _HEADER)
+            _reserve(temporary, pixels.nbytes + len(given.icc_profile) + _HEADER)
         output = oiio.ImageOutput.create(str(temporary))
         if output is None:
             raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())} Choose another suffix.")
@@ -250,6 +268,13 @@ def straight(image: Image) -> Image:
     if image.associated and image.pixels.ndim == 3 and image.pixels.shape[2] in (2, 4):
         return replace(image, pixels=_divided(image.pixels), associated=False)
     return replace(image, associated=False)
+
+
+def _multiplied(pixels: Pixels) -> Pixels:
+    """Colours multiplied by alpha, the last channel, except where it is 0; in floats."""
+    alpha = pixels[..., -1:]
+    colors = pixels[..., :-1] * np.where(alpha > 0, alpha, 1)
+    return np.concatenate([colors.astype(pixels.dtype), alpha], axis=2)
 
 
 def _divided(pixels: Pixels) -> Pixels:

@@ -43,6 +43,7 @@ from cagemap.mesh.faces import reversed_corners as reversed_corners
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import default_scheme
 
 logger = logging.getLogger(__name__)
@@ -267,7 +268,7 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
     attributes = primvar_arrays(where, control, prim)
     colors = attributes.get("displayColor")
     if colors is not None and colors.shape == (control.n_vertices, 3):
-        control = replace(control, vertex_colors=np.asarray(colors, dtype=np.float64))
+        control = replace(control, vertex_colors=encode_srgb(colors.astype(np.float64)))
     of_corners = corner_primvars(prim)
     if mesh.GetOrientationAttr().Get() == "leftHanded":
         control, attributes = _turned_round(control, attributes, of_corners)

@@ -26,6 +26,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import scheme_name
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb
 
 _JOINTS_KEPT = 8
 _CORNERS = "faceVarying"
@@ -230,7 +231,8 @@ def write_topology(prim: Any, mesh: ControlMesh) -> None:
         prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         color = prim.CreateDisplayColorPrimvar("vertex")
-        color.Set(pxr.Vt.Vec3fArray.FromNumpy(mesh.vertex_colors.astype(np.float32)))
+        linear = decode_srgb(np.clip(mesh.vertex_colors, 0.0, 1.0))
+        color.Set(pxr.Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
 
 
 def _camel_case(word: str) -> str:
@@ -337,9 +339,14 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
     names = pxr.Sdf.ValueTypeNames
     integral = table.dtype.kind in "iu"
     kinds = {2: (names.Float2Array, pxr.Vt.Vec2fArray), 3: (names.Float3Array, pxr.Vt.Vec3fArray)}
-    kind, array = (names.IntArray, pxr.Vt.IntArray) if integral else (names.FloatArray, pxr.Vt.FloatArray)
+    dtype: Any = np.float32
+    kind, array = names.FloatArray, pxr.Vt.FloatArray
+    if integral:
+        dtype = next(t for t in (np.int32, np.int64, np.uint64) if (table.astype(t) == table).all())
+        word = {np.int32: "Int", np.int64: "Int64", np.uint64: "UInt64"}[dtype] + "Array"
+        kind, array = getattr(names, word), getattr(pxr.Vt, word)
     size = table.shape[1]
-    flat: NDArray[Any] = table.astype(np.int32 if integral else np.float32)
+    flat: NDArray[Any] = table.astype(dtype)
     if size in kinds and not integral:
         kind, array = kinds[size]
         kind = names.Color3fArray if name == "displayColor" and size == 3 else kind
