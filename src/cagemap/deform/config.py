@@ -192,8 +192,6 @@ class RefitConfig:
     smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
-    far: float = 0.03  #: a vertex at a larger distance from it has no inverse
-    max_far: float = 0.03  #: with a larger share of such area the placement stays as it is
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig =
 def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     """(n, 3) mean of a fine placement and the inverse of the reverse fit from it.
 
-    Unchanged if much of the target has no counterpart on the source: the inverse is undefined there.
+    Vertices far from the reverse fit have no inverse; they move with their neighbours.
     """
     prepared, back = problem.prepared, problem.prepared.reversed
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
@@ -115,8 +115,6 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     posed = pose_difference(back.rest, start) > config.difference
     returned = fit_in_pose(problem.reversed, start, times=1) if posed else fine_fit(problem.reversed, start)
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
-    if graph.areas[gaps > config.far].sum() > config.max_far * graph.areas.sum():
-        return positions
     trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
     return positions + smooth_shifts(graph, 0.5 * (places - positions), trust, config.smoothing)
 
