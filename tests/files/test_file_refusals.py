@@ -270,7 +270,7 @@ REFUSED = {
         two_results, ARRAYS, f"belongs to another {MANIFEST} than the one beside it", REMEDY
     ),
     "a layout without coordinates": Refusal(
-        lambda place: write_obj_layout(place / "o.obj", place / "a.obj", cube()),
+        lambda place: write_obj_layout(place / "o.obj", place / "a.obj", cube(), {}),
         "cube: ",
         "expected texture coordinates to write to",
         "`unwrap` makes them.",
@@ -278,7 +278,7 @@ REFUSED = {
     "a layout of other faces": Refusal(
         lambda place: (
             write_mesh(place / "a.obj", creature()),
-            write_obj_layout(place / "o.obj", place / "a.obj", textured_cube("large.obj")),
+            write_obj_layout(place / "o.obj", place / "a.obj", textured_cube("large.obj"), {}),
         ),
         "a.obj: expected the faces of large.obj",
         "found others",

@@ -27,6 +27,7 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
 from cagemap.files.usd import character as usd_character
 from cagemap.files.usd.character import write_usd_character
+from cagemap.numerics.srgb import decode_srgb
 
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import complaints
@@ -160,7 +161,8 @@ def test_materials_keep_factors_images_and_transforms(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.array(flat), uv_set.uvs[uv_set.uv_indices], atol=1e-6)
     assert (body.GetNormalsInterpolation(), hat.GetNormalsInterpolation()) == ("vertex", "faceVarying")
     np.testing.assert_allclose(np.array(hat.GetNormalsAttr().Get()), made.parts[1].normals)
-    np.testing.assert_allclose(np.array(eye.GetDisplayColorAttr().Get()), made.parts[2].mesh.vertex_colors, atol=1e-6)
+    linear = decode_srgb(made.parts[2].mesh.vertex_colors)
+    np.testing.assert_allclose(np.array(eye.GetDisplayColorAttr().Get()), linear, atol=1e-6)
 
 
 def test_images_are_those_of_the_document(tmp_path: Path) -> None:
