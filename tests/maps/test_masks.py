@@ -94,7 +94,8 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     ends = low * masks.source  # every vertex of the ball lies over itself
     np.testing.assert_allclose(pull.weights, plain.weights * ends, atol=1e-9)
     pullers = SourceSamples.choose(surface, surface.n, masks)
-    back = source_to_target(surface, pullers, moved, surface.vertex_normals, None, 0.03, pull.closest, 1e-3, masks)
+    places = surface, pullers, moved, surface.vertex_normals
+    back = source_to_target(*places, closest=pull.closest, alpha=1e-3, normal_weight=0.03, masks=masks)
     # Around the mask's border a puller's foot has corners on both sides.
     for side in (low, left):
         ring = np.zeros(surface.n, dtype=bool)

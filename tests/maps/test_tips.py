@@ -173,7 +173,7 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     graph = cluster_graph(mesh_graph(ball, finest.faces), 100, np.zeros(0, dtype=np.int64))[0]
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
     around = SourceSamples.choose(ball, CONFIG.led_samples)
-    pull = source_to_clusters(around, graph.positions, outward, 0.03, graph.positions)
+    pull = source_to_clusters(around, graph.positions, outward, closest=graph.positions, normal_weight=0.03)
     forces = pull.right - np.einsum("kab,kb->ka", pull.blocks, graph.positions)
     radial = np.einsum("ka,ka->k", forces, outward)
     assert (radial < 1e-4 * pull.weights).all()
@@ -181,9 +181,12 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     away = graph.positions + np.array(
         [DataConfig.cluster_trip, 0.0, 0.0]
     )  # nothing that a point near by would lie at the end of
-    assert source_to_clusters(around, graph.positions, outward, 0.03, away).weights.sum() < 0.35
+    assert source_to_clusters(around, graph.positions, outward, closest=away, normal_weight=0.03).weights.sum() < 0.35
     inside = replace(around, planes=-around.planes)
-    assert source_to_clusters(inside, graph.positions, outward, 0.03, graph.positions).weights.max() == 0.0
+    assert (
+        source_to_clusters(inside, graph.positions, outward, closest=graph.positions, normal_weight=0.03).weights.max()
+        == 0.0
+    )
 
 
 @pytest.mark.slow

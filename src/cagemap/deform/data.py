@@ -95,14 +95,18 @@ def source_to_target(
     samples: SourceSamples,
     positions: FloatArray,
     normals: FloatArray,
-    guess: IndexArray | None,
-    normal_weight: float,
+    *,
     closest: FloatArray,
     alpha: float,
+    normal_weight: float,
+    guess: IndexArray | None = None,
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
 ) -> DataTerm:
     """Point-to-plane term of source vertices, to the deformed target.
+
+    ``closest`` (n, 3) are the source's points closest to the target's vertices, at the ends of round trips; the guess
+    (m,) has triangles of an earlier search.
 
     The residual r = n . (q - sum_k b_k x_k) of a source vertex q is given to each corner of the triangle that holds its
     closest point, with weight b_k: an upper bound of the true term (Jensen), equal at the current positions.
@@ -134,8 +138,9 @@ def source_to_clusters(
     samples: SourceSamples,
     positions: FloatArray,
     normals: FloatArray,
-    normal_weight: float,
+    *,
     closest: FloatArray,
+    normal_weight: float,
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
 ) -> DataTerm:

@@ -44,7 +44,15 @@ def cluster_terms(
         term = target_to_source(rest.graph.areas, nearest, normals, rest.masks, beyond=True)
         blocks, right = term.blocks, term.right
         if samples is not None:
-            back = source_to_clusters(samples, positions, normals, weight, term.closest, rest.masks, config.data)
+            back = source_to_clusters(
+                samples,
+                positions,
+                normals,
+                closest=term.closest,
+                normal_weight=weight,
+                masks=rest.masks,
+                config=config.data,
+            )
             blocks, right = blocks + back.blocks, right + back.right
         constraints.add(blocks, right, positions, config)
         return VertexTerms(rest.energy, blocks, right, guesses=(term.triangles, None))
@@ -69,20 +77,22 @@ def mesh_terms(
         positions: FloatArray, found: Future[Differentials], alpha: float, before: VertexTerms | None
     ) -> VertexTerms:
         guesses = (None, None) if before is None else before.guesses
-        normals, weights = vertex_normals(positions, mesh.triangles), (config.fine_normal_weight, config.normal_weight)
-        nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weights[0], guess=guesses[0])
+        normals = vertex_normals(positions, mesh.triangles)
+        nearest = SurfacePoints.nearest(
+            source, positions, normals, normal_weight=config.fine_normal_weight, guess=guesses[0]
+        )
         term = target_to_source(rest.graph.areas, nearest, normals, rest.masks)
         back = source_to_target(
             mesh,
             samples,
             positions,
             normals,
-            guesses[1],
-            weights[1],
-            term.closest,
-            alpha,
-            rest.masks,
-            config.data,
+            closest=term.closest,
+            alpha=alpha,
+            normal_weight=config.normal_weight,
+            guess=guesses[1],
+            masks=rest.masks,
+            config=config.data,
         )
         distance = term.distance(positions)
         term = term.scaled(received_weights(received, back.weights, config.data, of_parts=of_parts))

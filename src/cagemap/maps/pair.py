@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -126,10 +126,6 @@ class Pair:
     def source_landmarks(self) -> IndexArray:
         """(p,) vertices of the source nearest to the landmarks, see `near_vertices`."""
         return near_vertices(self.landmarks.source, self.source)
-
-    def without(self, left_out: Collection[int]) -> Pair:
-        """The pair without some of its landmarks."""
-        return replace(self, landmarks=self.landmarks.without(left_out))
 
 
 def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
