@@ -76,7 +76,6 @@ def usd_modules() -> Any:
     """The ``pxr`` package, with the modules that are used."""
     try:
         import pxr
-        import pxr.Ar
         import pxr.Usd
         import pxr.UsdGeom
         import pxr.UsdShade
