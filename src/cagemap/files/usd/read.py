@@ -137,7 +137,7 @@ def named_damage(file: str | Path) -> Iterator[None]:
         yield
     except FormatError:
         raise
-    except (pxr.Tf.ErrorException, UnicodeDecodeError, TypeError, ValueError) as error:
+    except (pxr.Tf.ErrorException, RuntimeError, UnicodeDecodeError, TypeError, ValueError) as error:
         raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
 
 

@@ -125,7 +125,9 @@ class _Materials:
 
     def _image(self, texture: Any) -> int | None:
         """Number of the glTF texture for a texture shader, added once; None if its image cannot be read."""
-        file = _setting(texture, "file", None) if texture else None
+        if texture is None:
+            return None
+        file = _setting(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
         wrap = {name: _WRAP.get(str(_setting(texture, name, "repeat")), 10497) for name in ("wrapS", "wrapT")}
         key = f"{path} {wrap}"
