@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,23 @@ def use(path: Path) -> None:
         read_shape_keys(read_scene(document), number)
 
 
+def with_number(content: bytes, rng: np.random.Generator) -> bytes:
+    """A layer as text with a number of one of its lines replaced, or the line removed."""
+    lines = content.split(b"\n")
+    place = int(rng.integers(6, len(lines)))
+    numbers = list(re.finditer(rb"-?\d+\.?\d*(e-?\d+)?", lines[place]))
+    if not numbers:
+        return b"\n".join(lines[:place] + lines[place + 1 :])
+    start, end = numbers[rng.integers(len(numbers))].span()
+    word = (b"0", b"-1", b"nan", b"inf", b"1e30", b"999999", b"0.5")[rng.integers(7)]
+    lines[place] = lines[place][:start] + word + lines[place][end:]
+    return b"\n".join(lines)
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_changed_bytes_are_a_named_error_or_a_character(tmp_path: Path, suffix: str) -> None:
+def test_changed_values_are_a_named_error_or_a_character(tmp_path: Path, suffix: str) -> None:
     rng = np.random.default_rng(11)
+    change = with_number if suffix == ".usda" else mutated_bytes
     made = lively()
     moved = with_shape_weights(character_glb(made), "walk | fast", np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]]))
     read = []
@@ -41,8 +56,8 @@ def test_changed_bytes_are_a_named_error_or_a_character(tmp_path: Path, suffix: 
         write_usd_character(given, character, read_scene(document))
         assert outcome(lambda given=given: use(given))
         content = given.read_bytes()
-        for number in range(12):
+        for number in range(25):
             path = tmp_path / f"{name}{number}{suffix}"
-            path.write_bytes(mutated_bytes(content, rng))
+            path.write_bytes(change(content, rng))
             read.append(outcome(lambda path=path: use(path)))
     assert 0 < sum(read) < len(read)

@@ -131,6 +131,13 @@ def test_several_skeletons_are_refused_and_missing_images_named(
         found = usd_document(path)
     assert "C.usda: body: the image of its emissiveColor is left out" in caplog.text
     assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
+    write_usd_character(tmp_path / "P.usdz", made, read_scene(document))
+    content = (tmp_path / "P.usdz").read_bytes()
+    image = content.index(b"\x89PNG")
+    (tmp_path / "P.usdz").write_bytes(content[: image + 60] + b"damage" + content[image + 66 :])
+    with caplog.at_level(logging.WARNING):
+        usd_document(tmp_path / "P.usdz")
+    assert "P.usdz: body: the image of its " in caplog.text
     stage = Usd.Stage.Open(str(path))
     other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
     UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])

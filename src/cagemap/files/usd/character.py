@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from cagemap.character.values import Character, Part, Rig
-from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, write_whole
 from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.entries import Document
@@ -46,6 +45,9 @@ _CONTENTS = {
     "VRMC_vrm": " (humanoid bones, expressions)",
     "VRMC_springBone": " (spring bones)",
 }
+
+# Tag of the extra field that aligns the members of a package.
+_PADDING = 0x1986
 
 
 def write_usd_character(
@@ -154,19 +156,14 @@ def _save(layer: Any, file: Path, images: Mapping[str, bytes], sizes: Mapping[st
         with atomic_path(file, force=force, verify=is_whole) as temporary:
             export_layer(layer, file, temporary)
         return
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        atomic_path(file, force=force, verify=is_whole) as temporary,
-    ):
-        inside = Path(folder)
-        export_layer(layer, file, inside / f"{file.stem}.usdc")
-        package = pxr.Sdf.ZipFileWriter.CreateNew(str(temporary))
-        package.AddFile(str(inside / f"{file.stem}.usdc"), f"{file.stem}.usdc")
-        for name, data in images.items():
-            (inside / name).write_bytes(data)
-            package.AddFile(str(inside / name), name)
-        if not package.Save():
-            raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
-        with temporary.open("rb+") as stream:  # the mark is the archive's comment
-            stream.seek(-2, os.SEEK_END)
-            stream.write(struct.pack("<H", len(mark())) + mark().encode())
+    with tempfile.TemporaryDirectory() as folder, atomic_path(file, force=force, verify=is_whole) as temporary:
+        inside = Path(folder) / f"{file.stem}.usdc"
+        export_layer(layer, file, inside)
+        with temporary.open("wb") as stream, zipfile.ZipFile(stream, "w") as package:
+            package.comment = mark().encode()
+            for name, data in {inside.name: inside.read_bytes(), **images}.items():
+                entry = zipfile.ZipInfo(name)
+                # Content begins at a multiple of 64 bytes: an extra field fills the header of 30 bytes and the name.
+                filled = -(stream.tell() + 34 + len(name.encode())) % 64
+                entry.extra = struct.pack("<HH", _PADDING, filled) + bytes(filled)
+                package.writestr(entry, data)

@@ -84,6 +84,8 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         placed_by = mesh.to_world @ to_world
         if table is not None:
             placed_by = np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ above
+            if not np.isfinite(table).all():
+                raise FormatError(f"{file}: {mesh.path}: expected finite weights, got others. Export it again.")
             table = np.maximum(table, 0.0)
             table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))

@@ -78,7 +78,6 @@ def usd_modules() -> Any:
     """The ``pxr`` package, with the modules that are used."""
     try:
         import pxr
-        import pxr.Ar
         import pxr.Usd
         import pxr.UsdGeom
         import pxr.UsdShade
@@ -146,7 +145,7 @@ def named_damage(file: str | Path) -> Iterator[None]:
         yield
     except FormatError:
         raise
-    except (pxr.Tf.ErrorException, UnicodeDecodeError, TypeError, ValueError) as error:
+    except (pxr.Tf.ErrorException, RuntimeError, UnicodeDecodeError, TypeError, ValueError) as error:
         raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import zipfile
 from collections.abc import Mapping
-from pathlib import PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,18 @@ def _shader(shader: Any, name: str, kind: str) -> Any:
     return found if found and found.GetIdAttr().Get() == kind else None
 
 
+def _content(path: str) -> bytes | None:
+    """A file, or one in a package (``PACKAGE.usdz[NAME]``); None if it cannot be read."""
+    package, inside, name = path.removesuffix("]").rpartition("[")
+    try:
+        if not inside or Path(path).is_file():
+            return Path(path).read_bytes()
+        with zipfile.ZipFile(package) as archive:
+            return archive.read(name)
+    except (OSError, KeyError, zipfile.BadZipFile):
+        return None
+
+
 class _Materials:
     """Materials of a document that are filled one by one."""
 
@@ -112,20 +125,20 @@ class _Materials:
 
     def _image(self, texture: Any) -> int | None:
         """Number of the glTF texture for a texture shader, added once; None if its image cannot be read."""
-        file = _setting(texture, "file", None) if texture else None
-        pxr, path = usd_modules(), "" if file is None else str(file.resolvedPath)
-        asset = pxr.Ar.GetResolver().OpenAsset(pxr.Ar.ResolvedPath(path)) if path else None
-        if asset is None:
+        if texture is None:
             return None
+        file = _setting(texture, "file", None)
+        path = "" if file is None else str(file.resolvedPath)
         wrap = {name: _WRAP.get(str(_setting(texture, name, "repeat")), 10497) for name in ("wrapS", "wrapT")}
         key = f"{path} {wrap}"
         if key not in self._known:
-            with asset as opened:
-                data = bytes(opened.GetBuffer())
+            data = _content(path)
+            if data is None:
+                return None
             suffix = image_suffix(data)
             if suffix not in (".png", ".jpg"):
                 name = path.rstrip("]")
-                data, suffix = png_bytes(image_of_bytes(data, PurePath(name).suffix, name)), ".png"
+                data, suffix = png_bytes(image_of_bytes(data, Path(name).suffix, name)), ".png"
             for kind, item in (
                 ("images", {"bufferView": self.binary.view(data), "mimeType": image_type(suffix)}),
                 ("samplers", wrap),
