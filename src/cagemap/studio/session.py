@@ -270,7 +270,8 @@ class Session(LandmarkEdits):
             case Failure() if cancelled and result.kind == STOPPED_KIND:
                 self._say("note", "cancelled; the map stays as it was")
             case Failure():
-                self._say("error", f"{result.kind}: {result.message}")
+                is_ours = result.kind.isidentifier()  # the text of an internal error names its class
+                self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
                 files = self._state.files
                 if isinstance(task, OpenModels) and files is not None and files.parts != self._requested_parts:
                     # The parts of the autosave do not exist any more.

@@ -45,7 +45,7 @@ class SharedState:
 
     def report(self, error: CagemapError) -> None:
         """Show an error."""
-        self._say("error", f"{type(error).__name__}: {error}")
+        self._say("error", str(error))
 
     def note(self, text: str) -> None:
         """Show a note."""

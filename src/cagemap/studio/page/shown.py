@@ -28,7 +28,7 @@ _VIEW_FIELDS = ("mode", "cages", "doubts", "linked", "rest", "symmetric", "pose"
 # Height of lines above the model, in units of its radius.
 _LINE_HEIGHT = 0.004
 # Files written with an image for a target without UVs.
-_LAYOUT_FILES = {"_unwrapped.obj": "model with its new UVs", "_unwrapped.mtl": "its materials"}
+_LAYOUT_FILES = {"_unwrapped.obj": "model with its new UVs", "_unwrapped.mtl": "material file"}
 _CAGE_COLOR = np.array([0.35, 0.67, 1.0])
 
 
@@ -49,7 +49,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
     return {
         "status": status_entries(state),
         "verdict": verdict(state, scene),
-        "messages": [{"kind": message.kind, "text": message.text} for message in state.messages],
+        "messages": [{"kind": message.kind, "text": confidence_text(message.text)} for message in state.messages],
         "files": None if state.files is None else _file_entries(state.files, workspace),
         "models": None if scene is None else {side: _model_entry(scene, side) for side in SIDES},
         "symmetric": scene is not None and scene.has_mirrors,
@@ -73,7 +73,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "seconds": map_state.seconds,
         "suggests": map_state.suggestion is not None,
         "said": [
-            *([confidence_text(map_state.confidence)] if map_state.confidence else []),
+            *([_capitalized(confidence_text(map_state.confidence))] if map_state.confidence else []),
             *map(in_page_words, (*map_state.contradictions.values(), *map_state.notes)),
         ],
         "answers": map_state.answers if len(map_state.answers) > 1 else (),
@@ -81,6 +81,10 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "outputs": _output_entries(state),
         "baking": state.finish_job is not None,
     }
+
+
+def _capitalized(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def line_drawing(state: StudioState, scene: Scene, side: Side, *, cage: bool) -> bytes:

@@ -37,8 +37,7 @@ _VERDICTS = {"two answers: ": "Two ways fit", "look at it: ": "Have a look"}
 
 def confidence_text(message: str) -> str:
     """The confidence message of a match in words of the page."""
-    text = _VERTEX_HINT.sub(" at the place that Next landmark shows", _ANSWER_HINT.sub("", message))
-    return text[:1].upper() + text[1:]
+    return _VERTEX_HINT.sub(" at the place that Next landmark shows", _ANSWER_HINT.sub("", message))
 
 
 def verdict(state: StudioState, scene: Scene | None) -> str:
