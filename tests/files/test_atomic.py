@@ -24,8 +24,8 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import all_or_nothing, atomic_folder, atomic_path, write_whole
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.ownership import mark
-from cagemap.files.result.folder import write_result
+from cagemap.files.ownership import is_own, mark
+from cagemap.files.result.folder import ARRAYS, write_result
 from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import write_attributes
 from cagemap.subdivision import refine
@@ -269,3 +269,11 @@ def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
         fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
     assert (final / "manifest.json").read_text() == "old"
     assert list(tmp_path.iterdir()) == [final]
+
+
+def test_an_archive_with_the_beginning_of_another_end_is_not_ours(tmp_path: Path) -> None:
+    write_result(tmp_path / "R", identity_result(1))
+    archive = tmp_path / "R" / ARRAYS
+    assert is_own(archive)
+    archive.write_bytes(archive.read_bytes() + b"PK\x05\x06")
+    assert not is_own(archive)
