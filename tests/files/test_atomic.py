@@ -24,8 +24,8 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import all_or_nothing, atomic_folder, atomic_path, write_whole
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.ownership import mark, seal
-from cagemap.files.result.folder import write_result
+from cagemap.files.ownership import is_own, mark, seal
+from cagemap.files.result.folder import ARRAYS, write_result
 from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import write_attributes
 from cagemap.subdivision import refine
@@ -295,3 +295,11 @@ def test_of_two_writers_of_a_new_folder_both_are_done(tmp_path: Path, monkeypatc
         (temporary / "a.txt").write_text(f"{mark()} ours\n")
     assert "ours" in (folder / "a.txt").read_text()
     assert [path.name for path in tmp_path.iterdir()] == ["R"]
+
+
+def test_an_archive_with_the_beginning_of_another_end_is_not_ours(tmp_path: Path) -> None:
+    write_result(tmp_path / "R", identity_result(1))
+    archive = tmp_path / "R" / ARRAYS
+    assert is_own(archive)
+    archive.write_bytes(archive.read_bytes() + b"PK\x05\x06")
+    assert not is_own(archive)

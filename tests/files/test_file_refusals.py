@@ -45,8 +45,6 @@ from gltf_scenes import arm
 from refusals import Refusal
 
 AGAIN = "Delete the file and prepare the surface again."
-EDGES = "expected the edges of one chain or loop, got pieces"
-TABLE = ["name,x,y,z", f"{'a' * 200_000},1,2,3"]
 STL = "solid s\n" + "vertex 1 2 3\n" * 2 + "vertex 1 2 e\nendsolid s\n"
 CURVE = {
     "target_curve_corners": np.zeros((1, 3), int),
@@ -203,11 +201,11 @@ REFUSED = {
     "edges of two chains": Refusal(
         points({"name": "lips", "vertices": [[0, 1], [2, 3]]}),
         "p.json: curve 'lips', 'vertices'",
-        EDGES,
+        "expected the edges of one chain or loop, got pieces",
         "Make each a curve of its own.",
     ),
     "a table without end": Refusal(
-        lambda place: read_points(text("p.csv", "\n".join(TABLE))(place)),
+        lambda place: read_points(text("p.csv", "name,x,y,z\n" + 200_000 * "a")(place)),
         "p.csv: expected a table of landmark points",
         "got broken CSV (field larger than",
         "Export it again.",

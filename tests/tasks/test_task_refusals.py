@@ -117,6 +117,12 @@ REFUSED = {
         "expected a target with a mirror plane, bare.obj has none",
         "Leave it out.",
     ),
+    "fewer influences than one": Refusal(
+        lambda place: weights(place, "hip,knee", influences=-1),
+        "w.csv: influences: ",
+        "expected at least 1 joint a vertex, got -1",
+        "Leave it out for all.",
+    ),
     "a map of level 0": Refusal(map_of_level, "--level: ", "expected 1 or more, got 0", "Leave it out"),
     "a wrap that is held everywhere": Refusal(
         held_everywhere, "weights: ", "expected a part of the target that follows the source", "Give weights above 0"
