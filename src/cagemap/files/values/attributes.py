@@ -126,8 +126,8 @@ def _read_csv(file: Path) -> Attributes:
     for number, row in enumerate(body, 1 if names is None else 2):
         if len(row) != len(rows[0]) or not all(is_number(cell) for cell in row):
             raise FormatError(
-                f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}. Separate columns "
-                "by commas, semicolons or tabs, and write decimals with a point."
+                f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}. Separate "
+                "columns by commas, semicolons or tabs, and write decimals with a point."
             )
     columns = [_column(cells) for cells in zip(*body, strict=True)]
     if names is None:
