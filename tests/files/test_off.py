@@ -34,7 +34,15 @@ def test_what_is_written_is_read(mesh, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.face_offsets, mesh.face_offsets)
 
 
-@pytest.mark.parametrize("text", [BOX, BOX.replace("OFF # a square and a triangle\n# by hand\n", "OFF ")])
+@pytest.mark.parametrize(
+    "text",
+    [
+        BOX,
+        BOX.replace("OFF # a square and a triangle\n# by hand\n", "OFF "),
+        BOX.replace("OFF", "STCNOFF", 1),
+        BOX.replace("OFF", "NCSTOFF", 1),  # MeshLab
+    ],
+)
 def test_comments_colours_and_counts_on_the_first_line_are_read(text: str, tmp_path: Path) -> None:
     (tmp_path / "m.off").write_text(text)
     mesh = read_mesh(tmp_path / "m.off")

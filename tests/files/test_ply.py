@@ -124,6 +124,13 @@ def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, capl
     assert "1 of 2 faces have no texture coordinates" in caplog.text
 
 
+def test_faces_of_several_images_have_a_material_for_each(tmp_path: Path) -> None:
+    header = HEADER + FACES.replace("end_", "property int texnumber\nend_")
+    mesh = read_bytes(tmp_path, header + BODY[:24] + "3 0 1 2 4\n3 0 2 3 1\n")
+    assert [mesh.material_names[number] for number in mesh.face_materials] == ["texture 4", "texture 1"]
+    assert read_bytes(tmp_path, header + BODY[:24] + "3 0 1 2 4\n3 0 2 3 4\n").material_names == ()
+
+
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_line_ends(tmp_path: Path, line_end: str) -> None:
     mesh = read_bytes(tmp_path, (HEADER + FACES + BODY).replace("\n", line_end))

@@ -152,6 +152,10 @@ def test_any_pixels_are_shown(dtype: type, white: float) -> None:
     np.testing.assert_allclose(display_image(np.full((4, 4, 1), white, dtype)), np.ones((4, 4, 3)))
 
 
+def test_floats_are_shown_as_linear() -> None:
+    np.testing.assert_allclose(display_image(np.full((4, 4, 3), 0.21404, np.float32)), 0.5, atol=1e-4)
+
+
 def test_large_textures_are_averaged_down() -> None:
     tall = np.zeros((4096, 8, 3), np.uint8)
     tall[::2] = 255

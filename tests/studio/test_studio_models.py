@@ -255,6 +255,11 @@ def identity(n: int, triangles: np.ndarray) -> PreviewMap:
     return PreviewMap(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
 
 
+def test_an_image_of_floats_is_shown_as_linear(tmp_path: Path) -> None:
+    write_image(tmp_path / "skin.exr", np.full((8, 8, 3), 0.21586, dtype=np.float32))
+    np.testing.assert_array_equal(with_texture(Look(), tmp_path / "skin.exr").texture, 128)
+
+
 def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
     for number, color in tiles.items():

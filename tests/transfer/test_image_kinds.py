@@ -182,6 +182,13 @@ def test_colours_multiplied_by_alpha_stay_so_or_are_divided(tmp_path: Path) -> N
     np.testing.assert_array_equal(read_image(tmp_path / "turned.png").pixels, multiplied[..., :3])
 
 
+def test_heights_are_not_multiplied_by_alpha(folder: Path) -> None:
+    write_image(folder / "heights.exr", np.tile(np.float32([2.0, 0.5]), (32, 32, 1)))
+    request = TransferRequest(folder / "WHOLE", folder / "carried.exr", displacement=folder / "heights.exr")
+    run_transfer(request, Stages())
+    np.testing.assert_allclose(read_image(folder / "carried.exr").pixels, 4.0, rtol=1e-3)  # twice as large a target
+
+
 @pytest.mark.parametrize("suffix", [".jpg", ".tif", ".png"])
 def test_an_icc_profile_is_kept_if_it_is_of_the_same_channels(folder: Path, suffix: str) -> None:
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()

@@ -194,12 +194,24 @@ def test_attribute_tables_keep_names_columns_and_integers(tmp_path: Path) -> Non
     np.testing.assert_array_equal(np.column_stack([read["skin_0"], read["skin_1"]]), attributes["skin"])
     (tmp_path / "plain.csv").write_text("1,2\n3,4.5\n")
     np.testing.assert_array_equal(read_attributes(tmp_path / "plain.csv")["plain"], [[1, 2], [3, 4.5]])
+    write_attributes(tmp_path / "odd.csv", {"a;b": np.arange(2), "c\td": np.arange(2)})
+    assert list(read_attributes(tmp_path / "odd.csv")) == ["a;b", "c\td"]
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_columns_may_be_separated_as_spreadsheets_do(tmp_path: Path, delimiter: str) -> None:
+    rows = [["hip", "knee"], ["1", "0.5"], ["2", "4"]]
+    (tmp_path / "a.csv").write_text("\r\n".join(delimiter.join(row) for row in rows) + "\r\n\r\n")
+    read = read_attributes(tmp_path / "a.csv")
+    np.testing.assert_array_equal(read["hip"], [1, 2])
+    np.testing.assert_array_equal(read["knee"], [0.5, 4])
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
         ("a.csv", b"x,y\n1,2\n3\n", "row 3"),
+        ("a.csv", b"x;y\n0,5;2\n", "decimals with a point"),
         ("a.csv", b"x\n1\nnan\n", r"rows \[1\]"),
         ("a.csv", b"x,y\n", "found none"),
         ("a.csv", b"", "found none"),

@@ -244,7 +244,7 @@ def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def display_image(image: Pixels) -> FloatArray:
-    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels."""
+    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels; floats are linear."""
     pixels = np.asarray(image)
     if np.issubdtype(pixels.dtype, np.integer):
         scale = 1.0 / np.iinfo(pixels.dtype).max
@@ -255,7 +255,8 @@ def display_image(image: Pixels) -> FloatArray:
     step = max(1, -(-max(pixels.shape[:2]) // MAX_TEXTURE_SIZE))
     height, width = (length // step * step for length in pixels.shape[:2])
     blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
-    return np.clip(np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32) * scale, dtype=np.float32), 0.0, 1.0)
+    shown = blocks.mean(axis=(1, 3), dtype=np.float32) * np.float32(scale)
+    return to_display(shown).astype(np.float32) if pixels.dtype.kind == "f" else np.clip(shown, 0.0, 1.0)
 
 
 # View, skin of the source, skin of the target, whether landmarks and curves are drawn.

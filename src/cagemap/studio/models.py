@@ -25,6 +25,7 @@ from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.udim import udim_origin
 from cagemap.mesh.weld import Welded, keep_unwelded, weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import encode_srgb
 from cagemap.pictures import UP_AXES, Y_UP
 from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
@@ -108,9 +109,10 @@ def _shrink_tile(pixels: Pixels, rows: int, columns: int) -> Pixels:
     height, width = pixels.shape[:2]
     step = max(1, -(-max(rows * height, columns * width) // TEXTURE_SIZE))
     small = _resample(pixels, -(-height // step), -(-width // step))
-    if small.dtype != np.uint8:
-        white = np.iinfo(small.dtype).max if small.dtype.kind == "u" else 1.0
-        small = np.rint(255 * np.clip(small.astype(np.float64) / white, 0, 1)).astype(np.uint8)
+    if small.dtype.kind == "f":  # linear
+        small = np.rint(255 * encode_srgb(small.astype(np.float64))).astype(np.uint8)
+    elif small.dtype != np.uint8:
+        small = np.rint(255 * (small / np.iinfo(small.dtype).max)).astype(np.uint8)
     return np.repeat(small[..., :1], 3, axis=2) if small.shape[2] < 3 else small[..., :3]
 
 

@@ -99,8 +99,10 @@ def inputs_of(request: TransferRequest) -> list[Path]:
 def read_source_image(
     request: TransferRequest, result: MatchResult, path: Path, channels: int | None = None, name: str = ""
 ) -> SourceImage:
-    """Read an image of the source; refuse outputs that cannot hold ``channels`` channels."""
+    """Read an image of the source, or ``channels`` of heights or directions, which the output must be able to hold."""
     texture = read_texture(path)
+    if channels is not None:  # their values are taken without alpha
+        texture = straight(texture) if isinstance(texture, Image) else {n: straight(one) for n, one in texture.items()}
     first = first_image(texture)
     dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
     if channels is not None:

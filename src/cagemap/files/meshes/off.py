@@ -15,8 +15,9 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# The prefixes mean texture coordinates, colours or normals; in some files the counts follow without a space.
-_FIRST_WORD = re.compile(r"(ST)?C?N?OFF(?=\d*\Z)", re.IGNORECASE)
+# The prefixes mean texture coordinates, colours or normals, which MeshLab writes in its own order; in some files the
+# counts follow without a space.
+_FIRST_WORD = re.compile(r"(?:ST|C|N)*OFF(?=\d*\Z)", re.IGNORECASE)
 _FORM = "OFF, then the numbers of vertices, faces and edges, then a line each: x y z, and 3 a b c"
 
 

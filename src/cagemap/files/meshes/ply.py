@@ -5,6 +5,7 @@ Not read by a library, since the one that keeps quads is under the GPL.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,8 @@ def read_ply(path: str | Path) -> ControlMesh:
 
     Texture coordinates are those of the faces' ``texcoord`` lists, else of the vertices (``s t``, ``u v`` or
     ``texture_u texture_v``). Vertex colours ``red green blue`` are divided by the largest number of their type if it
-    has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Other elements are ignored.
+    has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Faces of
+    several images (``texnumber``) have a material for each image. Other elements are ignored.
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))
@@ -53,9 +55,15 @@ def read_ply(path: str | Path) -> ControlMesh:
     offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
-    return ControlMesh(
+    mesh = ControlMesh(
         positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_vertex_colors(vertices)
     )
+    images = faces.get("texnumber")
+    if images is None or np.any(images.lengths != 1):
+        return mesh
+    numbers, materials = np.unique(images.values, return_inverse=True)
+    names = tuple(f"texture {number:g}" for number in numbers)
+    return replace(mesh, face_materials=materials, material_names=names) if len(names) > 1 else mesh
 
 
 def _vertex_colors(vertices: dict[str, Column]) -> FloatArray | None:

@@ -46,11 +46,11 @@ def read_stl(path: str | Path) -> ControlMesh:
 
 
 def _binary(content: bytes) -> FloatArray | None:
-    """(3 t, 3) corners of a binary file; None if the length does not fit its count."""
+    """(3 t, 3) corners of a binary file, which may be padded; None if the length does not fit its count."""
     if len(content) < _HEAD:
         return None
     count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
-    if len(content) != _HEAD + count * _TRIANGLE.itemsize:
+    if not 0 <= len(content) - (_HEAD + count * _TRIANGLE.itemsize) < _TRIANGLE.itemsize:
         return None
     return np.frombuffer(content, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3).astype(np.float64)
 

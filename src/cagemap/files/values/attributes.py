@@ -113,7 +113,10 @@ def check_attribute_path(file: Path) -> None:
 
 def _read_csv(file: Path) -> Attributes:
     with file.open(newline="", encoding="utf-8-sig") as stream:
-        rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+        lines = [line for line in stream if line.strip()]
+    # Names may contain other delimiters, numbers do not.
+    delimiter = next((sign for sign in ";\t" if lines and sign in lines[-1]), ",")
+    rows = [row for row in csv.reader(lines, delimiter=delimiter) if any(cell.strip() for cell in row)]
     if not rows:
         return {}
     names = None if is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
@@ -122,7 +125,10 @@ def _read_csv(file: Path) -> Attributes:
     body = rows if names is None else rows[1:]
     for number, row in enumerate(body, 1 if names is None else 2):
         if len(row) != len(rows[0]) or not all(is_number(cell) for cell in row):
-            raise FormatError(f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}")
+            raise FormatError(
+                f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}. Separate "
+                "columns by commas, semicolons or tabs, and write decimals with a point."
+            )
     columns = [_column(cells) for cells in zip(*body, strict=True)]
     if names is None:
         return {file.stem: columns[0] if len(columns) == 1 else np.column_stack(columns)}
