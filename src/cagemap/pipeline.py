@@ -37,7 +37,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.levels import search_levels
 from cagemap.paper.method import paper_map
@@ -345,12 +345,12 @@ def _judged(
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
-    with _timed(timings, "quality"):
+    with _timed(timings, "quality"), ThreadPool(1) as aside:
         counted = masks if shared is None else shared.within(masks)
+        jumping = aside.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
         quality = judge(target, point_map, points, trusted.names, counted)
-        jumping = jump_warnings(prepared, point_map, counted.of_target(len(target.vertices)))
         apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
-        quality = replace(quality, warnings=(*jumping, *quality.warnings, *apart))
+        quality = replace(quality, warnings=(*jumping.result(), *quality.warnings, *apart))
     check = check.with_folds(quality.flipped_area, len(landmarks))
     return MatchResult(
         target,

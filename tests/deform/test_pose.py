@@ -98,14 +98,12 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(rest: RestShape) -> N
 def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
-    graph = bent.rest.graph
-    at_rest = Placement(graph.positions, 1.0, graph=graph)
+    problem = problem_of(bent)
+    at_rest = Placement(problem.shape.rest.graph.positions, 1.0)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
     monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
-    monkeypatch.setattr(multi_start, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
-    problem = problem_of(bent)
     assert (not fit_held(problem, problem.shape)[1]) == (angle < LIMB_POSED)
 
 

@@ -50,7 +50,7 @@ def surface_area(positions: FloatArray, faces: IndexArray) -> float:
     areas, total = np.empty(len(faces)), 0.0
     for split in (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3):
         for part in row_slices(len(faces), CACHED):
-            areas[part] = triangle_areas(positions, faces[part][:, split])
+            areas[part] = triangle_areas(positions, faces[part].take(split, axis=1))
         total += float(areas.sum())
     return 0.5 * total
 
