@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from cagemap.deform.fit import coarse_fit, evaluate_placement
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_stage
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
     AnchoredFits,
@@ -16,7 +16,7 @@ from cagemap.deform.multi_start import (
 )
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
-from cagemap.deform.refit import common_rotation, finish_placement
+from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import Assignment, Tips, assigned_limbs, refit_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
@@ -69,7 +69,7 @@ def rough_fits(
     def fit(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
             placed = coarse_fit(small, start, shape)
-        rotation = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(placed.maps)))
+        rotation = axis_rotation(shape.rest.graph.areas, placed.maps)
         return replace(placed, name=rotation_name(rotation), doubt=rotation_doubt(rotation, config) if rigid else 1.0)
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
@@ -103,6 +103,11 @@ def rough_fits(
     return likely, [*(placed for _, placed in likely), *as_filed]
 
 
+def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
+    """(3, 3) rotation of axes to axes nearest to the differentials (n, 3, 3) of a placement."""
+    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
+
+
 def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
     """Fine placements from rough ones and their spectral starts: the best of each, where they end apart."""
     if not rough:
@@ -127,6 +132,16 @@ def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement
         return replace(placed, name=coarse[0].name, doubt=coarse[0].doubt)
 
     return in_threads(fit_fine, [*hopeful[: config.max_finished], *as_filed[:1]])
+
+
+def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
+    """Placement of the target from one of the source on the target, whose cost it keeps."""
+    prepared, rest = problem.prepared, problem.prepared.rest
+    weight = prepared.elastic.refit.normal_weight
+    start, _ = inverse_positions(prepared.reversed.mesh, reverse.answer, prepared.mesh, weight)
+    positions = fine_stage(problem, start)
+    rotation = axis_rotation(rest.graph.areas, rest.energy.maps(positions))
+    return Placement(positions, reverse.cost, name=rotation_name(rotation), doubt=reverse.doubt)
 
 
 def search(
@@ -193,10 +208,18 @@ def search(
 def find_answers(
     problem: Problem, progress: Progress, show: Callable[[Placement], None] = lambda _: None
 ) -> tuple[Placement, ...]:
-    """Different alignments of the target with the source, best first, by `search`."""
+    """Different alignments of the target with the source, best first, by `search`.
+
+    Without three landmarks a part and a whole are searched in both directions: often one of them fails
+    (docs/lab/parts.md).
+    """
     prepared, answers = problem.prepared, dict[str, Placement]()
-    different = prepared.elastic.search.different
-    for placed in distinct_placements(search(problem, progress, show=show), prepared.rest.graph.areas, different):
+    different, placements = prepared.elastic.search.different, search(problem, progress, show=show)
+    one_is_part = prepared.mesh.is_open != prepared.source_surface.is_open
+    if one_is_part and len(problem.pair.landmarks) < FEWEST_LANDMARKS:
+        reverse = search(problem.reversed, progress)
+        placements = sorted([*placements, *(inverse_placement(problem, placed) for placed in reverse)], key=_rank)
+    for placed in distinct_placements(placements, prepared.rest.graph.areas, different):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY
