@@ -16,7 +16,7 @@ from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import judge_answers, prolong_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search
+from cagemap.maps.hypotheses.search import distinct_answers, search, search_directions
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
     MIRRORED_NOTE,
@@ -195,7 +195,7 @@ def match_pair(
                 point_map, confidence = known
                 placements: Sequence[Placement] = confidence.answers
             elif len(landmarks) < FEWEST_LANDMARKS:
-                answers = distinct_answers(prepared, search(problem, progress, show=show))
+                answers = distinct_answers(prepared, search_directions(problem, progress, show=show))
                 progress("closest points")
                 point_map = map_of_places(prepared, answers[0].answer, problem.landmarks)
                 confidence, placements = judge_answers(problem, point_map, answers), answers

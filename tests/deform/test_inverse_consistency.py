@@ -8,8 +8,11 @@ from examples.shapes import creature
 
 from cagemap.deform.config import StartConfig
 from cagemap.deform.fit import fine_fit
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import inverse_consistent, inverse_positions, smooth_shifts
+from cagemap.maps.hypotheses.rigid_starts import AS_FILED
+from cagemap.maps.hypotheses.search import inverse_placement
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.places import CurvePair, SurfaceCurve
@@ -135,3 +138,12 @@ def test_a_whole_body_is_averaged_where_a_part_of_it_is(on_part: Problem) -> Non
     beyond = np.linalg.norm(moved - ended, axis=1)[gaps > 0.03]
     assert len(beyond) > 0.3 * len(ended)
     assert beyond.max() < 0.02
+
+
+def test_a_part_on_a_whole_places_the_whole_on_the_part(on_part: Problem) -> None:
+    home, gaps = at_home(on_part)
+    back = on_part.prepared.reversed
+    reverse = Placement(back.mesh.positions * back.source_surface.scale / back.mesh.scale, 2.5, doubt=1.1)
+    placed = inverse_placement(on_part, reverse)
+    assert (placed.cost, placed.doubt, placed.name) == (2.5, 1.1, AS_FILED)
+    assert np.linalg.norm(placed.positions - home, axis=1)[gaps < 1e-3].mean() < 5e-3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from cagemap.deform.fit import coarse_fit, evaluate_placement
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
     fit_held,
@@ -17,7 +17,7 @@ from cagemap.deform.multi_start import (
 )
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
-from cagemap.deform.refit import common_rotation, finish_placement
+from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, find_tips, refit_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
@@ -68,7 +68,7 @@ def rough_fits(
     def fit(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
             placed = coarse_fit(small, start, shape)
-        rotation = nearest_axis_rotation(common_rotation(shape.rest.graph.areas, nearest_rotations(placed.maps)))
+        rotation = axis_rotation(shape.rest.graph.areas, placed.maps)
         return replace(placed, name=rotation_name(rotation), doubt=rotation_doubt(rotation, config) if rigid else 1.0)
 
     def fit_rigid(starts: Sequence[Placement]) -> list[Placement]:
@@ -102,6 +102,11 @@ def rough_fits(
     return likely, [*(placed for _, placed in likely), *as_filed]
 
 
+def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
+    """(3, 3) rotation of axes to axes nearest to the differentials (n, 3, 3) of a placement."""
+    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
+
+
 def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
     """Fine placements from rough ones and their spectral starts: the best of each, where they end apart."""
     if not rough:
@@ -125,6 +130,16 @@ def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement
         return refine_cheapest(problem, coarse, None if coarse is candidates[0] else 1)[0].named_like(coarse[0])
 
     return in_threads(fit_fine, [*hopeful[: config.max_finished], *as_filed[:1]])
+
+
+def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
+    """Placement of the target from one of the source on the target, whose cost it keeps."""
+    prepared, rest = problem.prepared, problem.prepared.rest
+    weight = prepared.elastic.refit.normal_weight
+    start, _ = inverse_positions(prepared.reversed.mesh, reverse.answer, prepared.mesh, weight)
+    positions = fine_fit(problem, start)
+    rotation = axis_rotation(rest.graph.areas, rest.energy.maps(positions))
+    return Placement(positions, reverse.cost, name=rotation_name(rotation), doubt=reverse.doubt)
 
 
 def search(
@@ -188,6 +203,20 @@ def search(
     elif not has_start:
         return ranked
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
+
+
+def search_directions(
+    problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
+) -> list[Placement]:
+    """Placements of `search`; for a part and a whole those of the reverse problem too: often one direction fails.
+
+    Figures: docs/lab/parts.md.
+    """
+    placements = search(problem, progress, show=show)
+    if problem.prepared.mesh.is_open == problem.prepared.source_surface.is_open:
+        return placements
+    reverse = search(problem.reversed, progress)
+    return sorted([*placements, *(inverse_placement(problem, placed) for placed in reverse)], key=_rank)
 
 
 @kinds_checked
