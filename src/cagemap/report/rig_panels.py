@@ -176,7 +176,9 @@ def _images_panel(
     jobs: list[_PictureJob] = []
     for image, (pixels, cells) in zip(images, joined, strict=True):
         finest = result.target.with_control(image.control).refinement.finest
-        skin = Skin(texture=pixels, corner_uvs=TexturedSurface.from_level(finest).corner_uvs() / cells)
+        cage = finest.faces is None  # level 0 of a mesh of mixed polygons
+        textured = TexturedSurface.of_mesh(image.control) if cage else TexturedSurface.from_level(finest)
+        skin = Skin(texture=pixels, corner_uvs=textured.corner_uvs() / cells)
         jobs.append((model, skin, FRONT, None, f"{image.name}, on the target"))
     pictures = list[tuple[Image, str]]()
     for image, (pixels, _), on_target in zip(images, joined, _draw_all(jobs, size), strict=True):

@@ -14,7 +14,6 @@ from cagemap.mesh.faces import face_centres, keep_faces
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import Bodies, nearest
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
@@ -78,19 +77,13 @@ def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) ->
     rest = keep_faces(target, aside.faces)
     laid = target.positions.copy()
     laid[aside.vertices] = aside.places
-    sides = _textured(rest), _textured(source)
+    sides = TexturedSurface.of_mesh(rest), TexturedSurface.of_mesh(source)
     surfaces = [TriangleSurface.from_faces(side.positions, side.triangles) for side in sides]
     triangle, weights, _ = closest_points(surfaces[1].tree, surfaces[1].scale * laid)
     weights = np.where(weights < _ROUNDING, 0.0, weights)  # keeps vertices on vertices exact
     barycentric = weights / weights.sum(axis=1, keepdims=True)
     point_map = PointMap.from_arrays(surfaces[0], surfaces[1], triangle, barycentric)
     return Transfer(*sides, point_map, map_surface(*sides, point_map))
-
-
-def _textured(mesh: ControlMesh) -> TexturedSurface:
-    corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
-    uvs = None if mesh.uv_indices is None else mesh.uv_indices[corners]
-    return TexturedSurface(mesh.positions, mesh.face_indices[corners], mesh.uvs, uvs, np.arange(len(faces)), faces)
 
 
 def _laid(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[FloatArray, FloatArray]:

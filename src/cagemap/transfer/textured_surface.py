@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components
 from cagemap.subdivision import Level, triangles
-from cagemap.surface.triangles import normalize_rows, vertex_normals
+from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,13 @@ class TexturedSurface:
         faces = np.repeat(np.arange(len(level.faces)), per_face)
         hollow = None if holes is None or not holes.any() else holes[faces]
         return cls(level.positions, split, level.uvs, uv_split, faces, level.face_parents, hollow)
+
+    @classmethod
+    def of_mesh(cls, mesh: ControlMesh) -> TexturedSurface:
+        """Triangles of a control mesh as it is; polygons become fans."""
+        corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+        uvs = None if mesh.uv_indices is None else mesh.uv_indices[corners]
+        return cls(mesh.positions, mesh.face_indices[corners], mesh.uvs, uvs, np.arange(len(faces)), faces)
 
     def layout(self) -> tuple[FloatArray, IndexArray]:
         """Texture coordinates (p, 2), and their index (t, 3) for every triangle corner."""
