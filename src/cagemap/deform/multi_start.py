@@ -111,9 +111,9 @@ def fit_held(
 ) -> tuple[list[Placement], list[Placement]]:
     """Refined placements from the functional map and from the held points, and the soft coarse ones of both.
 
-    Soft ones are those from which more starts are tried (`more_starts`). There are none if both starts end in one
-    placement and no limb is in another pose: then the stiff stage is enough, and it spreads the strain more evenly. A
-    start (k, 3) replaces the functional map; it is the only start where too few points are held.
+    `refine_more_starts` takes the soft ones. There are none if both starts end in one placement and no limb is in
+    another pose: then the stiff stage is enough, and it spreads the strain more evenly. A start (k, 3) replaces the
+    functional map; it is the only start where too few points are held.
     """
     elastic, stiff = problem.prepared.elastic, problem.stiff
     # The smoothing of a stage also decides its start from the held points.
@@ -138,7 +138,7 @@ def fit_held(
     return refined, [] if agree else list(soft)
 
 
-def more_starts(
+def refine_more_starts(
     problem: Problem, shape: CoarseShape, refined: Sequence[Placement], soft: Sequence[Placement]
 ) -> list[Placement]:
     """Refined placements of `fit_held` and more: from spectral starts of the first soft one, and best parts of all."""

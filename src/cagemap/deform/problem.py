@@ -155,12 +155,12 @@ class PreparedPair:
         same_masks = np.array_equal(masks.of_target(counts[0]), own.of_target(counts[0])) and np.array_equal(
             masks.of_source(counts[1]), own.of_source(counts[1])
         )
-        followed = {
+        agreement = {
             "start": start in (self.start, StartConfig()),
             "elastic": elastic in (self.elastic, ElasticConfig()),
             "masks": same_masks or not masks.any,
         }
-        fields = [name for name, same in followed.items() if not same]
+        fields = [name for name, agrees in agreement.items() if not agrees]
         if fields:
             raise ParameterError(
                 f"match_pair: expected the {' and '.join(fields)} that the pair was prepared with, got others; prepare "

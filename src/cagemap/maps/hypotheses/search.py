@@ -9,8 +9,8 @@ from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
     fit_held,
-    more_starts,
     refine_cheapest,
+    refine_more_starts,
     sort_by_cost,
     spectral_starts,
     start_map,
@@ -180,7 +180,7 @@ def search(
     progress("elastic alignment")
     if held:
         (shape, refined, soft), *others = sorted(held, key=lambda fits: fits[1][0].rank)
-        best = more_starts(problem, shape, refined, soft) if soft else refined
+        best = refine_more_starts(problem, shape, refined, soft) if soft else refined
         placements += [*best[: None if has_start else 1], *(refined[0] for _, refined, _ in others)]
     floor, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
     config = problem.prepared.elastic.search
