@@ -326,10 +326,11 @@ def _pixel_openness(
     share[sampled] = _openness(model, points[sampled], normals[sampled], _sky(SKY_DIRECTIONS))
     grid = np.zeros((*coarse.shape, 4))
     grid[coarse >= 0] = np.column_stack([share[sampled], normals[sampled]])
-    between = _doubled(_doubled(grid, height).swapaxes(0, 1), width).swapaxes(0, 1).reshape(-1, 4)[hit_rows]
-    agree = np.einsum("pd,pd->p", between[:, 1:], normals) > MIN_NORMAL_AGREEMENT
+    rows = _insert_means(grid, height).swapaxes(0, 1)
+    interpolated = _insert_means(rows, width).swapaxes(0, 1).reshape(-1, 4)[hit_rows]
+    agree = np.einsum("pd,pd->p", interpolated[:, 1:], normals) > MIN_NORMAL_AGREEMENT
     agree[sampled] = True
-    share = np.where(agree, between[:, 0], share)
+    share = np.where(agree, interpolated[:, 0], share)
     rest = np.flatnonzero(~agree)
     share[rest] = _openness(model, points[rest], normals[rest], _sky(SKY_DIRECTIONS))
     openness = np.full(height * width, -1.0)
@@ -337,7 +338,7 @@ def _pixel_openness(
     return openness
 
 
-def _doubled(grid: FloatArray, length: int) -> FloatArray:
+def _insert_means(grid: FloatArray, length: int) -> FloatArray:
     """(length, ...) rows of a grid, with the means of neighbours between them."""
     rows = np.empty((length, *grid.shape[1:]))
     rows[::2] = grid
