@@ -163,7 +163,7 @@ def render_skins(
         _check_skin(model, skin)
     width, height = size
     scene = _Scene(model, camera, to_linear(background), floor)
-    seen = _cast_eye_rays(scene, camera.rays(width, height), (height, width))
+    seen = _cast_eye_rays(scene, camera.rays(width, height), size=(height, width))
     # Sky light varies slowly: additional rays reuse that of the pixel or of a neighbour.
     neighbor_openness = maximum_filter(seen.openness.reshape(height, width), 3).ravel()
     openness = np.where(seen.openness < 0, neighbor_openness, seen.openness)
@@ -175,7 +175,7 @@ def render_skins(
             for row, column in np.ndindex(samples, samples):
                 offset = ((column + 0.5) / samples, (row + 0.5) / samples)
                 rays = camera.rays(width, height, offset)[refined]
-                light += _cast_eye_rays(scene, rays, openness[refined]).radiance(scene, skin)
+                light += _cast_eye_rays(scene, rays, openness=openness[refined]).radiance(scene, skin)
             colors[refined] = to_display(light / samples**2)
         yield np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
 
@@ -250,8 +250,14 @@ class _EyeRays:
         return radiance
 
 
-def _cast_eye_rays(scene: _Scene, directions: FloatArray, openness: FloatArray | tuple[int, int]) -> _EyeRays:
-    """Cast rays from the eye, with the sky's share of every ray, or the height and width of an image to compute it."""
+def _cast_eye_rays(
+    scene: _Scene,
+    directions: FloatArray,
+    *,
+    openness: FloatArray | None = None,
+    size: tuple[int, int] | None = None,
+) -> _EyeRays:
+    """Cast rays from the eye; the sky's share of each is given, or computed for an image of size (height, width)."""
     model, camera = scene.model, scene.camera
     hits = _cast(model, _to_unit(model, camera.eye), directions)
     hit_rows = np.flatnonzero(hits["primID"] >= 0)
@@ -266,8 +272,9 @@ def _cast_eye_rays(scene: _Scene, directions: FloatArray, openness: FloatArray |
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Back faces of an open surface are lit as if they faced the eye.
     normals *= np.where(np.einsum("rd,rd->r", normals, directions[hit_rows]) > 0, -1.0, 1.0)[:, None]
-    if isinstance(openness, tuple):
-        openness = _pixel_openness(model, points, normals, hit_rows, openness)
+    if openness is None:
+        assert size is not None
+        openness = _pixel_openness(model, points, normals, hit_rows, size)
     background = np.tile(scene.background, (len(directions), 1))
     if scene.floor:
         _shade_floor(model, camera, directions, hits["primID"] < 0, background)
