@@ -346,12 +346,12 @@ def _judged(
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
-    with _timed(timings, "quality"), ThreadPool(1) as aside:
+    with _timed(timings, "quality"), ThreadPool(1) as pool:
         counted = masks if shared is None else shared.within(masks)
-        jumping = aside.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
+        jumps = pool.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
         quality = judge(target, point_map, points, trusted.names, counted)
         area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
-        quality = replace(quality, warnings=(*jumping.result(), *quality.warnings, *area_warnings))
+        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings))
     check = check.with_folds(quality.flipped_area, len(landmarks))
     return MatchResult(
         target,

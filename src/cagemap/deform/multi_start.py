@@ -125,16 +125,16 @@ def fit_held(
 
     if start is not None and len(shape.held[0]) < FEWEST_LANDMARKS:
         return refine_placements(problem, both_stages(start)), []
-    with ThreadPool(1) as aside:  # at the same time as the functional map
-        from_points = aside.submit(both_stages, None)
+    with ThreadPool(1) as pool:  # at the same time as the functional map
+        from_points = pool.submit(both_stages, None)
         first = both_stages(start_map(problem, shape) if start is None else start)
         soft, stiff_ones = zip(first, from_points.result(), strict=True)
     areas, config = shape.rest.graph.areas, elastic.search
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
     refined = refine_placements(problem, distinct_placements(sort_by_cost(stiff_ones), areas, config.min_distance))
     rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, config.limb_area)
-    apart = mean_distance(soft[0].positions, soft[1].positions, areas)
-    agree = apart <= config.doubtful and rotation <= config.limb_rotation
+    distance = mean_distance(soft[0].positions, soft[1].positions, areas)
+    agree = distance <= config.doubtful and rotation <= config.limb_rotation
     return refined, [] if agree else list(soft)
 
 

@@ -123,8 +123,8 @@ class PreparedPair:
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
         fitted = source.triangles(source.hierarchy.coarsest_level(elastic.source_vertices))
-        with ThreadPool(1) as aside:
-            trees = aside.submit(lambda: (fitted.tree, source.finest_triangles.tree))
+        with ThreadPool(1) as pool:
+            trees = pool.submit(lambda: (fitted.tree, source.finest_triangles.tree))
             graph = level_graph(target, levels[0], elastic.graph)
             pair = cls._of_graph(graph, target, source, start, elastic, levels, masks)
             trees.result()

@@ -208,9 +208,9 @@ def search(
 def search_directions(
     problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
 ) -> list[Placement]:
-    """Placements of `search`; for a part and a whole those of the reverse problem too: often one direction fails.
+    """Placements of `search`; for a part and a whole those of the reverse problem too.
 
-    Figures: docs/lab/parts.md.
+    There one direction often fails (docs/lab/parts.md).
     """
     placements = search(problem, progress, show=show)
     if problem.prepared.mesh.is_open == problem.prepared.source_surface.is_open:
@@ -223,7 +223,7 @@ def search_directions(
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
     """(n, 3) fitted positions of the target's deformed level near the source: the first of `search`.
 
-    In the unit in which the source has area 1.
+    The source has area 1 in their unit.
     """
     return search(Problem(prepared, pair.landmarks), progress)[0].answer
 
