@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -188,11 +188,18 @@ def match_pair(
             places = rough.on(prepared.rest.graph, prepared.elastic.graph)
             preview(map_of_places(prepared, places, problem.landmarks))
 
+    def map_without(left_out: Collection[int]) -> tuple[PointMap, Sequence[Placement]]:
+        """Map by the other landmarks, and the placements of its search, the map's first."""
+        trusted = problem.without(left_out)
+        fits = search(trusted, progress)
+        progress("closest points")
+        return map_of_places(prepared, fits[0].answer, trusted.landmarks), fits
+
     with one_blas_thread():
         with _timed(timings, "map"):
-            known = coincident_map(problem)
-            if known is not None:
-                point_map, confidence = known
+            map_and_confidence = coincident_map(problem)
+            if map_and_confidence is not None:
+                point_map, confidence = map_and_confidence
                 placements: Sequence[Placement] = confidence.answers
             elif len(landmarks) < FEWEST_LANDMARKS:
                 answers = distinct_answers(prepared, search_directions(problem, progress, show=show))
@@ -203,17 +210,11 @@ def match_pair(
                 outliers, notes = dict[int, str](), list[str]()
                 if config.check_landmarks:
                     outliers, notes = landmark_outliers(problem, landmarks.names, progress)
-                trusted = problem.without(outliers)
-                placements = search(trusted, progress)
-                progress("closest points")
-                point_map = map_of_places(prepared, placements[0].answer, trusted.landmarks)
+                point_map, placements = map_without(outliers)
                 confirmed = confirmed_pairs(problem, point_map, outliers)
                 if confirmed:
                     outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
-                    trusted = problem.without(outliers)
-                    placements = search(trusted, progress)
-                    progress("closest points")
-                    point_map = map_of_places(prepared, placements[0].answer, trusted.landmarks)
+                    point_map, placements = map_without(outliers)
                 if config.check_landmarks:
                     progress("test landmarks on the map")
                     check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
@@ -269,9 +270,9 @@ def update_match(
                 all_given = Problem.of_landmarks(prepared, landmarks)
                 check = checked_changes(all_given, landmarks.names, changed, check, point_map)
             problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
-            known = coincident_map(problem)
-            if known is not None:
-                point_map = known[0]
+            map_and_confidence = coincident_map(problem)
+            if map_and_confidence is not None:
+                point_map = map_and_confidence[0]
             else:
                 progress("elastic update")
                 places = linear_update(problem, point_map)
@@ -345,12 +346,12 @@ def _judged(
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
-    with _timed(timings, "quality"), ThreadPool(1) as aside:
+    with _timed(timings, "quality"), ThreadPool(1) as pool:
         counted = masks if shared is None else shared.within(masks)
-        jumping = aside.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
+        jumps = pool.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
         quality = judge(target, point_map, points, trusted.names, counted)
-        apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
-        quality = replace(quality, warnings=(*jumping.result(), *quality.warnings, *apart))
+        area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
+        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings))
     check = check.with_folds(quality.flipped_area, len(landmarks))
     return MatchResult(
         target,

@@ -39,7 +39,7 @@ def found(
         return [], []
 
     monkeypatch.setattr(search, "fit_held", lambda *given: ([beside], [] if agree else [beside]))
-    monkeypatch.setattr(search, "more_starts", lambda problem, shape, refined, soft: refined)
+    monkeypatch.setattr(search, "refine_more_starts", lambda problem, shape, refined, soft: refined)
     monkeypatch.setattr(search, "rough_fits", rough_fits)
     monkeypatch.setattr(search, "fit_released", lambda problem, rough: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_to_tips", lambda problem, tips, placed: placed)

@@ -223,7 +223,7 @@ def test_ground_truth_on_humans(shared_data, method, bound, direction):
         assert figures.flipped_area < 0.0025
 
 
-def test_a_result_can_be_pickled_and_copied(pony):
+def test_a_result_can_be_pickled_and_copied():
     """Worker processes return results by pickle: factorisations stay behind, and are made again where needed."""
     mesh = shapes.creature()
     marks = landmarks_of(mesh, np.arange(mesh.n_vertices))

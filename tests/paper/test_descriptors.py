@@ -101,5 +101,5 @@ def test_normalised_columns():
 def test_too_small_a_spectrum_is_refused():
     with pytest.raises(ParameterError, match="at least 2 eigenvalues above 0, got 1"):
         heat_times(np.array([0.0, 3.0]), 4)
-    with pytest.raises(ParameterError, match="expected 3 filter rows"):
+    with pytest.raises(ParameterError, match="filters: expected 3 rows"):
         landmark_descriptors(np.zeros((2, 3)), np.zeros((4, 5)))

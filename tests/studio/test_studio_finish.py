@@ -27,7 +27,6 @@ from cagemap.studio.downloads import ARCHIVE_NAME, output_content
 from cagemap.studio.finish import SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
     ADVANCED,
-    NOT_ON_THE_PAGE,
     OMITTED_OPTIONS,
     SECTIONS,
     SIZE_KEY,
@@ -217,6 +216,10 @@ def test_a_message_says_where_on_the_page_its_remedy_is() -> None:
     text = explain_flags(OPTIONS, "x.png: exists. Give another name, or allow it with force (--force).")
     assert text.endswith("(On this page --force: Overwrite, under Files.)")
     assert explain_flags(OPTIONS, "too many landmarks") == "too many landmarks"
+
+
+# The page welds by itself, and its landmarks always have the direction of the match.
+NOT_ON_THE_PAGE = ("--weld", "--exchange-landmarks")
 
 
 def test_messages_name_what_to_press_on_the_page_not_options_of_the_command_line() -> None:

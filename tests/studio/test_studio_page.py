@@ -191,8 +191,8 @@ def test_models_dropped_one_after_the_other_are_opened_together(tmp_path: Path, 
     session.load.assert_not_called()
     said = [call.args[0] for call in session.note.call_args_list]
     assert said == [
-        "b.png is here. Drop the target, on the left half and the source, on the right half.",
-        "a.obj is here. Drop the source, on the right half.",
+        "b.png was added. Drop the target on the left half and the source on the right half.",
+        "a.obj was added. Drop the source on the right half.",
     ]
 
 

@@ -63,7 +63,7 @@ REFUSED = {
         several_pieces,
         "m.obj: expected a part of one connected piece",
         "got 2: ",
-        "choose one of these under Part.",
+        "Press Open… and choose one of these under Part.",
     ),
     "an address of another machine": Refusal(
         lambda place: Server("203.0.113.1", 0, None, *[lambda *given: None] * 4),

@@ -67,7 +67,10 @@ def mesh_terms(
     config: ElasticConfig,
     samples: SourceSamples,
 ) -> Terms:
-    """Data terms both ways and constraints of a mesh: source-to-target terms extend it into fingers, ears and lips."""
+    """Data terms in both directions, and constraints, of a mesh.
+
+    Source-to-target terms extend it into fingers, ears and lips.
+    """
     mesh, received = rest.mesh, rest.received
     assert mesh is not None
     assert received is not None

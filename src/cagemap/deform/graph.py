@@ -32,7 +32,7 @@ STATIONS = 60
 # Connected pieces with less than this share of the mesh's area (eyes, teeth) have no stations.
 MIN_PIECE_AREA = 0.05
 # Least length and least weight, where vertices coincide.
-TINY = 1e-9
+EPSILON = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ def cluster_graph(
     heads, tails = cell[fine.heads[across]], cell[fine.tails[across]]
     summed = sparse.coo_array((fine.weights[across] * lengths**2, (heads, tails)), shape=(k, k)).tocsr().tocoo()
     coarse_lengths = np.linalg.norm(fine.positions[vertices[summed.row]] - fine.positions[vertices[summed.col]], axis=1)
-    weights = summed.data / np.maximum(coarse_lengths, TINY) ** 2
+    weights = summed.data / np.maximum(coarse_lengths, EPSILON) ** 2
     # A cell's fine edges cover a strip as wide as a fine edge, not the cell: rescale, so that coordinates keep their
     # energy.
     scale = 2.0 * fine.areas.sum() / max(float((weights * coarse_lengths**2).sum() / 2), 1e-30)
@@ -236,7 +236,7 @@ def extrapolate(
     queried = tree.query(np.hstack([fine.positions, config.normal_length * size * fine.normals]), k=count)
     distance, nearest = (np.asarray(part).reshape(fine.n, count) for part in queried)
     # The radius is a little larger than the last distance: all neighbours may be equally far.
-    blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, TINY) ** 2
+    blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, EPSILON) ** 2
     blend /= blend.sum(axis=1, keepdims=True)
     offsets = fine.positions[:, None] - coarse.positions[nearest]
     moved = positions[nearest] + np.einsum("vkab,vkb->vka", maps[nearest], offsets)

@@ -66,12 +66,12 @@ def minimise(
     quadratic: Quadratic | None = None
     system: System | None = None
     alpha = 0.0
-    with ThreadPool(1) as aside:
+    with ThreadPool(1) as pool:
         for iteration, ramped in enumerate(stage.ramped(), start=1):
             softer, alpha = alpha, float(ramped)
             if quadratic is not None and quadratic.distance <= stage.on_surface:
                 alpha = float(max(ramped, min(stage.stiffening * softer, stage.max_stiffness)))
-            found = aside.submit(differentials, positions)
+            found = pool.submit(differentials, positions)
             last, quadratic = quadratic, terms(positions, found, alpha, quadratic)
             if system is None or quadratic is not last or alpha != softer:
                 anew = (iteration - 1) % stage.factored == 0

@@ -111,9 +111,9 @@ def fit_held(
 ) -> tuple[list[Placement], list[Placement]]:
     """Refined placements from the functional map and from the held points, and the soft coarse ones of both.
 
-    Soft ones are those from which more starts are tried (`more_starts`). There are none if both starts end in one
-    placement and no limb is in another pose: then the stiff stage is enough, and it spreads the strain more evenly. A
-    start (k, 3) replaces the functional map; it is the only start where too few points are held.
+    `refine_more_starts` takes the soft ones. There are none if both starts end in one placement and no limb is in
+    another pose: then the stiff stage is enough, and it spreads the strain more evenly. A start (k, 3) replaces the
+    functional map; it is the only start where too few points are held.
     """
     elastic, stiff = problem.prepared.elastic, problem.stiff
     # The smoothing of a stage also decides its start from the held points.
@@ -125,19 +125,19 @@ def fit_held(
 
     if start is not None and len(shape.held[0]) < FEWEST_LANDMARKS:
         return refine_placements(problem, both_stages(start)), []
-    with ThreadPool(1) as aside:  # at the same time as the functional map
-        from_points = aside.submit(both_stages, None)
+    with ThreadPool(1) as pool:  # at the same time as the functional map
+        from_points = pool.submit(both_stages, None)
         first = both_stages(start_map(problem, shape) if start is None else start)
         soft, stiff_ones = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
     refined = refine_placements(problem, stiff_ones)
     rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, elastic.search.limb_area)
-    apart = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
-    agree = apart <= elastic.search.doubtful and rotation <= elastic.search.limb_rotation
+    distance = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
+    agree = distance <= elastic.search.doubtful and rotation <= elastic.search.limb_rotation
     return refined, [] if agree else list(soft)
 
 
-def more_starts(
+def refine_more_starts(
     problem: Problem, shape: CoarseShape, refined: Sequence[Placement], soft: Sequence[Placement]
 ) -> list[Placement]:
     """Refined placements of `fit_held` and more: from spectral starts of the first soft one, and best parts of all."""

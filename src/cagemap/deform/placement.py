@@ -25,7 +25,7 @@ class Placement:
     #: (n, 3, 3) differentials; empty if not needed for extrapolation
     maps: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)), repr=False)
     graph: ElasticGraph | None = field(default=None, repr=False)  #: graph of the positions, for clusters
-    #: (n, 3) positions after `refit.finished`; placements are compared by ``positions``
+    #: (n, 3) positions after `refit.finish_placement`; placements are compared by ``positions``
     final: FloatArray | None = field(default=None, repr=False)
     #: pairs of landmarks whose source points are exchanged in this placement
     exchange: tuple[tuple[int, int], ...] = ()

@@ -123,8 +123,8 @@ class PreparedPair:
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
         fitted = source.triangles(source.hierarchy.coarsest_level(elastic.source_vertices))
-        with ThreadPool(1) as aside:
-            trees = aside.submit(lambda: (fitted.tree, source.finest_triangles.tree))
+        with ThreadPool(1) as pool:
+            trees = pool.submit(lambda: (fitted.tree, source.finest_triangles.tree))
             graph = level_graph(target, levels[0], elastic.graph)
             pair = cls._of_graph(graph, target, source, start, elastic, levels, masks)
             trees.result()
@@ -155,12 +155,12 @@ class PreparedPair:
         same_masks = np.array_equal(masks.of_target(counts[0]), own.of_target(counts[0])) and np.array_equal(
             masks.of_source(counts[1]), own.of_source(counts[1])
         )
-        followed = {
+        agreement = {
             "start": start in (self.start, StartConfig()),
             "elastic": elastic in (self.elastic, ElasticConfig()),
             "masks": same_masks or not masks.any,
         }
-        fields = [name for name, same in followed.items() if not same]
+        fields = [name for name, agrees in agreement.items() if not agrees]
         if fields:
             raise ParameterError(
                 f"match_pair: expected the {' and '.join(fields)} that the pair was prepared with, got others; prepare "

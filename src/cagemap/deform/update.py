@@ -2,8 +2,8 @@
 
 The map is an equilibrium of the fit. A moved landmark displaces its surroundings along the surface by d. The coarse
 graph resolves d: E(d, A) is quadratic, the data terms keep d in the source's tangent planes, and neither closest points
-nor the fine mesh are needed. The result is close to that of the whole fit, at a fraction of its
-time (docs/lab/fit_experiments.md).
+nor the fine mesh are needed. The result is close to that of the whole fit, at a fraction of its time
+(docs/lab/fit_experiments.md).
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ ONE_SURFACE = "vertex on vertex: they are one surface"
 def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     """Map of coincident surfaces, and its confidence; None if they do not coincide.
 
-    Landmarks and curves move closest points a little. None as well if landmarks, curves or masks contradict the map.
+    Landmarks and curves move closest points a little. It is None too if landmarks, curves or masks contradict the map.
     """
     prepared, landmarks, masks = problem.prepared, problem.landmarks, problem.prepared.masks
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
@@ -47,8 +47,8 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
         point_map = PointMap(
             target, snap_landmarks(coincidence.images(source, shifts), landmarks, prepared.elastic.projection)
         )
-    apart = f"{100 * coincidence.gap:.2f} % of the model's size apart"
-    name = f"as it stands, {apart}: vertices go to the closest points of the same side"
+    gap = f"{100 * coincidence.gap:.2f} % of the model's size apart"
+    name = f"as it stands, {gap}: vertices go to the closest points of the same side"
     answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
     return point_map, Confidence.of((answer,), count)
 

@@ -86,7 +86,9 @@ def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
     """
     k = rows.shape[1]
     if filters.shape[0] != k:
-        raise ParameterError(f"expected {k} filter rows, one for each basis function, got {filters.shape[0]}")
+        raise ParameterError(
+            f"filters: expected {k} rows, one for each basis function, got {len(filters)}. Use its eigenvalues."
+        )
     return (rows.T[:, :, None] * filters[:, None, :]).reshape(k, len(rows) * filters.shape[1])
 
 

@@ -163,7 +163,7 @@ def render_skins(
         _check_skin(model, skin)
     width, height = size
     scene = _Scene(model, camera, to_linear(background), floor)
-    seen = _cast_eye_rays(scene, camera.rays(width, height), (height, width))
+    seen = _cast_eye_rays(scene, camera.rays(width, height), size=(height, width))
     # Sky light varies slowly: additional rays reuse that of the pixel or of a neighbour.
     neighbor_openness = maximum_filter(seen.openness.reshape(height, width), 3).ravel()
     openness = np.where(seen.openness < 0, neighbor_openness, seen.openness)
@@ -175,7 +175,7 @@ def render_skins(
             for row, column in np.ndindex(samples, samples):
                 offset = ((column + 0.5) / samples, (row + 0.5) / samples)
                 rays = camera.rays(width, height, offset)[refined]
-                light += _cast_eye_rays(scene, rays, openness[refined]).radiance(scene, skin)
+                light += _cast_eye_rays(scene, rays, openness=openness[refined]).radiance(scene, skin)
             colors[refined] = to_display(light / samples**2)
         yield np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
 
@@ -250,8 +250,14 @@ class _EyeRays:
         return radiance
 
 
-def _cast_eye_rays(scene: _Scene, directions: FloatArray, openness: FloatArray | tuple[int, int]) -> _EyeRays:
-    """Cast rays from the eye, with the sky's share of every ray, or the height and width of an image to compute it."""
+def _cast_eye_rays(
+    scene: _Scene,
+    directions: FloatArray,
+    *,
+    openness: FloatArray | None = None,
+    size: tuple[int, int] | None = None,
+) -> _EyeRays:
+    """Cast rays from the eye; the sky's share of each is given, or computed for an image of size (height, width)."""
     model, camera = scene.model, scene.camera
     hits = _cast(model, _to_unit(model, camera.eye), directions)
     hit_rows = np.flatnonzero(hits["primID"] >= 0)
@@ -266,8 +272,9 @@ def _cast_eye_rays(scene: _Scene, directions: FloatArray, openness: FloatArray |
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Back faces of an open surface are lit as if they faced the eye.
     normals *= np.where(np.einsum("rd,rd->r", normals, directions[hit_rows]) > 0, -1.0, 1.0)[:, None]
-    if isinstance(openness, tuple):
-        openness = _pixel_openness(model, points, normals, hit_rows, openness)
+    if openness is None:
+        assert size is not None
+        openness = _pixel_openness(model, points, normals, hit_rows, size)
     background = np.tile(scene.background, (len(directions), 1))
     if scene.floor:
         _shade_floor(model, camera, directions, hits["primID"] < 0, background)
@@ -326,10 +333,11 @@ def _pixel_openness(
     share[sampled] = _openness(model, points[sampled], normals[sampled], _sky(SKY_DIRECTIONS))
     grid = np.zeros((*coarse.shape, 4))
     grid[coarse >= 0] = np.column_stack([share[sampled], normals[sampled]])
-    between = _doubled(_doubled(grid, height).swapaxes(0, 1), width).swapaxes(0, 1).reshape(-1, 4)[hit_rows]
-    agree = np.einsum("pd,pd->p", between[:, 1:], normals) > MIN_NORMAL_AGREEMENT
+    rows = _insert_means(grid, height).swapaxes(0, 1)
+    interpolated = _insert_means(rows, width).swapaxes(0, 1).reshape(-1, 4)[hit_rows]
+    agree = np.einsum("pd,pd->p", interpolated[:, 1:], normals) > MIN_NORMAL_AGREEMENT
     agree[sampled] = True
-    share = np.where(agree, between[:, 0], share)
+    share = np.where(agree, interpolated[:, 0], share)
     rest = np.flatnonzero(~agree)
     share[rest] = _openness(model, points[rest], normals[rest], _sky(SKY_DIRECTIONS))
     openness = np.full(height * width, -1.0)
@@ -337,7 +345,7 @@ def _pixel_openness(
     return openness
 
 
-def _doubled(grid: FloatArray, length: int) -> FloatArray:
+def _insert_means(grid: FloatArray, length: int) -> FloatArray:
     """(length, ...) rows of a grid, with the means of neighbours between them."""
     rows = np.empty((length, *grid.shape[1:]))
     rows[::2] = grid

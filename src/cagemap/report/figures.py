@@ -243,8 +243,11 @@ def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
     return np.where(odd, np.array([0.20, 0.45, 0.55]), np.array([0.93, 0.90, 0.84]))
 
 
-def display_image(image: Pixels) -> FloatArray:
-    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels; floats are linear."""
+def display_image(image: Pixels, *, is_data: bool = False) -> FloatArray:
+    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels.
+
+    Floats are linear colours, or with ``is_data`` values that are shown unchanged.
+    """
     pixels = np.asarray(image)
     if np.issubdtype(pixels.dtype, np.integer):
         scale = 1.0 / np.iinfo(pixels.dtype).max
@@ -256,7 +259,8 @@ def display_image(image: Pixels) -> FloatArray:
     height, width = (length // step * step for length in pixels.shape[:2])
     blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
     shown = blocks.mean(axis=(1, 3), dtype=np.float32) * np.float32(scale)
-    return to_display(shown).astype(np.float32) if pixels.dtype.kind == "f" else np.clip(shown, 0.0, 1.0)
+    is_linear = pixels.dtype.kind == "f" and not is_data
+    return to_display(shown).astype(np.float32) if is_linear else np.clip(shown, 0.0, 1.0)
 
 
 # View, skin of the source, skin of the target, whether landmarks and curves are drawn.

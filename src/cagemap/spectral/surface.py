@@ -305,7 +305,7 @@ def prepare_surfaces(
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")
-    with one_blas_thread(), ThreadPool(1) as aside:  # before the threads start: the setting is global
-        aside.submit(load_kernels)  # in parallel: refinement needs no kernels
+    with one_blas_thread(), ThreadPool(1) as pool:  # before the threads start: the setting is global
+        pool.submit(load_kernels)  # in parallel: refinement needs no kernels
         surfaces = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
     return surfaces[0], surfaces[1]

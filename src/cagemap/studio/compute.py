@@ -20,7 +20,7 @@ from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList, SideNames
 from cagemap.studio.models import OpenedModel, converted_model, open_model, with_texture
-from cagemap.studio.poses import NO_CHARACTER, animated_character, animation_poses, pose_shapes
+from cagemap.studio.poses import animated_character, animation_poses, pose_shapes
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
@@ -204,10 +204,14 @@ def run_task(
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
     """Read, check and refine both models."""
     progress("reading the models")
-    paths, notes = zip(*(converted_model(path, files.folder) for path in (files.target, files.source)), strict=True)
+    paths, conversions = zip(
+        *(converted_model(path, files.folder) for path in (files.target, files.source)), strict=True
+    )
     sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
     models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
-    target, source = (replace(model, notes=(*said, *model.notes)) for said, model in zip(notes, models, strict=True))
+    target, source = (
+        replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
+    )
     image = files.texture or extract_texture(paths[1], source.control, files.folder)
     if image is not None:
         progress("reading the texture")
@@ -287,9 +291,8 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
     cache = replace(cache, source=replace(source, shape=shape))
     skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
-    if cache.character is None:
-        assert source.path is not None
-        cache = replace(cache, character=animated_character(source.path))
+    character = _source_character(cache)
+    cache = replace(cache, character=character)
     map_state = MapState(
         answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,
@@ -299,7 +302,7 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         seconds=time.perf_counter() - start_time,
         suggestion=_suggested_vertex(cache, result),
-        poses=tuple(animation_poses(cache.character or NO_CHARACTER)),
+        poses=tuple(animation_poses(character)),
     )
     return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state)
 
@@ -318,6 +321,13 @@ def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:
     runners_up = np.array(others).reshape(len(others), count, 3)
     trust = result.quality.trust[:count]
     return int(suggested_vertices(finest.positions[:count], images, runners_up, trust, landmark_vertices, 1)[0])
+
+
+def _source_character(cache: PreviewCache) -> Character:
+    """The source's file as an animated character, read once."""
+    _, source = _opened_models(cache)
+    assert source.path is not None
+    return cache.character or animated_character(source.path)
 
 
 def _landmark_strain(result: MatchResult) -> dict[str, float]:
@@ -341,8 +351,7 @@ def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
     preview_map = task.preview_map
     shapes = target.shape, align_facing(source.shape, target.shape, preview_map)
     if task.pose:
-        assert cache.pair_files is not None
-        character = cache.character or animated_character(cache.pair_files.source)
+        character = _source_character(cache)
         pose = animation_poses(character).get(task.pose)
         if pose is None or preview_map is None:
             raise ParameterError(f"Pose: expected a pose of the source, and a map, got {task.pose!r}. Choose another.")

@@ -244,8 +244,6 @@ PAGE_WORDS = {
     "--answer 1": "the other button above Match again",
     "--unwrap": "the studio does this when it bakes",
 }
-# Options of `OPTION_NAMES` that the page does not have: it welds by itself, and landmarks are always in its direction.
-NOT_ON_THE_PAGE = ("--weld", "--exchange-landmarks")
 
 
 def in_page_words(text: str) -> str:

@@ -22,7 +22,7 @@ from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows
 from cagemap.files.values.rigs import read_shapes
 from cagemap.maps.result import MatchResult
-from cagemap.pictures import UP_AXES, to_display
+from cagemap.pictures import UP_AXES
 from cagemap.report import (
     BakedImage,
     CarriedData,
@@ -57,17 +57,17 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
         check_outputs([output], [texture], force=force)
     shown_texture = None if texture is None else read_texture(texture)
     pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
-    baked, worn = None, None
+    baked, baked_entry = None, None
     for entry in known:
         shown = entry.get("level", whole.target.refinement.n_levels) == result.target.refinement.n_levels
         if shown and texture is not None and _same(folder / entry["image"], texture):
             try:
                 result, baked = _baked(folder, result, entry)
-                worn = entry if baked is not None else worn
+                baked_entry = entry if baked is not None else baked_entry
             except FormatError as error:
                 _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
                 continue
-    carried = replace(carried_data(folder, result), images=_baked_images(folder, result, worn))
+    carried = replace(carried_data(folder, result), images=_baked_images(folder, result, baked_entry))
     stages("draw")
     file = input_file(folder, result.manifest, "target")
     upright, reason = None if file is None else upright_turn(file), "as its file says"
@@ -94,11 +94,11 @@ def carried_data(folder: Path, result: MatchResult) -> CarriedData:
     return carried
 
 
-def _baked_images(folder: Path, result: MatchResult, worn: dict[str, Any] | None) -> tuple[BakedImage, ...]:
-    """All baked images in the manifest whose files still exist, without the one that the models wear."""
+def _baked_images(folder: Path, result: MatchResult, left_out: dict[str, Any] | None) -> tuple[BakedImage, ...]:
+    """All baked images in the manifest whose files still exist, except one that the models are drawn with."""
     images = list[BakedImage]()
     for entry in result.manifest.get("transfers", []):
-        if "tiles" not in entry or entry is worn:
+        if "tiles" not in entry or entry is left_out:
             continue
         try:
             images.append(_baked_image(folder, result, entry))
@@ -119,13 +119,12 @@ def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> Ba
     if control.uvs is None:
         raise FormatError(f"{control.name} has no texture coordinates (any more)")
     kind = entry["kind"].removeprefix("bake-").replace("-", " ").replace("colors", "colours")
-    if kind.endswith("displacement"):
-        low, high = (float(f([f(image) for image in pixels.values()])) for f in (np.min, np.max))
-        shown = {tile: display_image((image - low) / (high - low or 1.0)) for tile, image in pixels.items()}
-    else:
-        is_linear = next(iter(pixels.values())).dtype.kind == "f" and not kind.startswith("normal")
-        shown = {tile: display_image(image) for tile, image in pixels.items()}
-        shown = {tile: to_display(image) if is_linear else image for tile, image in shown.items()}
+    is_displacement = kind.endswith("displacement")
+    if is_displacement:
+        low, high = (float(bound([bound(image) for image in pixels.values()])) for bound in (np.min, np.max))
+        pixels = {tile: (image - low) / (high - low or 1.0) for tile, image in pixels.items()}
+    is_data = is_displacement or kind.startswith("normal")
+    shown = {tile: display_image(image, is_data=is_data) for tile, image in pixels.items()}
     title = "ambient occlusion" if kind == "ao" else " ".join(filter(None, [kind, entry.get("map")]))
     return BakedImage(f"{title}: {file}", shown, control)
 

@@ -158,8 +158,8 @@ def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
     if _is_usd(request.like):  # the bind pose in metres with Y up
         places[1] = np.concatenate([part.mesh.positions for part in read_usd_character(request.like).parts])
     vertices = [
-        nearest(part.mesh.positions, of_mesh[points.nearest_vertices])
-        for part, of_mesh, points in zip(
+        nearest(part.mesh.positions, positions[points.nearest_vertices])
+        for part, positions, points in zip(
             (target, source), places, (file_landmarks.target_points, file_landmarks.source_points), strict=True
         )
     ]

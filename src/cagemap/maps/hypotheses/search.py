@@ -9,8 +9,8 @@ from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
     fit_held,
-    more_starts,
     refine_cheapest,
+    refine_more_starts,
     sort_by_cost,
     spectral_starts,
     start_map,
@@ -180,7 +180,7 @@ def search(
     progress("elastic alignment")
     if held:
         (shape, refined, soft), *others = sorted(held, key=lambda fits: fits[1][0].rank)
-        best = more_starts(problem, shape, refined, soft) if soft else refined
+        best = refine_more_starts(problem, shape, refined, soft) if soft else refined
         placements += [*best[: None if has_start else 1], *(refined[0] for _, refined, _ in others)]
     floor, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
     config = problem.prepared.elastic.search
@@ -208,9 +208,9 @@ def search(
 def search_directions(
     problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
 ) -> list[Placement]:
-    """Placements of `search`; for a part and a whole those of the reverse problem too: often one direction fails.
+    """Placements of `search`; for a part and a whole those of the reverse problem too.
 
-    Figures: docs/lab/parts.md.
+    There one direction often fails (docs/lab/parts.md).
     """
     placements = search(problem, progress, show=show)
     if problem.prepared.mesh.is_open == problem.prepared.source_surface.is_open:
@@ -223,7 +223,7 @@ def search_directions(
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
     """(n, 3) fitted positions of the target's deformed level near the source: the first of `search`.
 
-    In the unit in which the source has area 1.
+    The source has area 1 in their unit.
     """
     return search(Problem(prepared, pair.landmarks), progress)[0].answer
 

@@ -155,7 +155,7 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
 
 
 def confirmed_pairs(problem: Problem, point_map: PointMap, left_out: Collection[int]) -> set[int]:
-    """Those of the pairs left out of a map that the map confirms."""
+    """Indices of pairs that were left out of a map and that the map confirms."""
     confirmed = problem.prepared.elastic.landmarks.confirmed
     return {i for i in left_out if landmark_miss(problem, point_map, i)[0] < confirmed}
 

@@ -108,11 +108,11 @@ class Actions:
             return
         self._dropped = chosen
         missing = [
-            f"the {side}, on the {half} half"
+            f"the {side} on the {half} half"
             for side, half, model in (("target", "left", target), ("source", "right", source))
             if model is None
         ]
-        self._session.note(f"{path.name} is here. Drop {' and '.join(missing)}.")
+        self._session.note(f"{path.name} was added. Drop {' and '.join(missing)}.")
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images
