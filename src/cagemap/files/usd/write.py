@@ -18,11 +18,12 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
-from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
+from cagemap.files.usd.read import identifiers, open_stage, usd_modules
 from cagemap.files.usd.results import add_earlier, bind_textures, define_material
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.schemes import scheme_name
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
