@@ -288,7 +288,7 @@ def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("names", ["a.mtl b.mtl gone.mtl", "a b.mtl"])
+@pytest.mark.parametrize("names", ["a.mtl b.mtl gone.mtl", "a b.mtl", f"a.mtl {60 * 'gone.mtl '}b.mtl"])
 def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path: Path, names: str) -> None:
     for name in ("a.mtl", "b.mtl", "a b.mtl"):
         (tmp_path / name).write_text(f"newmtl {name[:-4]}\nKd 0.5 0.25 1\n")

@@ -109,7 +109,7 @@ def referred_files(path: Path) -> list[Path]:
     suffix = path.suffix.lower()
     try:
         if suffix == ".obj":
-            return material_files(path)
+            return material_files(path, read_text(path, "an OBJ file"))
         if suffix == ".gltf":
             names = re.findall(r'"uri"\s*:\s*"([^"]{1,1000})"', read_text(path, "a glTF file"))
             return [file for name in names if (file := path.parent / unquote(name)).is_file()]
