@@ -182,9 +182,8 @@ def check_usd_path(file: Path, *, package: bool = False) -> None:
     """Refuse a name without a suffix of USD layers (or packages), or one that is not UTF-8."""
     text_name(file.absolute())
     if file.suffix.lower() not in (".usd", ".usda", ".usdc", *((".usdz",) if package else ())):
-        raise FormatError(
-            f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."
-        )
+        remedy = "Give such a name." if package else "Packages (.usdz) are made from those."
+        raise FormatError(f"{file}: expected a name ending in .usda, .usdc{', .usdz' * package} or .usd. {remedy}")
 
 
 def _save(layer: Any, file: Path, added_to: Sequence[str], *, force: bool) -> bool:
@@ -254,7 +253,8 @@ def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> Non
 def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[str, Any] | None = None) -> None:
     """Write materials as subsets with bindings, and groups as plain subsets.
 
-    ``materials``: materials of the stage by name; default: new ones with the mesh's colours.
+    ``materials``: materials of the stage by name, of which one on all faces needs no subset; default: new ones with the
+        mesh's colours.
     """
     pxr = usd_modules()
     named = named_faces(mesh)
