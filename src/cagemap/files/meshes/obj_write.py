@@ -146,6 +146,9 @@ def write_obj_layout(
         raise FormatError(
             f"{laid_out.name}: expected texture coordinates to write to {file}, the mesh has none. `unwrap` makes them."
         )
+    library_file = file.with_suffix(".mtl")
+    for written in (library_file, file):
+        require_replaceable(written, force=force)
     known = read_obj(kept)
     if known.face_indices.tolist() != laid_out.face_indices.tolist() or len(known.face_offsets) != len(
         laid_out.face_offsets
@@ -165,7 +168,6 @@ def write_obj_layout(
     uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
     numbers = iter((laid_out.uv_indices + 1).tolist())
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
-    library_file = file.with_suffix(".mtl")
     write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)
     write_whole(file, f"# {mark()}\nmtllib {library_file.name}\n{head}{uvs}{faces}", force=force)
 
