@@ -148,16 +148,16 @@ def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> No
     np.testing.assert_allclose(alone[0].mesh.positions, found.parts[0].mesh.positions, atol=1e-6)
 
 
-def test_several_skeletons_are_refused_and_missing_images_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     made, document = painted()
     path = tmp_path / "C.usda"
     write_usd_character(path, made, read_scene(document))
+    path.write_text(path.read_text().replace("(\n", "(\n    subLayers = [@./gone.usda@]\n", 1))
     (tmp_path / "C_body_emissive.png").unlink()
     with caplog.at_level(logging.WARNING):
         found = usd_document(path)
-    assert "C.usda: body: the image of its emissiveColor is left out" in caplog.text
+    assert caplog.text.count("Could not load sublayer") == 1
+    assert caplog.text.count("C.usda: body: the image of its emissiveColor is left out") == 1
     assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
     write_usd_character(tmp_path / "P.usdz", made, read_scene(document))
     content = (tmp_path / "P.usdz").read_bytes()
@@ -166,6 +166,12 @@ def test_several_skeletons_are_refused_and_missing_images_named(
     with caplog.at_level(logging.WARNING):
         usd_document(tmp_path / "P.usdz")
     assert "P.usdz: body: the image of its " in caplog.text
+
+
+def test_several_skeletons_are_refused(tmp_path: Path) -> None:
+    made, document = painted()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(document))
     stage = Usd.Stage.Open(str(path))
     other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
     UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])

@@ -22,7 +22,15 @@ from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, stated
-from cagemap.files.usd.read import UsdMesh, in_world, named_damage, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd.read import (
+    UsdMesh,
+    in_world,
+    named_damage,
+    open_stage,
+    opened_once,
+    read_usd_meshes,
+    usd_modules,
+)
 from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
@@ -37,9 +45,8 @@ def usd_document(path: str | Path) -> Document:
     Subdivision schemes are left out, since glTF has none. Materials are those of `cagemap.files.usd.shaders`.
     """
     file = Path(path)
-    stage = open_stage(file)
-    with named_damage(file):
-        meshes = read_usd_meshes(file)
+    with named_damage(file), opened_once():
+        stage, meshes = open_stage(file), read_usd_meshes(file)
         character, weights = _read(file, stage, meshes)
         document = replace(character_glb(character), file=file)
         geometry = usd_modules().UsdGeom
@@ -56,7 +63,7 @@ def usd_document(path: str | Path) -> Document:
 
 def read_usd_character(path: str | Path) -> Character:
     """Read a USD file as a character: meshes as parts, with the vertices of `cagemap.files.usd.read.read_usd`."""
-    with named_damage(path):
+    with named_damage(path), opened_once():
         return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
 
 

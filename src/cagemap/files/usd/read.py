@@ -121,6 +121,15 @@ def open_stage(path: str | Path) -> Any:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
 
 
+@contextmanager
+def opened_once() -> Iterator[None]:
+    """Have `open_stage` open every file once in the block, so that its warnings are not repeated."""
+    usd = usd_modules().Usd
+    cache = usd.StageCache()
+    with usd.StageCacheContext(cache):
+        yield
+
+
 def layer_files(path: str | Path) -> list[Path]:
     """Files of all layers that a USD file is composed of, itself included."""
     stage = open_stage(path)  # its layers end with it
