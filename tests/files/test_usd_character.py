@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cagemap.character.poses import interpolated, pose_at, world_transforms
+from cagemap.character.poses import interpolate_keys, pose_at, world_transforms
 from cagemap.character.values import Character, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
@@ -49,7 +49,7 @@ def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) ->
         shaped = part.mesh.positions.copy()
         for shape, offsets in part.shapes.items():
             if (part.name, shape) in keys:
-                weight = interpolated(*keys[part.name, shape], np.array([seconds]), turns=False)[0, 0]
+                weight = interpolate_keys(*keys[part.name, shape], np.array([seconds]), quaternions=False)[0, 0]
                 shaped += weight * offsets
         found[part.name] = skinned_positions(replace(part, mesh=part.mesh.with_positions(shaped)), made.rig, transforms)
     return found
