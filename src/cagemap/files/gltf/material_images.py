@@ -98,11 +98,11 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
     data, suffix = image_bytes(document, texture.image)
     if suffix not in IMAGE_SUFFIXES:
         return None
-    return write_beside(folder / f"{path.stem}_texture{suffix}", data)
+    return write_numbered(folder / f"{path.stem}_texture{suffix}", data)
 
 
-def write_beside(file: Path, data: bytes) -> Path:
-    """Write a file, numbered if another one that cagemap did not write has its name; returns the path."""
+def write_numbered(file: Path, data: bytes) -> Path:
+    """Write a file; its name gets a number if another program wrote such a file. Returns the path."""
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
     free = next(file for file in files if not file.exists() or is_own(file) or file.read_bytes() == data)
     if is_own(free) or not free.exists():

@@ -127,7 +127,8 @@ class _Materials:
             if not slot:  # the opacity of glTF is in the image of the colour
                 fits &= images == {self._image(_shader(surface, "diffuseColor", "UsdUVTexture"))}
             if len(images) > 1 or None in images or not fits:
-                _log.warning("%s: %s: the image of its %s is left out", self._file, entry["name"], "/".join(outputs))
+                text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
+                _log.warning(text, self._file, entry["name"], "/".join(outputs))
             elif slot:
                 texture = next(iter(pairs.values()))
                 in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
