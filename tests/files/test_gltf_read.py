@@ -323,17 +323,6 @@ def test_nodes_that_are_refused(nodes: list[dict[str, Any]], message: str) -> No
         read_nodes(_changed(arm(), nodes=nodes, scenes=[{"nodes": [0]}]))
 
 
-def test_a_mirrored_node_keeps_its_outside() -> None:
-    make = Maker()
-    box = cube()
-    indices = box.face_indices.reshape(6, 4)[:, [0, 1, 2, 0, 2, 3]].ravel()
-    mesh = {"attributes": {"POSITION": make.add(box.positions)}, "indices": make.add(indices, "<u2")}
-    document = make.document(nodes=[{"mesh": 0, "scale": [-1, 1, 1]}], meshes=[{"primitives": [mesh]}])
-    read = character_of(document).parts[0].mesh
-    a, b, c = (read.positions[read.face_indices[k::3]] for k in range(3))
-    assert np.einsum("ni,ni->", a, np.cross(b, c)) > 0
-
-
 def test_copies_of_an_instanced_mesh_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     maker = Maker()
     attributes = {"POSITION": maker.add(np.eye(3))}

@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes.formats import check_mesh_path, read_mesh, write_mesh
 from cagemap.files.meshes.obj import read_obj
-from cagemap.files.meshes.obj_write import write_obj, write_obj_positions
+from cagemap.files.meshes.obj_write import write_obj, write_obj_layout, write_obj_positions
 from cagemap.mesh import ControlMesh
+
+from example_result import textured_cube
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 # What str.splitlines and friends take for line ends or blanks may stand inside a name.
@@ -288,7 +290,7 @@ def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("names", ["a.mtl b.mtl gone.mtl", "a b.mtl"])
+@pytest.mark.parametrize("names", ["a.mtl b.mtl gone.mtl", "a b.mtl", f"a.mtl {60 * 'gone.mtl '}b.mtl"])
 def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path: Path, names: str) -> None:
     for name in ("a.mtl", "b.mtl", "a b.mtl"):
         (tmp_path / name).write_text(f"newmtl {name[:-4]}\nKd 0.5 0.25 1\n")
@@ -297,3 +299,12 @@ def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path: Path, name
     (original,) = tmp_path.glob("*.obj")
     write_obj_positions(tmp_path / "copies/moved.obj", original, mesh)
     np.testing.assert_array_equal(read_obj(tmp_path / "copies/moved.obj").material_colors, [[0.5, 0.25, 1.0]])
+
+
+def test_a_layout_over_a_file_of_others_writes_nothing(tmp_path: Path) -> None:
+    mesh = textured_cube("a.obj")
+    write_mesh(tmp_path / "a.obj", mesh)
+    (tmp_path / "o.obj").write_text("mine")
+    with pytest.raises(FormatError, match="not written by cagemap"):
+        write_obj_layout(tmp_path / "o.obj", tmp_path / "a.obj", mesh, {})
+    assert not (tmp_path / "o.mtl").exists()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cagemap.character.poses import interpolated, pose_at, world_transforms
+from cagemap.character.poses import interpolate_keys, pose_at, world_transforms
 from cagemap.character.values import Character, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
@@ -20,6 +20,7 @@ from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import material_images
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.images.image import read_image, write_image
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
@@ -48,7 +49,7 @@ def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) ->
         shaped = part.mesh.positions.copy()
         for shape, offsets in part.shapes.items():
             if (part.name, shape) in keys:
-                weight = interpolated(*keys[part.name, shape], np.array([seconds]), turns=False)[0, 0]
+                weight = interpolate_keys(*keys[part.name, shape], np.array([seconds]), quaternions=False)[0, 0]
                 shaped += weight * offsets
         found[part.name] = skinned_positions(replace(part, mesh=part.mesh.with_positions(shaped)), made.rig, transforms)
     return found
@@ -168,8 +169,6 @@ def test_materials_keep_factors_images_and_transforms(tmp_path: Path) -> None:
 def test_images_are_those_of_the_document(tmp_path: Path) -> None:
     """Beside a layer, or in a package; a JPEG stays one, with cagemap's mark."""
     made, document = painted()
-    from cagemap.files.images.image import read_image, write_image
-
     write_image(tmp_path / "noise.jpg", np.random.default_rng(0).integers(0, 255, (8, 8, 3), np.uint8))
     binary, top = Binary(document), json.loads(json.dumps(document.json))
     picture = (tmp_path / "noise.jpg").read_bytes()
@@ -212,6 +211,7 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="not written by cagemap"):
         _written(tmp_path / "NEW.usda", made, document)
     assert (tmp_path / "NEW.usda").read_text() == "mine"
+    assert not list(tmp_path.glob("NEW_*"))
 
 
 def test_an_incomplete_file_is_not_moved_into_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

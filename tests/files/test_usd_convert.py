@@ -24,6 +24,8 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
+from cagemap.files.usd.materials import STRENGTH
+from cagemap.mesh.faces import reversed_corners
 
 from usd_characters import lively, painted, posed, with_shape_weights
 
@@ -65,8 +67,9 @@ def test_a_written_character_comes_back(tmp_path: Path) -> None:
 
 
 def test_materials_come_back(tmp_path: Path) -> None:
-    """Factors, opacity, images with their UV set, transform and sampler; what is written has no normal strength."""
+    """Factors, opacity, images with their UV set, transform and sampler; USD has no place for the normal's strength."""
     made, document = painted()
+    document.json["materials"][0]["extensions"] = {STRENGTH: {"emissiveStrength": 4.0}}
     write_usd_character(tmp_path / "C.usda", made, read_scene(document))
     found = usd_document(tmp_path / "C.usda")
     assert material_names(found) == ("body", "hat", "eye")
@@ -78,6 +81,10 @@ def test_materials_come_back(tmp_path: Path) -> None:
         for key, factor in before["pbrMetallicRoughness"].items():
             if key.endswith("Factor") and (key != "baseColorFactor" or name != "eye"):
                 assert after["pbrMetallicRoughness"][key] == pytest.approx(factor), (name, key)
+    body = found.entry("materials", 0)
+    assert body["occlusionTexture"]["strength"] == pytest.approx(0.25)
+    assert body["extensions"][STRENGTH]["emissiveStrength"] == pytest.approx(4.0)
+    assert STRENGTH in found.json["extensionsUsed"]
     images = [material_images(of, "body") for of in (document, found)]
     assert {one.slot for one in images[0]} == {one.slot for one in images[1]}
     uvs = np.random.default_rng(0).random((9, 2))
@@ -89,9 +96,30 @@ def test_materials_come_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(*pixels)
     hats = [next(one for one in character_of(of).parts if one.name == "hat") for of in (document, found)]
     np.testing.assert_allclose(hats[1].normals, hats[0].normals, atol=1e-6)
-    color = found.entry("materials", 0)["pbrMetallicRoughness"]["baseColorTexture"]
+    color = body["pbrMetallicRoughness"]["baseColorTexture"]
     sampler = found.entry("samplers", found.entry("textures", color["index"])["sampler"])
     assert sampler == {"wrapS": 33071, "wrapT": 33648}
+
+
+@pytest.mark.parametrize("left_handed", [False, True])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, sign: float) -> None:
+    """Faces are reversed if they are left-handed or mirrored, but not if they are both."""
+    made, document = painted()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(document))
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetPrimAtPath("/Asset/hat")
+    UsdGeom.Mesh(prim).CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+    UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr().Set(Gf.Matrix4d().SetScale((sign, 1.0, 1.0)))
+    stage.Save()
+    found = next(part for part in read_usd_character(path).parts if part.name == "hat")
+    hat = made.parts[1]
+    assert hat.normals is not None
+    corners = np.arange(len(hat.normals))
+    corners = corners if left_handed == (sign < 0) else reversed_corners(hat.mesh.face_offsets)
+    np.testing.assert_array_equal(found.mesh.face_indices, hat.mesh.face_indices[corners])
+    np.testing.assert_allclose(found.normals, hat.normals[corners] * [sign, 1, 1], atol=1e-6)
 
 
 def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> None:
@@ -120,16 +148,16 @@ def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> No
     np.testing.assert_allclose(alone[0].mesh.positions, found.parts[0].mesh.positions, atol=1e-6)
 
 
-def test_several_skeletons_are_refused_and_missing_images_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     made, document = painted()
     path = tmp_path / "C.usda"
     write_usd_character(path, made, read_scene(document))
+    path.write_text(path.read_text().replace("(\n", "(\n    subLayers = [@./gone.usda@]\n", 1))
     (tmp_path / "C_body_emissive.png").unlink()
     with caplog.at_level(logging.WARNING):
         found = usd_document(path)
-    assert "C.usda: body: the image of its emissiveColor is left out" in caplog.text
+    assert caplog.text.count("Could not load sublayer") == 1
+    assert caplog.text.count("C.usda: body: the image of its emissiveColor is left out") == 1
     assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
     write_usd_character(tmp_path / "P.usdz", made, read_scene(document))
     content = (tmp_path / "P.usdz").read_bytes()
@@ -138,6 +166,12 @@ def test_several_skeletons_are_refused_and_missing_images_named(
     with caplog.at_level(logging.WARNING):
         usd_document(tmp_path / "P.usdz")
     assert "P.usdz: body: the image of its " in caplog.text
+
+
+def test_several_skeletons_are_refused(tmp_path: Path) -> None:
+    made, document = painted()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(document))
     stage = Usd.Stage.Open(str(path))
     other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
     UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])

@@ -92,17 +92,19 @@ def check_joints(rig: Rig, animation: Animation) -> None:
 
 def track_value(track: Track, time: float) -> FloatArray:
     """Value of a track at a time, (3,) or (4,) float64, interpolated as glTF 2.0 says."""
-    turns = track.channel == "rotation"
-    return interpolated(track.times, track.values, track.interpolation, np.array([time]), turns=turns)[0]
+    quaternions = track.channel == "rotation"
+    return interpolate_keys(track.times, track.values, track.interpolation, np.array([time]), quaternions=quaternions)[
+        0
+    ]
 
 
-def interpolated(
-    times: FloatArray, values: FloatArray, interpolation: Interpolation, wanted: FloatArray, *, turns: bool
+def interpolate_keys(
+    times: FloatArray, values: FloatArray, interpolation: Interpolation, wanted: FloatArray, *, quaternions: bool
 ) -> FloatArray:
-    """Values (m, q) between keys at the ``wanted`` times (m,); outside, those of the first and last key.
+    """Values (m, q) of keys at the ``wanted`` times (m,); before the first and after the last key, theirs.
 
     ``times``, ``values``: of the keys, see `cagemap.character.values.Track`.
-    ``turns``: whether the values are quaternions.
+    ``quaternions``: whether the values are quaternions.
     """
     keys = values[:, 1] if interpolation == "CUBICSPLINE" else values
     if len(times) == 1:
@@ -119,8 +121,8 @@ def interpolated(
         square, cube = share**2, share**3
         between = (2 * cube - 3 * square + 1) * start + (cube - 2 * square + share) * leaving
         between = between + (3 * square - 2 * cube) * end + (cube - square) * arriving
-        between = between / np.linalg.norm(between, axis=1, keepdims=True) if turns else between
-    elif turns:
+        between = between / np.linalg.norm(between, axis=1, keepdims=True) if quaternions else between
+    elif quaternions:
         first = Rotation.from_quat(start)
         change = (first.inv() * Rotation.from_quat(end)).as_rotvec()
         between = (first * Rotation.from_rotvec(share * change)).as_quat()

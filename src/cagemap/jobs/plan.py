@@ -146,11 +146,9 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
         if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
             sides = []  # parts are known only when both meshes have been read
         surfaces = [planner.prepare(asset, side, options) for side, asset in sides]
-        tasks |= {task.name: task for task in surfaces}
         match = planner.match(source, target, options, surfaces)
-        tasks[match.name] = match
         picture = planner.picture(match)
-        tasks[picture.name] = picture
+        tasks |= {task.name: task for task in (*surfaces, match, picture)}
         earlier: list[Task] = []
         for output_rule in sorted(job.outputs, key=lambda rule: rule.command == "report"):
             task = planner.output(output_rule, source, target, match, earlier)

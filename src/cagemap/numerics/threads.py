@@ -169,7 +169,7 @@ else:
         """Cached property: computed once, when first read; other threads wait.
 
         `functools.cached_property` has one lock for all instances of a class, and none from Python 3.12 on. Here every
-        instance has its own lock during the computation. Pickles and deep copies leave such values out.
+        instance has its own lock during the computation. Pickles and copies leave such values out.
         """
 
         def __set_name__(self, owner, name):

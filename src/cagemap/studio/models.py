@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.fbx.read import fbx_as_glb
-from cagemap.files.gltf.material_images import write_beside
+from cagemap.files.gltf.material_images import write_numbered
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.usd.space import upright_turn
@@ -159,7 +159,7 @@ def converted_model(path: Path, folder: Path) -> tuple[Path, tuple[str, ...]]:
     """An FBX file as a GLB in a folder, and a note about it; any other file as it is."""
     if path.suffix.lower() != ".fbx":
         return path, ()
-    converted = write_beside(folder / f"{path.stem}.glb", fbx_as_glb(path))
+    converted = write_numbered(folder / f"{path.stem}.glb", fbx_as_glb(path))
     return converted, (f"{path.name} is converted: {converted.name} is used in its place",)
 
 

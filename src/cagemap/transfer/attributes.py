@@ -26,8 +26,8 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     """Pull values of the source's control faces back to the target's control faces.
 
     Each refined target triangle takes the value at its centre's image. A control face takes the area-weighted mean of
-    its triangles' values. Integers (materials, groups) are labels, also a row of several: the one with the largest
-    area is taken.
+    its triangles' values. Integers (materials, groups), or rows of them, are labels: the one with the largest area is
+    taken.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     ParameterError
         If sizes, channels or number types differ, or the images are of signed integers.
     """
-    baked, weight = _checked(baked, weight)
+    baked, weight = _image_and_weight(baked, weight)
     base = as_pixels(base)
     if baked.shape != base.shape or baked.dtype != base.dtype:
         raise ParameterError(
@@ -125,7 +125,7 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     ParameterError
         If the weight has another size, or the image is of signed integers.
     """
-    baked, weight = _checked(baked, weight)
+    baked, weight = _image_and_weight(baked, weight)
     full = unit(baked.dtype)
     has_alpha = baked.shape[2] in (2, 4)
     alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else full)
@@ -133,11 +133,12 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     return np.concatenate([colors, to_dtype(alpha, baked.dtype)], axis=2)
 
 
-def _checked(baked: Pixels, weight: Pixels) -> tuple[Pixels, Pixels]:
-    """An image (h, w, c) and its weight (h, w, 1) as arrays."""
+def _image_and_weight(baked: Pixels, weight: Pixels) -> tuple[Pixels, Pixels]:
+    """An image (h, w, c) and its weight (h, w, 1) as arrays; refused if their sizes differ."""
     shapes = np.shape(array_of(baked)), np.shape(array_of(weight))
     if len(shapes[0]) != 3 or shapes[1] != (*shapes[0][:2], 1):
         raise ParameterError(
-            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {shapes[0]} and {shapes[1]}"
+            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {shapes[0]} and {shapes[1]}. "
+            "Bake the mask with the size of the image."
         )
     return as_pixels(baked), array_of(weight)

@@ -12,7 +12,8 @@ import ufbx
 from cagemap.errors import FormatError
 from cagemap.files.fbx.meshes import get, held, items
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.entries import image_suffix
+from cagemap.files.gltf.entries import image_suffix, image_type
+from cagemap.files.gltf.textures import CLAMP, REPEAT
 from cagemap.numerics.arrays import FloatArray
 
 # Material maps of ufbx, and the texture slots of glTF.
@@ -22,7 +23,6 @@ _SLOTS = {
     "emission_color": "emissiveTexture",
     "ambient_occlusion": "occlusionTexture",
 }
-_REPEAT, _CLAMP = 10497, 33071  # wrap modes of glTF
 # Relative to the largest number of a transform.
 _ROUNDING = 1e-5
 
@@ -106,7 +106,7 @@ class Materials:
     def _sampler(self, texture: Any) -> int:
         """Number of the sampler with a texture's wrap modes."""
         modes = {name: get(texture, stated) for name, stated in (("wrapS", "wrap_u"), ("wrapT", "wrap_v"))}
-        sampler = {name: _CLAMP if mode == ufbx.WrapMode.CLAMP else _REPEAT for name, mode in modes.items()}
+        sampler = {name: CLAMP if mode == ufbx.WrapMode.CLAMP else REPEAT for name, mode in modes.items()}
         if sampler not in self.lists["samplers"]:
             self.lists["samplers"].append(sampler)
         return self.lists["samplers"].index(sampler)
@@ -121,7 +121,7 @@ class Materials:
             kept = data if suffix in (".png", ".jpg") else _as_png(data, PurePosixPath(_stated(texture)).suffix)
             if kept is None:
                 return None
-            kind = "image/jpeg" if suffix == ".jpg" else "image/png"
+            kind = image_type(".jpg" if suffix == ".jpg" else ".png")
             self._image_of[data] = len(self.lists["images"])
             self.lists["images"].append({"bufferView": self._binary.view(kept), "mimeType": kind})
         return self._image_of[data]

@@ -67,10 +67,10 @@ def read_animations(scene: Scene) -> tuple[Animation, ...]:
 ShapeKeys = tuple[FloatArray, FloatArray, Interpolation]
 
 
-def read_shape_keys(scene: Scene, animation: int) -> dict[tuple[str, str], ShapeKeys]:
-    """Weights of blend shapes in an animation, by part and shape; those that it does not move, as stated.
+def read_shape_keys(scene: Scene, animation: int | None) -> dict[tuple[str, str], ShapeKeys]:
+    """Weights of blend shapes, by part and shape: keys of an animation, else the stated weight.
 
-    Shapes that stay at 0 are left out. ``animation``: its number; -1 for the stated weights alone.
+    Shapes that stay at 0 are left out. ``animation``: its number; None for the stated weights alone.
     """
     document, where = scene.document, f"animations {animation}"
     keys: dict[tuple[str, str], ShapeKeys] = {}
@@ -80,13 +80,15 @@ def read_shape_keys(scene: Scene, animation: int) -> dict[tuple[str, str], Shape
         mesh = document.entry("meshes", node["mesh"])
         count = len(document.entries("targets", document.entries("primitives", mesh)[0]))
         names_of[one.node] = [(one.part.name, name) for name in shape_names(document, int(node["mesh"]), count)]
-        stated = document.numbers(node.get("weights", mesh.get("weights", [0.0] * count)), f"{where}: weights", count)
+        stated = document.numbers(
+            node.get("weights", mesh.get("weights", [0.0] * count)), f"nodes {one.node}: weights", count
+        )
         keys |= {
             name: (np.zeros(1), weight.reshape(1, 1), "LINEAR")
             for name, weight in zip(names_of[one.node], stated, strict=True)
             if weight
         }
-    entry: dict[str, Any] = {} if animation < 0 else document.entry("animations", animation)
+    entry: dict[str, Any] = {} if animation is None else document.entry("animations", animation)
     for channel in document.entries("channels", entry, where):
         target = document.table(channel, "target", where)
         names = names_of.get(target.get("node", -1), [])

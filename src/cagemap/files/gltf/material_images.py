@@ -18,7 +18,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import texture_slots
+from cagemap.files.gltf.textures import MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
@@ -27,7 +27,6 @@ from cagemap.numerics.arrays import FloatArray
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
 _COLOR_SLOT = "baseColorTexture"
-_REPEAT, _MIRROR = 10497, 33648  # glTF's numbers of wrap modes; the third clamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ class MaterialImage:
     uv_set: str  # name of the UV set that it belongs to
     # (3, 3) transform of texture coordinates (u, v, 1), as rows, v down, to coordinates of the image
     transform: FloatArray = field(repr=False)
-    wraps: tuple[int, int]  # glTF's numbers of how the image continues along u and v
+    wraps: tuple[int, int]  # wrap modes of glTF along u and v
 
     @property
     def is_normal_map(self) -> bool:
@@ -54,23 +53,23 @@ class MaterialImage:
         return np.column_stack([down[:, 0], 1.0 - down[:, 1]])
 
     def repeats(self, uvs: FloatArray, axes: slice = slice(2)) -> bool:
-        """Whether the image repeats at texture coordinates (m, 2), or they lie on it."""
+        """Whether the image repeats along the axes, or all texture coordinates (m, 2) are from 0 to 1."""
         inside = (uvs.min(axis=0) >= 0.0) & (uvs.max(axis=0) <= 1.0)
-        return bool((inside | (np.array(self.wraps) == _REPEAT))[axes].all())
+        return bool((inside | (np.array(self.wraps) == REPEAT))[axes].all())
 
     def repeating(self, pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray]:
-        """Pixels and texture coordinates on the image, enlarged so that repeating them continues it by its sampler."""
+        """Pixels enlarged so that repeating them has the effect of the wrap modes, and coordinates (m, 2) on them."""
         for axis, wrap in enumerate(self.wraps):
             size = pixels.shape[1 - axis]
             if self.repeats(uvs, slice(axis, axis + 1)):
                 continue
             # Mirrored images repeat after two; of clamped ones, one image on each side is enough.
-            first, end = (0, 2) if wrap == _MIRROR else (-1, 2)
+            first, end = (0, 2) if wrap == MIRROR else (-1, 2)
             texels = np.arange(first * size, end * size)
-            texels = np.minimum(texels, 2 * size - 1 - texels) if wrap == _MIRROR else texels.clip(0, size - 1)
+            texels = np.minimum(texels, 2 * size - 1 - texels) if wrap == MIRROR else texels.clip(0, size - 1)
             # Rows run down, v up.
             pixels = pixels.take(texels if axis == 0 else size - 1 - texels[::-1], axis=1 - axis)
-            place = uvs[:, axis] if wrap == _MIRROR else uvs[:, axis].clip(first, end)
+            place = uvs[:, axis] if wrap == MIRROR else uvs[:, axis].clip(first, end)
             uvs = np.array(uvs)
             uvs[:, axis] = (place - first) / (end - first)
         return pixels, uvs
@@ -86,24 +85,24 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
     """Write the colour texture of most of a mesh's faces from a glTF or FBX file.
 
-    None without one that a repeated image over the mesh's UV set in use shows.
+    None if its image, repeated over the mesh's UV set in use, does not show the texture.
     """
     if path.suffix.lower() not in SCENE_SUFFIXES or control.face_materials is None or control.uvs is None:
         return None
     document, names = read_document(path), control.material_names
     most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     slots = material_images(document, most) if most in material_names(document) else ()
-    texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _lies_over(slot, control)), None)
+    texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _is_repeated_over(slot, control)), None)
     if texture is None:
         return None
     data, suffix = image_bytes(document, texture.image)
     if suffix not in IMAGE_SUFFIXES:
         return None
-    return write_beside(folder / f"{path.stem}_texture{suffix}", data)
+    return write_numbered(folder / f"{path.stem}_texture{suffix}", data)
 
 
-def write_beside(file: Path, data: bytes) -> Path:
-    """Write a file, numbered if another one that cagemap did not write has its name; returns the path."""
+def write_numbered(file: Path, data: bytes) -> Path:
+    """Write a file; its name gets a number if another program wrote such a file. Returns the path."""
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
     free = next(file for file in files if not file.exists() or is_own(file) or file.read_bytes() == data)
     if is_own(free) or not free.exists():
@@ -111,8 +110,8 @@ def write_beside(file: Path, data: bytes) -> Path:
     return free
 
 
-def _lies_over(texture: MaterialImage, control: ControlMesh) -> bool:
-    """Whether a texture's image, repeated over a mesh's UV set in use, is the texture."""
+def _is_repeated_over(texture: MaterialImage, control: ControlMesh) -> bool:
+    """Whether a texture's image, repeated over a mesh's UV set in use, shows the texture."""
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
     assert control.uvs is not None
     is_plain = np.allclose(texture.transform, np.eye(3)) and texture.repeats(control.uvs)
@@ -170,7 +169,7 @@ def _image(document: Document, material: str, slot: str, holder: dict[str, Any])
     stated = document.table(document.table(holder, "extensions", where), _TRANSFORM, where)
     uv_set = document.whole(stated.get("texCoord", holder.get("texCoord", 0)), f"{where}: texCoord", 0, 15)
     sampler = {} if texture.get("sampler") is None else document.entry("samplers", texture["sampler"], where)
-    wraps = sampler.get("wrapS", _REPEAT), sampler.get("wrapT", _REPEAT)
+    wraps = sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)
     assert source is not None
     return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where), wraps)
 

@@ -76,7 +76,7 @@ def read_scene(document: Document) -> Scene:
         name = nodes.names[node] if entry.get("name") else document.name("meshes", int(entry["mesh"]))
         arrays = read_vertex_arrays(document, int(entry["mesh"]), name or nodes.names[node])
         if _INSTANCES in document.table(entry, "extensions", f"nodes {node}"):
-            text = "%s: the copies of %s by %s are left out; it is read once"
+            text = "%s: the copies of %s by %s are left out; export each copy as a node of its own to keep it"
             _log.warning(text, document.file, name or nodes.names[node], _INSTANCES)
         if arrays is not None:
             part = _placed(document, nodes, skins, joints, node, arrays)

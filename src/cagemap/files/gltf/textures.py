@@ -13,6 +13,7 @@ from cagemap.files.gltf.nodes import distinct
 from cagemap.files.gltf.primitives import material_names
 
 _COLOR = "baseColorTexture"
+REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers
 
 
 def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

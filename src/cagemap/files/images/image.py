@@ -47,7 +47,7 @@ _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A
 _LARGEST_CHANNELS = 4
 _READ_AS = {"float16": "half", "float32": "float"}
 _TIFF, _JPEG = (".tif", ".tiff"), (".jpg", ".jpeg")
-_ASSOCIATES = (*_TIFF, ".exr")  # formats that can hold colours multiplied by alpha; EXR holds no others
+_ASSOCIATED_SUFFIXES = (*_TIFF, ".exr")  # formats that can hold colours multiplied by alpha; EXR holds no others
 # Texels of a written image that are read back at a time.
 _VERIFIED_TEXELS = 1 << 22
 _HEADER = 1 << 16  # most bytes of a file besides its texels
@@ -128,8 +128,8 @@ def _read(file: Path) -> Image:
     finally:
         opened.close()
     array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
-    associates = file.suffix.lower() in _ASSOCIATES
-    associated = associates and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
+    may_be_associated = file.suffix.lower() in _ASSOCIATED_SUFFIXES
+    associated = may_be_associated and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
     array = on_display(array, spec) if file.suffix.lower() == ".exr" else array
     array = upright(array, int(spec.getattribute("Orientation") or 1))
     profile = spec.getattribute("ICCProfile")
@@ -198,7 +198,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, _OIIO[str(pixels.dtype)])
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
-    if file.suffix.lower() not in _ASSOCIATES:
+    if file.suffix.lower() not in _ASSOCIATED_SUFFIXES:
         given = straight(replace(given, pixels=pixels))
         pixels = given.pixels
     elif file.suffix.lower() not in _TIFF and not given.associated and spec.channelnames[-1] == "A":

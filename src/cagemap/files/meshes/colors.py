@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -69,15 +69,23 @@ _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))
 def read_material_colors(path: Path) -> dict[str, Color]:
     """Diffuse colour of every material of a ``.mtl`` file; NaN without one in RGB."""
     colors: dict[str, Color] = {}
-    name = None
-    for number, line in enumerate(read_text(path, "a material file").split("\n"), start=1):
-        keyword, _, rest = line.strip().replace("\t", " ").partition(" ")
-        if keyword == "newmtl":
-            name = rest.strip()
-            colors.setdefault(name, _UNKNOWN)
-        elif keyword == "Kd" and name is not None:
+    for name, number, line in _material_lines(path):
+        keyword, _, rest = line.partition(" ")
+        colors.setdefault(name, _UNKNOWN)
+        if keyword == "Kd":
             colors[name] = _parse_color(path, number, line, rest.partition("#")[0].split())
     return colors
+
+
+def _material_lines(path: Path) -> Iterator[tuple[str, int, str]]:
+    """Name of the material, number from 1 and text of every line from the first ``newmtl`` of a ``.mtl`` file on."""
+    name = None
+    for number, line in enumerate(read_text(path, "a material file").split("\n"), start=1):
+        line = line.strip().replace("\t", " ")
+        keyword, _, rest = line.partition(" ")
+        name = rest.strip() if keyword == "newmtl" else name
+        if name is not None:
+            yield name, number, line
 
 
 def _parse_color(path: Path, number: int, line: str, fields: list[str]) -> Color:
@@ -101,15 +109,11 @@ _IMAGE_STATEMENTS = ("bump", "disp", "decal", "norm", "refl")
 def read_material_statements(path: Path) -> dict[str, list[str]]:
     """Statements of every material of a ``.mtl`` file, without its images and comments."""
     statements: dict[str, list[str]] = {}
-    name = None
-    for line in map(str.strip, read_text(path, "a material file").split("\n")):
-        keyword, _, rest = line.replace("\t", " ").partition(" ")
+    for name, _, line in _material_lines(path):
+        keyword = line.partition(" ")[0]
         if keyword == "newmtl":
-            name = rest.strip()
             statements[name] = []
-        elif (
-            name is not None and keyword and not keyword.startswith(("#", "map_")) and keyword not in _IMAGE_STATEMENTS
-        ):
+        elif keyword and not keyword.startswith(("#", "map_")) and keyword not in _IMAGE_STATEMENTS:
             statements[name].append(line)
     return statements
 

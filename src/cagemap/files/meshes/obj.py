@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,8 +24,10 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _log = logging.getLogger(__name__)
 
-_KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5, "o": 6, "g": 7, "t": 8}
-_POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE, _OBJECT, _GROUP, _TAG = range(1, 9)
+_KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "o": 5, "g": 6, "t": 7}
+_POSITION, _UV, _FACE, _USE_MATERIAL, _OBJECT, _GROUP, _TAG = range(1, 8)
+# It may continue on the next line.
+MATERIAL_FILE_LINE = re.compile(r"(?m)^[ \t]*mtllib[ \t]((?:\\[ \t]*\n|[^\n])*)\n?")
 
 # Classes of bytes in a face line: separators of corners, separators within a corner, parts of numbers.
 _BLANK, _SLASH, _NUMBER = 1, 2, 3
@@ -61,7 +64,8 @@ def read_obj(path: str | Path) -> ControlMesh:
     Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
     """
     file = Path(path)
-    statements = _split_statements(file, read_text(file, "an OBJ file"))
+    text = read_text(file, "an OBJ file")
+    statements = _split_statements(file, text)
     positions = _read_table(statements, _POSITION, "v", required=3, kept=3)
     if len(positions) == 0:
         raise FormatError(f"{file}: expected an OBJ file with 'v' lines, found none. Export the control mesh again.")
@@ -85,7 +89,7 @@ def read_obj(path: str | Path) -> ControlMesh:
         uv_indices=uv_indices,
         face_materials=face_materials,
         material_names=names,
-        material_colors=_read_colors(statements, names) if names else None,
+        material_colors=_read_colors(file, text, names) if names else None,
         vertex_colors=_read_vertex_colors(statements, len(positions)),
         face_objects=face_objects,
         object_names=objects,
@@ -312,39 +316,33 @@ def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> d
     return parse_tags(lines, fail, n_vertices, len(sizes), triangles=triangles)
 
 
-def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
+def _read_colors(path: Path, text: str, names: Sequence[str]) -> FloatArray:
     """(q, 3) diffuse colours of materials from the ``mtllib`` files; the first file with a name wins."""
     known: dict[str, tuple[float, float, float]] = {}
-    for row in statements.rows(_MATERIAL_FILE):
-        for file in material_files_of_line(statements.path.parent, statements.lines[row]):
-            known = read_material_colors(file) | known
+    for file in material_files(path, text):
+        known = read_material_colors(file) | known
     unknown = (np.nan, np.nan, np.nan)
     return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
 
 
-def material_files_of_line(folder: Path, line: str) -> list[Path]:
-    """Existing files that an ``mtllib`` line names: the whole rest of the line, else each of its words."""
-    whole, *words = _material_names(line)
-    for names in ([whole], words):
-        present = [file for file in (folder / name for name in names if name) if file.is_file()]
-        if present:
-            return present
-    return []
+def material_files(path: Path, text: str) -> list[Path]:
+    """Existing material files of an OBJ file: a ``mtllib`` line names one file, else one with each word."""
+    files: list[Path] = []
+    for whole, *words in _material_names(text):
+        # Unlike `Path.is_file`, false for names that are too long.
+        names = [whole] if os.path.isfile(path.parent / whole) else words
+        files += [file for file in (path.parent / name for name in names) if os.path.isfile(file)]
+    return files
 
 
-def _material_names(line: str) -> list[str]:
-    """Possible names in an ``mtllib`` line: the whole rest of it, then each word."""
-    stated = line.partition(" ")[2].strip().replace("\\", "/")
-    return [stated, *stated.split()]
-
-
-def material_files(path: Path) -> list[Path]:
-    """Existing material files of an OBJ file."""
-    lines = re.findall(r"(?m)^[ \t]*(mtllib[ \t].*)$", read_text(path, "an OBJ file"))
-    return [file for line in lines for file in material_files_of_line(path.parent, line.replace("\t", " "))]
+def _material_names(text: str) -> list[list[str]]:
+    """Possible names in each ``mtllib`` line: the whole rest of it, then each word."""
+    lines = (
+        re.sub(r"\\[ \t]*\n|\t", " ", line).strip().replace("\\", "/") for line in MATERIAL_FILE_LINE.findall(text)
+    )
+    return [[line, *line.split()] for line in lines]
 
 
 def named_material_files(name: str, content: bytes) -> list[str]:
     """All names of material files that `read_obj` would search for an OBJ file of this content."""
-    statements = _split_statements(Path(name), decoded(content, Path(name), "an OBJ file"))
-    return [library for row in statements.rows(_MATERIAL_FILE) for library in _material_names(statements.lines[row])]
+    return [file for names in _material_names(decoded(content, Path(name), "an OBJ file")) for file in names]

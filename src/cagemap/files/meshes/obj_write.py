@@ -13,7 +13,7 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_material_statements, write_materials
-from cagemap.files.meshes.obj import material_files_of_line, read_obj
+from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
 from cagemap.files.text import check_writable_name, read_text
@@ -21,7 +21,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 # Material of faces without one, where an image is bound.
-UNNAMED = "baked"
+_UNNAMED = "baked"
 
 
 def write_obj(
@@ -53,8 +53,8 @@ def write_obj(
 def _all_named(mesh: ControlMesh) -> ControlMesh:
     """The mesh with a named material on every face."""
     if mesh.face_materials is None:
-        return replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=(UNNAMED,))
-    return replace(mesh, material_names=tuple(name or UNNAMED for name in mesh.material_names))
+        return replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=(_UNNAMED,))
+    return replace(mesh, material_names=tuple(name or _UNNAMED for name in mesh.material_names))
 
 
 def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
@@ -125,7 +125,6 @@ _NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
 _WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
 _FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
 _LIBRARY = re.compile(r"(?m)^([ \t]*mtllib[ \t]+)([^\n]*?)[ \t]*$")
-_LIBRARY_LINE = re.compile(r"(?m)^[ \t]*mtllib\b[^\n]*\n?")
 _MATERIAL = re.compile(r"(?m)^[ \t]*usemtl[ \t]+([^\n]*)")
 _OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
 
@@ -147,6 +146,9 @@ def write_obj_layout(
         raise FormatError(
             f"{laid_out.name}: expected texture coordinates to write to {file}, the mesh has none. `unwrap` makes them."
         )
+    library_file = file.with_suffix(".mtl")
+    for written in (library_file, file):
+        require_replaceable(written, force=force)
     known = read_obj(kept)
     if known.face_indices.tolist() != laid_out.face_indices.tolist() or len(known.face_offsets) != len(
         laid_out.face_offsets
@@ -154,20 +156,18 @@ def write_obj_layout(
         raise FormatError(f"{kept}: expected the faces of {laid_out.name}, found others. Match the meshes again.")
     text = _UV_LINE.sub("", _OLD_MARK.sub("", read_text(kept, "an OBJ file")))
     statements: dict[str, list[str]] = {}
-    for _, library in _LIBRARY.findall(text):
-        for found in material_files_of_line(kept.parent, f"mtllib {library}"):
-            statements = read_material_statements(found) | statements
-    text = _LIBRARY_LINE.sub("", text)
+    for library in material_files(kept, text):
+        statements = read_material_statements(library) | statements
+    text = MATERIAL_FILE_LINE.sub("", text)
     first = _FACE.search(text)
     assert first is not None  # the mesh has faces
     used = [name.strip() for name in _MATERIAL.findall(text)]
     head = text[: first.start()]
     if not _MATERIAL.search(head):
-        used, head = [UNNAMED, *used], f"{head}usemtl {UNNAMED}\n"
+        used, head = [_UNNAMED, *used], f"{head}usemtl {_UNNAMED}\n"
     uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
     numbers = iter((laid_out.uv_indices + 1).tolist())
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
-    library_file = file.with_suffix(".mtl")
     write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)
     write_whole(file, f"# {mark()}\nmtllib {library_file.name}\n{head}{uvs}{faces}", force=force)
 
@@ -215,7 +215,7 @@ def _renumbered(line: str, numbers: Iterator[int]) -> str:
 
 def _moved(stated: str, before: Path, after: Path) -> str:
     """Names of material libraries relative to another folder; unchanged if there are no such files."""
-    if not (before / stated.replace("\\", "/")).is_file():
+    if not os.path.isfile(before / stated.replace("\\", "/")):
         words = stated.split()
         return " ".join(_moved(word, before, after) for word in words) if len(words) > 1 else stated
     try:

@@ -34,8 +34,8 @@ def read_ply(path: str | Path) -> ControlMesh:
 
     Texture coordinates are those of the faces' ``texcoord`` lists, else of the vertices (``s t``, ``u v`` or
     ``texture_u texture_v``). Vertex colours ``red green blue`` are divided by the largest number of their type if it
-    has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Faces of
-    several images (``texnumber``) have a material for each image. Other elements are ignored.
+    has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Faces of several images
+    (``texnumber``) have a material for each image. Other elements are ignored.
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.character.poses import interpolated, rest_tracks
+from cagemap.character.poses import interpolate_keys, rest_tracks
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.files.gltf.character import ShapeKeys, animation_names, read_shape_keys
 from cagemap.files.gltf.parts import Scene
@@ -43,7 +43,7 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
     clips: dict[str, tuple[tuple[Track, ...], dict[str, ShapeKeys]]] = {}
     for name in dict.fromkeys([*tracks, *numbers]) or ["rest"]:
         weights: dict[str, ShapeKeys] = {}
-        for (part, shape), keys in read_shape_keys(scene, numbers.get(name, -1)).items():
+        for (part, shape), keys in read_shape_keys(scene, numbers.get(name)).items():
             if not all(map(np.array_equal, weights.setdefault(shape, keys)[:2], keys[:2])):
                 notes.append(f"{name}: {shape} of {part} follows that of another part, since USD has one weight")
         if tracks.get(name) or weights:
@@ -122,7 +122,7 @@ def _write_animation(
         ("scale", animation.CreateScalesAttr(), pxr.Vt.Vec3hArray, np.float16),
     ):
         rows = [keys[channel, joint] for joint in joints]
-        for code, values in _samples(rows, rate, turns=channel == "rotation"):
+        for code, values in _samples(rows, rate, quaternions=channel == "rotation"):
             attribute.Set(array.FromNumpy(values.astype(dtype)), code)
     if weights:
         animation.CreateBlendShapesAttr(list(weights))
@@ -132,16 +132,16 @@ def _write_animation(
     return animation.GetPrim()
 
 
-def _samples(rows: Sequence[ShapeKeys], rate: int, *, turns: bool = False) -> Iterator[tuple[Any, FloatArray]]:
-    """Time codes at which one of several rows has a key, and the values (rows, q) then; one without a time if none."""
-    timed = [_sampled(*keys, rate) for keys in rows if len(keys[0]) > 1]
+def _samples(rows: Sequence[ShapeKeys], rate: int, *, quaternions: bool = False) -> Iterator[tuple[Any, FloatArray]]:
+    """Time codes of the keys of all rows, and values (rows, q) at each; without later keys, one default value."""
+    timed = [_sample_times(times, interpolation, rate) for times, _, interpolation in rows if len(times) > 1]
     times = np.unique(np.concatenate(timed)) if timed else np.zeros(1)
-    values = [interpolated(*keys, times, turns=turns) for keys in rows]
+    values = [interpolate_keys(*keys, times, quaternions=quaternions) for keys in rows]
     for place, frame in enumerate(_frames(times, rate).tolist() if rows else ()):
         yield frame if timed else usd_modules().Usd.TimeCode.Default(), np.array([of[place] for of in values])
 
 
-def _sampled(times: FloatArray, values: FloatArray, interpolation: str, rate: int) -> FloatArray:
+def _sample_times(times: FloatArray, interpolation: str, rate: int) -> FloatArray:
     """Times at which a row is written, so that linear interpolation between them follows it."""
     if interpolation == "STEP":
         return np.concatenate([times, times[1:] - np.minimum(_STEP / rate, np.diff(times) / 2)])

@@ -151,10 +151,10 @@ def _save(layer: Any, file: Path, images: Mapping[str, bytes], sizes: Mapping[st
         return [len(prim.GetPointsAttr().Get()) for prim in prims] == list(sizes.values())
 
     if file.suffix.lower() != ".usdz":
-        for name, data in images.items():
-            write_whole(file.with_name(name), data)
         with atomic_path(file, force=force, verify=is_whole) as temporary:
             export_layer(layer, file, temporary)
+            for name, data in images.items():
+                write_whole(file.with_name(name), data)
         return
     with tempfile.TemporaryDirectory() as folder, atomic_path(file, force=force, verify=is_whole) as temporary:
         inside = Path(folder) / f"{file.stem}.usdc"

@@ -22,11 +22,20 @@ from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, stated
-from cagemap.files.usd.read import UsdMesh, in_world, named_damage, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd.read import (
+    UsdMesh,
+    in_world,
+    named_damage,
+    open_stage,
+    opened_once,
+    read_usd_meshes,
+    usd_modules,
+)
 from cagemap.files.usd.shaders import with_materials
-from cagemap.files.usd.skeleton import joint_parents, joint_words, joints_of
+from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
-from cagemap.mesh import Plain
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray
 
 
@@ -36,9 +45,8 @@ def usd_document(path: str | Path) -> Document:
     Subdivision schemes are left out, since glTF has none. Materials are those of `cagemap.files.usd.shaders`.
     """
     file = Path(path)
-    stage = open_stage(file)
-    with named_damage(file):
-        meshes = read_usd_meshes(file)
+    with named_damage(file), opened_once():
+        stage, meshes = open_stage(file), read_usd_meshes(file)
         character, weights = _read(file, stage, meshes)
         document = replace(character_glb(character), file=file)
         geometry = usd_modules().UsdGeom
@@ -55,7 +63,7 @@ def usd_document(path: str | Path) -> Document:
 
 def read_usd_character(path: str | Path) -> Character:
     """Read a USD file as a character: meshes as parts, with the vertices of `cagemap.files.usd.read.read_usd`."""
-    with named_damage(path):
+    with named_damage(path), opened_once():
         return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
 
 
@@ -96,25 +104,23 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes, _normals(mesh, prim, placed_by)))
+        parts.append(Part(name, control, table, shapes, _normals(prim, control, placed_by)))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
-def _normals(mesh: UsdMesh, prim: Any, matrix: FloatArray) -> FloatArray | None:
-    """Normals (c, 3) of the corners of a plain mesh; None for one whose faces were reversed when it was read."""
+def _normals(prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
+    """Normals (c, 3) of the corners of a plain mesh that a matrix has placed; None for other meshes and without any."""
     geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
-    reverse = geometry.GetOrientationAttr().Get() == "leftHanded" or is_mirrored(matrix)
     if primvar.HasValue():
         values, kind = primvar.ComputeFlattened(), primvar.GetInterpolation()
     else:
         values, kind = stated(geometry.GetNormalsAttr()), geometry.GetNormalsInterpolation()
-    count = len(mesh.control.face_indices)
-    corners = {"vertex": mesh.control.face_indices, "faceVarying": np.arange(count)}.get(kind)
-    if not values or corners is None or len(values) <= corners.max() or reverse:
-        return None
-    if not isinstance(mesh.control.scheme, Plain):
+    is_reversed = (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix)
+    in_file = reversed_corners(control.face_offsets) if is_reversed else np.arange(len(control.face_indices))
+    corners = {"vertex": control.face_indices, "faceVarying": in_file}.get(kind)
+    if not values or corners is None or len(values) <= corners.max() or not isinstance(control.scheme, Plain):
         return None
     return turned_normals(np.asarray(values, dtype=np.float64), matrix[:3, :3])[corners]
 
@@ -131,7 +137,7 @@ def _rig(file: Path, skeleton: Any, above: FloatArray) -> Rig:
         raise FormatError(f"{file}: {skeleton.GetPath()}: expected transforms with an inverse. Export it again.")
     names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
     if len(set(names)) != len(joints) or len(names) != len(joints):
-        names = joint_words(joints)
+        names = joint_names(joints)
     return Rig(tuple(names), parents, local, binds @ above)
 
 
@@ -173,18 +179,18 @@ def _animations(stage: Any, skeleton: Any, rig: Rig, above: FloatArray) -> tuple
 def _samples(stage: Any, attribute: Any, rows: int) -> tuple[FloatArray, FloatArray]:
     """Times in seconds, from 0 on, and values (k, rows, ...) of an attribute; none if it has no such values."""
     codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
-    stated = [attribute.Get(code) for code in codes]
-    if not rows or any(value is None or len(value) != rows for value in stated):
+    values = [attribute.Get(code) for code in codes]
+    if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))
     start = min(stage.GetStartTimeCode(), 0.0)
     times = np.array([0.0 if len(codes) == 1 else code - start for code in codes]) / stage.GetTimeCodesPerSecond()
-    return times, np.array([np.array(value) for value in stated], dtype=np.float64)
+    return times, np.array([np.array(value) for value in values], dtype=np.float64)
 
 
 def _with_shape_weights(document: Document, character: Character, weights: _ShapeWeights) -> Document:
     """The document with weights of blend shapes in its animations."""
     binary, top = Binary(document), json.loads(json.dumps(document.json))
-    nodes = {entry["name"]: number for number, entry in enumerate(top["nodes"])}
+    nodes = {entry["name"]: number for number, entry in enumerate(top["nodes"]) if "mesh" in entry}
     for name, (times, values) in weights.items():
         entries = top.setdefault("animations", [])
         entry = next((one for one in entries if one["name"] == name), None)

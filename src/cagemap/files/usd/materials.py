@@ -13,17 +13,18 @@ import numpy as np
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import texture_slots
+from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.usd.read import identifiers, usd_modules
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
 from cagemap.numerics.arrays import FloatArray
 
+STRENGTH = "KHR_materials_emissive_strength"
 # Extensions of materials and textures that are written.
-WRITTEN = ("KHR_texture_transform", "EXT_texture_webp", "KHR_materials_emissive_strength")
-# Modes of a sampler in glTF that do not repeat, as words of UsdUVTexture.
-_WRAP = {33071: "clamp", 33648: "mirror"}
+WRITTEN = ("KHR_texture_transform", "EXT_texture_webp", STRENGTH)
+# Words of UsdUVTexture for wrap modes of glTF.
+WRAP_WORDS = {REPEAT: "repeat", CLAMP: "clamp", MIRROR: "mirror"}
 _COLOR, _METAL, _EMISSION = "baseColorTexture", "metallicRoughnessTexture", "emissiveTexture"
 _NORMAL, _OCCLUSION = "normalTexture", "occlusionTexture"
 
@@ -67,7 +68,8 @@ def write_materials(stage: Any, document: Document, names: Sequence[str], layer:
                 file_of[number] = _free_name(layer, f"{label}_{slot.removesuffix('Texture')}", suffix, written.images)
                 written.images[file_of[number]] = data
             reader = _reader(stage, material.GetPath(), used[slot])
-            settings = _sampling(document, holders[slot]) | _scaling(scale, bias)
+            modes = zip(("wrapS", "wrapT"), used[slot].wraps, strict=True)
+            settings = {setting: WRAP_WORDS.get(mode, "repeat") for setting, mode in modes} | _scaling(scale, bias)
             strength = holders[slot].get("scale", 1.0) if slot == _NORMAL else 1.0
             if strength != 1.0:
                 written.notes.append(f"{name}: its normal map has strength {strength}, in USD always 1")
@@ -78,7 +80,7 @@ def write_materials(stage: Any, document: Document, names: Sequence[str], layer:
 
 def _inputs(
     document: Document, entry: dict[str, Any], name: str, holders: dict[str, dict[str, Any]]
-) -> list[tuple[str, str, str, FloatArray, float | FloatArray]]:
+) -> list[tuple[str, str, str, FloatArray, float]]:
     """Inputs of the surface: name, slot, channels of its image, factor (3,) or (1,), bias."""
 
     def number(of: dict[str, Any], factor: str, default: float) -> float:
@@ -86,16 +88,16 @@ def _inputs(
 
     base = document.table(entry, "pbrMetallicRoughness", name)
     extensions = document.table(entry, "extensions", name)
-    strength = number(document.table(extensions, WRITTEN[2], name), "emissiveStrength", 1.0)
+    strength = number(document.table(extensions, STRENGTH, name), "emissiveStrength", 1.0)
     color = document.numbers(base.get("baseColorFactor", [1.0] * 4), f"{name}: baseColorFactor", 4)
     emitted = document.numbers(entry.get("emissiveFactor", [0.0] * 3), f"{name}: emissiveFactor", 3)
     share = number(holders.get(_OCCLUSION, {}), "strength", 1.0)
-    inputs: list[tuple[str, str, str, FloatArray, float | FloatArray]] = [
+    inputs: list[tuple[str, str, str, FloatArray, float]] = [
         ("diffuseColor", _COLOR, "rgb", color[:3], 0.0),
         ("metallic", _METAL, "b", np.array([number(base, "metallicFactor", 1.0)]), 0.0),
         ("roughness", _METAL, "g", np.array([number(base, "roughnessFactor", 1.0)]), 0.0),
         ("emissiveColor", _EMISSION, "rgb", emitted * strength, 0.0),
-        ("normal", _NORMAL, "rgb", np.array([2.0] * 3), np.array([-1.0, -1.0, -1.0, 0.0])),
+        ("normal", _NORMAL, "rgb", np.ones(3), 0.0),
         ("occlusion", _OCCLUSION, "r", np.array([share]), 1.0 - share),
     ]
     mode = entry.get("alphaMode", "OPAQUE")
@@ -114,18 +116,11 @@ def _set_constant(surface: Any, name: str, value: FloatArray) -> None:
         surface.CreateInput(name, types.Float).Set(float(value[0]))
 
 
-def _scaling(scale: FloatArray, bias: float | FloatArray) -> dict[str, object]:
+def _scaling(scale: FloatArray, bias: float) -> dict[str, object]:
     """Settings of the texture shader for a factor (3,) or (1,) and a bias."""
     four = {"scale": np.append(scale, 1.0) if len(scale) == 3 else np.repeat(scale, 4), "bias": np.zeros(4) + bias}
-    usual = {"scale": 1.0, "bias": 0.0}
-    return {name: tuple(values.tolist()) for name, values in four.items() if (values != usual[name]).any()}
-
-
-def _sampling(document: Document, holder: dict[str, Any]) -> dict[str, object]:
-    texture = document.entry("textures", holder["index"])
-    number = texture.get("sampler")
-    sampler = {} if number is None else document.entry("samplers", number)
-    return {setting: _WRAP.get(sampler.get(setting, 0), "repeat") for setting in ("wrapS", "wrapT")}
+    default = {"scale": 1.0, "bias": 0.0}
+    return {name: tuple(values.tolist()) for name, values in four.items() if (values != default[name]).any()}
 
 
 def _reader(stage: Any, material: Any, image: MaterialImage) -> Any:

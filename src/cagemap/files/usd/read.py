@@ -39,7 +39,7 @@ from cagemap.files.usd.prims import (
 )
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.faces import reversed_corners as reversed_corners
+from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray
@@ -119,6 +119,15 @@ def open_stage(path: str | Path) -> Any:
         return stage
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
+
+
+@contextmanager
+def opened_once() -> Iterator[None]:
+    """Have `open_stage` open every file once in the block, so that its warnings are not repeated."""
+    usd = usd_modules().Usd
+    cache = usd.StageCache()
+    with usd.StageCacheContext(cache):
+        yield
 
 
 def layer_files(path: str | Path) -> list[Path]:
@@ -357,7 +366,8 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
         try:
             if file.suffix.lower() != ".usdz":
                 return _of_layer(str(file))
-            entries = list(pxr.Sdf.ZipFile.Open(str(file)).GetFileNames())
+            holder = pxr.Sdf if hasattr(pxr.Sdf, "ZipFile") else pxr.Usd  # of older versions, such as 24.8
+            entries = list(holder.ZipFile.Open(str(file)).GetFileNames())
             paths_of = {entry: _of_layer(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
         except (pxr.Tf.ErrorException, UnicodeDecodeError, AttributeError):
             raise FormatError(f"{name}: cannot be read as USD. Export it again.") from None

@@ -15,7 +15,9 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_suffix, image_type
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import REPEAT
 from cagemap.files.images.image import image_of_bytes
+from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import usd_modules
 
 _log = logging.getLogger(__name__)
@@ -28,7 +30,7 @@ _SLOTS = {
     "occlusionTexture": {"occlusion": "r"},
     "emissiveTexture": {"emissiveColor": "rgb"},
 }
-_WRAP = {"clamp": 33071, "mirror": 33648}
+_WRAP_MODES = {word: mode for mode, word in WRAP_WORDS.items()}
 
 
 def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tuple[str, ...], bool]]) -> Document:
@@ -95,16 +97,24 @@ class _Materials:
         def factor(name: str, default: float | tuple[float, ...]) -> Any:
             """Value of an input; with an image, its scale."""
             texture = _shader(surface, name, "UsdUVTexture")
-            if texture is None:
-                return _setting(surface, name, default)
-            output, scale = _source(surface, name).GetBaseName(), _setting(texture, "scale", (1.0,) * 4)
-            return scale["rgba".index(output)] if len(output) == 1 else scale[:3]
+            value = _setting(surface, name, default) if texture is None else _setting(texture, "scale", (1.0,) * 4)
+            if texture is not None:
+                output = _source(surface, name).GetBaseName()
+                value = value["rgba".index(output)] if len(output) == 1 else value[:3]
+            if not np.isfinite(value).all():
+                raise ValueError(f"{name} is not finite")
+            return value
 
         alpha, threshold = float(factor("opacity", 1.0)), float(factor("opacityThreshold", 0.0))
         base = entry.setdefault("pbrMetallicRoughness", {})
         base["baseColorFactor"] = [*map(float, factor("diffuseColor", (0.18,) * 3)), alpha]
         base |= {"metallicFactor": float(factor("metallic", 0.0)), "roughnessFactor": float(factor("roughness", 0.5))}
-        entry["emissiveFactor"] = np.clip(np.array(factor("emissiveColor", (0.0,) * 3)), 0.0, 1.0).tolist()
+        emitted = np.maximum(factor("emissiveColor", (0.0,) * 3), 0.0)
+        strength = max(1.0, float(emitted.max()))
+        entry["emissiveFactor"] = (emitted / strength).tolist()
+        if strength > 1.0:
+            entry["extensions"] = {STRENGTH: {"emissiveStrength": strength}}
+            self.binary.extensions.add(STRENGTH)
         opacity = _shader(surface, "opacity", "UsdUVTexture")
         if opacity or alpha < 1.0:
             entry |= {"alphaMode": "MASK", "alphaCutoff": threshold} if threshold > 0.0 else {"alphaMode": "BLEND"}
@@ -117,11 +127,15 @@ class _Materials:
             if not slot:  # the opacity of glTF is in the image of the colour
                 fits &= images == {self._image(_shader(surface, "diffuseColor", "UsdUVTexture"))}
             if len(images) > 1 or None in images or not fits:
-                _log.warning("%s: %s: the image of its %s is left out", self._file, entry["name"], "/".join(outputs))
+                text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
+                _log.warning(text, self._file, entry["name"], "/".join(outputs))
             elif slot:
                 texture = next(iter(pairs.values()))
                 in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
-                (base if in_base else entry)[slot] = {"index": images.pop()} | self._coordinates(texture, sets)
+                holder = {"index": images.pop()} | self._coordinates(texture, sets)
+                if slot == "occlusionTexture":
+                    holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
+                (base if in_base else entry)[slot] = holder
 
     def _image(self, texture: Any) -> int | None:
         """Number of the glTF texture for a texture shader, added once; None if its image cannot be read."""
@@ -129,7 +143,7 @@ class _Materials:
             return None
         file = _setting(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
-        wrap = {name: _WRAP.get(str(_setting(texture, name, "repeat")), 10497) for name in ("wrapS", "wrapT")}
+        wrap = {name: _WRAP_MODES.get(str(_setting(texture, name, "repeat")), REPEAT) for name in ("wrapS", "wrapT")}
         key = f"{path} {wrap}"
         if key not in self._known:
             data = _content(path)

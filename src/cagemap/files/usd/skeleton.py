@@ -51,15 +51,15 @@ def joints_of(path: str | Path, skeleton: Any) -> tuple[list[str], FloatArray]:
     return joints, binds
 
 
-def joint_words(joints: list[str]) -> list[str]:
+def joint_names(joints: list[str]) -> list[str]:
     """Names of joints: the last parts of their paths, if these are unique."""
     leaves = [path.rpartition("/")[2] for path in joints]
     return leaves if len(set(leaves)) == len(leaves) else joints
 
 
 def _named(joints: list[str], placed: FloatArray) -> Skeleton:
-    """A skeleton of joints by `joint_words`; tails are at the children."""
-    names, parents = joint_words(joints), joint_parents(joints)
+    """A skeleton of joints by `joint_names`; tails are at the children."""
+    names, parents = joint_names(joints), joint_parents(joints)
     heads = placed[:, 3, :3]
     above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
     return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd.read import USD_SUFFIXES, named_damage, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd.read import USD_SUFFIXES, named_damage, open_stage, opened_once, read_usd_meshes, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
 # From Z up to Y up, for points as rows.
@@ -41,7 +41,8 @@ def stage_units(path: str | Path) -> StageSpace:
 
 def stage_space(path: str | Path) -> StageSpace:
     """The space of a file's control mesh by `read_usd`; world space if it has several meshes."""
-    units, meshes = stage_units(path), read_usd_meshes(path)
+    with opened_once():
+        units, meshes = stage_units(path), read_usd_meshes(path)
     return replace(units, to_world=meshes[0].to_world) if len(meshes) == 1 else units
 
 

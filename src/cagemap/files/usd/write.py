@@ -18,11 +18,12 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
-from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
+from cagemap.files.usd.read import identifiers, open_stage, usd_modules
 from cagemap.files.usd.results import add_earlier, bind_textures, define_material
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.schemes import scheme_name
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -181,9 +182,8 @@ def check_usd_path(file: Path, *, package: bool = False) -> None:
     """Refuse a name without a suffix of USD layers (or packages), or one that is not UTF-8."""
     text_name(file.absolute())
     if file.suffix.lower() not in (".usd", ".usda", ".usdc", *((".usdz",) if package else ())):
-        raise FormatError(
-            f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."
-        )
+        remedy = "Give such a name." if package else "Packages (.usdz) are made from those."
+        raise FormatError(f"{file}: expected a name ending in .usda, .usdc{', .usdz' * package} or .usd. {remedy}")
 
 
 def _save(layer: Any, file: Path, added_to: Sequence[str], *, force: bool) -> bool:
@@ -253,7 +253,8 @@ def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> Non
 def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[str, Any] | None = None) -> None:
     """Write materials as subsets with bindings, and groups as plain subsets.
 
-    ``materials``: materials of the stage by name; default: new ones with the mesh's colours.
+    ``materials``: materials of the stage by name, of which one on all faces needs no subset; default: new ones with the
+        mesh's colours.
     """
     pxr = usd_modules()
     named = named_faces(mesh)
