@@ -29,6 +29,7 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 from cagemap.files.usd import character as usd_character
 from cagemap.files.usd.character import write_usd_character
 from cagemap.numerics.srgb import decode_srgb
+from cagemap.tasks.mesh_commands import check_files
 
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import complaints
@@ -241,3 +242,17 @@ def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
     body = made.parts[0]
     shaped = body.mesh.positions + 0.5 * body.shapes["raise"]
     np.testing.assert_allclose(posed(path, "rest", 0.0)["body"], shaped, atol=1e-5)
+
+
+def test_check_says_what_a_character_in_usd_holds(tmp_path: Path) -> None:
+    _written(tmp_path / "a.usdz", lively())
+    text, _ = check_files([tmp_path / "a.usdz"])
+    for line in (
+        "a.usdz: body\n",
+        "body        body: is matched",
+        "skeleton    2 joints, 1 of them named as humanoid bones",
+        "are retargeted",
+    ):
+        assert line in text
+    for word in ("component:", "set aside", "copies along seams"):
+        assert word not in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
@@ -12,9 +13,11 @@ from typing import Any
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
-from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
+from cagemap.files.usd.convert import usd_document
+from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
 from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
@@ -74,21 +77,37 @@ def check_values(
 def _checked(
     path: Path, subdivision: SubdivisionRequest, weld: str | None
 ) -> tuple[ControlMesh, MeshReport, Contents | None]:
-    """A file's mesh, its report for `cagemap match`, and the contents of a glTF or FBX file.
+    """A file's mesh, its report for `cagemap match`, and the contents of a glTF, FBX or rigged USD file.
 
     The report of a character is about its body only: other parts do not belong to the body's surface.
     """
-    scene = read_scene(read_document(path)) if path.suffix.lower() in SCENE_SUFFIXES else None
+    scene, is_usd = _scene_of(path), path.suffix.lower() in USD_SUFFIXES
+    mesh = read_whole(path) if scene is None or is_usd else scene_mesh(scene)
     if scene is None:
-        mesh = read_whole(path)
         return mesh, _report(mesh, subdivision, weld), None
-    mesh, holds = scene_mesh(scene), contents_of(scene)
+    holds = contents_of(scene)
     if not holds.is_character:
         return mesh, _report(mesh, subdivision, weld), holds
-    body = next(scene_part.part.mesh for scene_part in scene.parts if scene_part.part.name == holds.body)
+    meshes = [one.part.mesh for one in scene.parts]
+    if is_usd:  # its vertices are not split, and its subdivision schemes have no place in a glTF scene
+        meshes = [one.control for one in read_usd_meshes(path)]
+        holds = replace(holds, stored=holds.vertices, welded=())
+    body = meshes[[one.part.name for one in scene.parts].index(holds.body)]
     name = f"{mesh.name}: {holds.body}" if holds.passengers else mesh.name
     named = replace(body, name=name, file_vertices=None, file_faces=None, file_copies=None)
     return mesh, _report(named, subdivision, weld, pieces=False), holds
+
+
+def _scene_of(path: Path) -> Scene | None:
+    """Scene of a glTF or FBX file, or of a USD file with a skeleton; None for other files."""
+    suffix = path.suffix.lower()
+    if suffix in SCENE_SUFFIXES:
+        return read_scene(read_document(path))
+    if suffix in USD_SUFFIXES:
+        with suppress(CagemapError):  # damage is refused where the mesh is read
+            scene = read_scene(usd_document(path))
+            return None if scene.joints is None else scene
+    return None
 
 
 def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None, *, pieces: bool = True) -> MeshReport:
