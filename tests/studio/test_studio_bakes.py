@@ -108,7 +108,7 @@ def an_error_is_said_and_the_rest_is_made(page: Page, files: Files) -> None:
     written = map_file.stat().st_mtime_ns
     page.press("start")
     finished(page, theirs.name)
-    assert page.said("Overwrite, under Files")
+    assert page.said("(Bake, Files, Overwrite)")
     assert theirs.read_text() == "not ours"
     page.until(other.is_file, "the image after it", LONG)
     page.press("cancel")
