@@ -157,7 +157,7 @@ def match_pair(
     landmarks : Landmarks, optional
         As in `match`.
     config : MatchConfig
-        Its start, elastic and masks must be those of the prepared pair, or the defaults, which stand for these.
+        Its start, elastic and masks must be those of the prepared pair; defaults mean those.
     progress : callable
     timings : dict of str to float, optional
         Seconds of earlier stages.

@@ -3,7 +3,7 @@
 Closest points also pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something:
 the inside of a mouth with the chin. Two tests detect them, and their terms get no weight: such a part of the target
 receives none of the source's area, and the round trip from such a point of the source to the target and back does not
-return to it.
+return to it. Both stages of `deform.fit` sum these terms (`cluster_terms`, `mesh_terms`): add a new one there.
 """
 
 from __future__ import annotations

@@ -13,11 +13,11 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import distinct_colors
 from cagemap.report.verdicts import Rating
 
-MIN_NOTED_ASPECT_RATIO = 1.5  # median of a region from which the page says that it is stretched
+MIN_NOTED_ASPECT_RATIO = 1.5  # least median of a region that is called stretched
 
 
 def rating_cards(ratings: list[Rating]) -> str:
-    """A card with the value and meaning of every figure."""
+    """One card for each figure, with value and meaning."""
     cards = [
         f'<div class="card {rating.verdict}"><p class="label">{escape(rating.label)}</p>'
         f'<p class="value">{escape(rating.value)}</p><p>{escape(rating.meaning)}</p></div>'
@@ -70,13 +70,15 @@ def curve_table(result: MatchResult) -> str:
             f"<tr><td>{_dot(color)}{escape(entry['name'])}</td>"
             f"<td>{100 * entry['mean']:.2f} %</td><td>{100 * entry['worst']:.2f} %</td></tr>"
         )
-    return f'<table class="columns"><tr><th>curve</th><th>mean miss</th><th>at most</th></tr>{"".join(rows)}</table>'
+    return (
+        f'<table class="columns"><tr><th>curve</th><th>mean miss</th><th>largest miss</th></tr>{"".join(rows)}</table>'
+    )
 
 
 def time_summary(manifest: dict[str, Any]) -> str:
     """Total time and memory of the match, as a sentence."""
     memory = manifest.get("peak_memory_bytes")
-    peak = f", {memory / 2**30:.1f} GiB of memory at most" if isinstance(memory, int | float) else ""
+    peak = f", {memory / 2**30:.1f} GiB peak memory" if isinstance(memory, int | float) else ""
     seconds = sum(value for value in (manifest.get("timings") or {}).values() if isinstance(value, int | float))
     return f"{seconds:.1f} seconds in all{peak}."
 

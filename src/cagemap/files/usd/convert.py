@@ -1,4 +1,4 @@
-"""USD files as glTF documents: characters with skeleton, animations, weights, shapes and materials."""
+"""USD files as characters, and as glTF documents: with skeleton, animations, weights, shapes and materials."""
 
 from __future__ import annotations
 
@@ -80,31 +80,33 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         raise FormatError(f"{file}: expected one skeleton, got {', '.join(skeletons)}. Export one character alone.")
     to_world, rig = to_metres(stage_units(file)), None
     animations, weights = tuple[Animation, ...](), _ShapeWeights()
-    above = to_world
+    rig_to_world = to_world
     for skeleton in skeletons.values():
-        above = local_to_world(skeleton.GetPrim()) @ to_world
-        rig = _rig(file, skeleton, above)
-        animations, weights = _animations(stage, skeleton, rig, above)
+        rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
+        rig = _rig(file, skeleton, rig_to_world)
+        animations, weights = _animations(stage, skeleton, rig, rig_to_world)
     names = distinct([prim.GetDisplayName() or prim.GetName() for prim in prims])
     parts = []
     for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
         table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
-        placed_by = mesh.to_world @ to_world
+        mesh_to_world = mesh.to_world @ to_world
         if table is not None:
-            placed_by = np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ above
+            mesh_to_world = (
+                np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ rig_to_world
+            )
             if not np.isfinite(table).all():
                 raise FormatError(f"{file}: {mesh.path}: expected finite weights, got others. Export it again.")
             table = np.maximum(table, 0.0)
             table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
-        placed = in_world(replace(mesh, to_world=placed_by))
+        placed = in_world(replace(mesh, to_world=mesh_to_world))
         control = replace(placed.control, name=name, face_objects=None, object_names=())
         shapes = {
             label.removeprefix(BLEND_SHAPE): offsets
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes, _normals(prim, control, placed_by)))
+        parts.append(Part(name, control, table, shapes, _normals(prim, control, mesh_to_world)))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
@@ -125,23 +127,25 @@ def _normals(prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray 
     return turned_normals(np.asarray(values, dtype=np.float64), matrix[:3, :3])[corners]
 
 
-def _rig(file: Path, skeleton: Any, above: FloatArray) -> Rig:
+def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:
     joints, binds = joints_of(file, skeleton)
     parents = joint_parents(joints)
     if (parents >= np.arange(len(joints))).any():
         raise FormatError(f"{file}: {skeleton.GetPath()}: expected parents before children. Export the skeleton again.")
     rests = np.array(skeleton.GetRestTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
     local = rests if len(rests) == len(joints) else parent_transforms(binds, parents)
-    local[parents < 0] = local[parents < 0] @ above
-    if not np.isfinite(local).all() or not invertible(binds @ above).all():
+    local[parents < 0] = local[parents < 0] @ rig_to_world
+    if not np.isfinite(local).all() or not invertible(binds @ rig_to_world).all():
         raise FormatError(f"{file}: {skeleton.GetPath()}: expected transforms with an inverse. Export it again.")
     names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
     if len(set(names)) != len(joints) or len(names) != len(joints):
         names = joint_names(joints)
-    return Rig(tuple(names), parents, local, binds @ above)
+    return Rig(tuple(names), parents, local, binds @ rig_to_world)
 
 
-def _animations(stage: Any, skeleton: Any, rig: Rig, above: FloatArray) -> tuple[tuple[Animation, ...], _ShapeWeights]:
+def _animations(
+    stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray
+) -> tuple[tuple[Animation, ...], _ShapeWeights]:
     """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
     pxr = usd_modules()
     bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
@@ -164,7 +168,7 @@ def _animations(stage: Any, skeleton: Any, rig: Rig, above: FloatArray) -> tuple
                 if joint in joints and len(times):
                     keys = values[:, column]
                     if rig.parents[joints.index(joint)] < 0:
-                        keys = in_rig(keys, channel, above, tangents=False)
+                        keys = in_rig(keys, channel, rig_to_world, tangents=False)
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]

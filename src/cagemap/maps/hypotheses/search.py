@@ -56,11 +56,11 @@ def least_cost(prepared: PreparedPair) -> float:
 def rough_fits(
     problem: Problem, rigid: bool, show: Callable[[Placement], None]
 ) -> tuple[list[tuple[Tips, Placement]], list[Placement]]:
-    """Best placements on a small graph: with assigned limbs to hold, and others to release, cheapest first.
+    """Best placements on a small graph, cheapest first: with tips of limbs to hold, and those to refine without.
 
-    Placements of assignments are released as well: tips of limbs of unlike length do not correspond. With ``rigid``,
-    rotated starts are tried where no assignment is plausible, and rotations are doubted. ``show`` gets the best fit
-    that keeps the files' axes, then the best of all.
+    Placements of assignments are refined without held tips too: tips of limbs of unlike length do not correspond.
+    With ``rigid``, rotated starts are tried where no assignment is plausible, and rotations are doubted. ``show`` gets
+    the best fit that keeps the files' axes, then the best of all.
     """
     small, config = problem.rough, problem.prepared.elastic.search
     graph = small.shape.rest.graph
@@ -108,7 +108,7 @@ def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
 
 
 def fit_released(problem: Problem, rough: Sequence[Placement]) -> list[Placement]:
-    """Fine placements from rough ones and their spectral starts: the best of each, where they end apart."""
+    """Fine placements from rough ones and their spectral starts: the best of each, if they differ."""
     if not rough:
         return []
     graph, starts = problem.shape.rest.graph, spectral_starts(problem)
@@ -150,7 +150,7 @@ def search(
 ) -> list[Placement]:
     """Placements of the target's mesh, best first by cost and doubt; all of them hold the landmarks.
 
-    1. Three landmarks or more are a start of their own; if its fits agree, nothing else is tried.
+    1. With three landmarks or more a fit starts from them; if its fits agree, the search ends.
     2. Otherwise limbs are assigned to limbs, in the ways that the landmarks allow, and starts by rotation are tried.
     3. The best placements are refitted with tips of limbs held, and the best of all is finished
        (`deform.refit.finish_placement`). For bodies of one kind in one pose no tips are held, and without landmarks

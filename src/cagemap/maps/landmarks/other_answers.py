@@ -22,7 +22,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 
 def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
-    """Two answers that differ in a turned limb, and the vertex of largest difference; else None."""
+    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
     best = ends[0]
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
