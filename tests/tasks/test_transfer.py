@@ -38,16 +38,22 @@ def test_area_without_a_counterpart_is_said(tmp_path: Path, shared: float) -> No
     assert not any("no counterpart" in text for text in run_transfer(masked, Stages())[1])
 
 
-def test_the_image_inside_a_gltf_file_is_baked(tmp_path: Path) -> None:
-    write_result(tmp_path / "RESULT", identity_result())
-    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
-    scene = {
+def write_textured_scene(folder: Path) -> dict[str, Any]:
+    """Write box.gltf with a material of one colour image, without meshes; returns its document."""
+    write_image(folder / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
+    scene: dict[str, Any] = {
         "asset": {"version": "2.0"},
         "materials": [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
         "textures": [{"source": 0}],
         "images": [{"uri": "skin.png"}],
     }
-    (tmp_path / "box.gltf").write_text(json.dumps(scene))
+    (folder / "box.gltf").write_text(json.dumps(scene))
+    return scene
+
+
+def test_the_image_inside_a_gltf_file_is_baked(tmp_path: Path) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
+    scene = write_textured_scene(tmp_path)
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
     run_transfer(request, Stages())
     np.testing.assert_array_equal(read_image(tmp_path / "out.png").pixels[4, 4], [200, 30, 10])
@@ -73,14 +79,7 @@ def test_an_image_inside_a_gltf_file_for_other_uvs_is_refused(tmp_path: Path, ch
     write_result(
         tmp_path / "RESULT", replace(result, source=result.source.with_control(replace(control, uvs=control.uvs + 1)))
     )
-    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
-    scene = {
-        "asset": {"version": "2.0"},
-        "materials": [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-        "textures": [{"source": 0}],
-        "images": [{"uri": "skin.png"}],
-    }
-    (tmp_path / "box.gltf").write_text(json.dumps(scene))
+    scene = write_textured_scene(tmp_path)
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
     run_transfer(request, Stages())
     (tmp_path / "other.gltf").write_text(json.dumps(scene | changed))

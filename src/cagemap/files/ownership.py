@@ -40,7 +40,7 @@ def mark() -> str:
 def seal(path: Path) -> None:
     """Fill in the checksum of a file's mark; a PNG gets the mark in a chunk of its own.
 
-    Files of formats that store no mark are not changed.
+    Files without a mark are not changed.
     """
     if path.stat().st_size == 0:
         return

@@ -54,7 +54,7 @@ class LandmarkCheckRecord(Record):
 
 
 class ReadingRecord(Record):
-    """An answer of a match without landmarks."""
+    """One possible alignment of a match: its name, its cost, and pairs of landmarks to exchange."""
 
     name: str
     cost: float

@@ -246,7 +246,7 @@ def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
 def display_image(image: Pixels, *, is_data: bool = False) -> FloatArray:
     """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side, always three channels.
 
-    Floats are linear colours, or with ``is_data`` values that are shown unchanged.
+    Float images are linear colours and are encoded as sRGB; with ``is_data`` they are shown unchanged.
     """
     pixels = np.asarray(image)
     if np.issubdtype(pixels.dtype, np.integer):
@@ -312,7 +312,7 @@ class _Overlay:
     curves: tuple[Polyline, ...]
 
     def draw_on(self, image: Image, model: Model, camera: Camera) -> Image:
-        """The picture with the visible landmarks and curves."""
+        """A copy of the image with the visible landmarks and curves drawn on it."""
         for line, color in zip(self.curves, distinct_colors(len(self.curves)), strict=True):
             image = draw_line(image, model, camera, line, color)
         return draw_dots(image, model, camera, self.dots, distinct_colors(len(self.dots)), radius=5.0)

@@ -79,7 +79,7 @@ def _checked(
 ) -> tuple[ControlMesh, MeshReport, Contents | None]:
     """A file's mesh, its report for `cagemap match`, and the contents of a glTF, FBX or rigged USD file.
 
-    The report of a character is about its body only: other parts do not belong to the body's surface.
+    The report of a character describes its body mesh only.
     """
     scene, is_usd = _scene_of(path), path.suffix.lower() in USD_SUFFIXES
     mesh = read_whole(path) if scene is None or is_usd else scene_mesh(scene)

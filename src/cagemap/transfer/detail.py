@@ -51,7 +51,7 @@ from cagemap.transfer.vectors import (
     normal_encoder,
 )
 
-# Least weight of corners that may slide along the detail.
+# Corners with at least this weight may slide along the detailed surface.
 _FULL_WEIGHT = 1.0 - 1e-9
 # Rows of an image that are encoded at a time.
 _ROWS = 256

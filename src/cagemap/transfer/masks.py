@@ -35,7 +35,7 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
     Raises
     ------
     ParameterError
-        If the level has no texture coordinates, or the image lacks one of its tiles.
+        If the level has no texture coordinates, or a tile of the image is missing.
     """
     surface = TexturedSurface.from_level(level)
     laid = lay_texture(image, *surface.layout())

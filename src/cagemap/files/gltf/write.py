@@ -1,4 +1,4 @@
-"""Control meshes and characters as glTF documents, alone or in place of meshes of a given document."""
+"""Write control meshes and characters as glTF: new documents, or a given one with its meshes replaced."""
 
 from __future__ import annotations
 

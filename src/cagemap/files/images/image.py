@@ -51,7 +51,7 @@ _ASSOCIATED_SUFFIXES = (*_TIFF, ".exr")  # formats that can hold colours multipl
 # Texels of a written image that are read back at a time.
 _VERIFIED_TEXELS = 1 << 22
 _HEADER = 1 << 16  # most bytes of a file besides its texels
-# Errors of file systems that cannot reserve space.
+# Error numbers of `posix_fallocate` on file systems that do not support it.
 _NO_RESERVING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 
 

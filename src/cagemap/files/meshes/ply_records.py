@@ -1,4 +1,4 @@
-"""The PLY container: header, and elements as columns, decoded from text or binary bodies.
+"""Read the header of a PLY file, and its elements as columns, from a text or binary body.
 
 A text body is first packed as a binary one of float64 numbers, so that the rules for lists, counts and the end of the
 file exist once.

@@ -1,1 +1,1 @@
-"""Requests of the tasks: one dataclass each, annotated with its options."""
+"""Requests of the tasks: one dataclass for each command; its fields are the command's options."""

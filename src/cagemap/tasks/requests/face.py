@@ -1,4 +1,4 @@
-"""Request of `cagemap face`, annotated with its options."""
+"""Request of `cagemap face`: its fields are the command's options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Request of `cagemap functions`, annotated with its options."""
+"""Request of `cagemap functions`: its fields are the command's options."""
 
 from __future__ import annotations
 

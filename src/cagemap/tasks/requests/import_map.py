@@ -1,4 +1,4 @@
-"""Request of `cagemap map`, annotated with its options."""
+"""Request of `cagemap map`: its fields are the command's options."""
 
 from __future__ import annotations
 

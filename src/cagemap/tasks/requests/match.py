@@ -1,4 +1,4 @@
-"""Request of `cagemap match`, annotated with its options."""
+"""Request of `cagemap match`: its fields are the command's options."""
 
 from __future__ import annotations
 

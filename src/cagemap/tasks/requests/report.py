@@ -1,4 +1,4 @@
-"""Request of `cagemap report`, annotated with its options."""
+"""Request of `cagemap report`: its fields are the command's options."""
 
 from __future__ import annotations
 

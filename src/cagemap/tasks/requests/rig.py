@@ -1,4 +1,4 @@
-"""Request of `cagemap rig`, annotated with its options."""
+"""Request of `cagemap rig`: its fields are the command's options."""
 
 from __future__ import annotations
 

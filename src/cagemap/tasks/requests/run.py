@@ -1,4 +1,4 @@
-"""Request of `cagemap run`, annotated with its options."""
+"""Request of `cagemap run`: its fields are the command's options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Research options of a request, given as ``--set NAME=VALUE`` or in a TOML file."""
+"""Options for research: fields of configurations, set by ``--set NAME=VALUE`` or a TOML file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Request of `cagemap studio`, annotated with its options."""
+"""Request of `cagemap studio`: its fields are the command's options."""
 
 from __future__ import annotations
 

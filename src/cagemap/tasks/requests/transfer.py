@@ -1,4 +1,4 @@
-"""Request of `cagemap transfer`, annotated with its options."""
+"""Request of `cagemap transfer`: its fields are the command's options."""
 
 from __future__ import annotations
 

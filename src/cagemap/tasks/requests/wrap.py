@@ -1,4 +1,4 @@
-"""Request of `cagemap wrap`, annotated with its options."""
+"""Request of `cagemap wrap`: its fields are the command's options."""
 
 from __future__ import annotations
 
