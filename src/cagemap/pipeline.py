@@ -61,7 +61,7 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
         # Compute bases and triangles now, if not done yet: a result that was read has none.
-        in_threads(lambda surface: (surface.basis, surface.triangles(0)), [target, source])
+        in_threads(lambda surface: (surface.basis, surface.finest_triangles), [target, source])
         return PreparedPair.build(target, source, config.start, config.elastic, config.masks)
 
 

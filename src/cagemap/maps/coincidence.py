@@ -23,7 +23,7 @@ from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import row_lengths, triangle_centres
+from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
 # Points closer than this, of sqrt(source area), are equal: the rounding error of six digits in a file.
 SAME = 1e-5
@@ -113,8 +113,8 @@ def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> _S
 def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
     rows = evenly_spaced_vertices(len(surface.triangles), _MOST_SAMPLES)
     corners = surface.triangles[rows]
-    areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * surface.areas[rows]
-    return _Samples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals[rows], areas)
+    areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * triangle_areas(surface.positions, corners)
+    return _Samples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)
 
 
 def _distances(samples: _Samples, other: TriangleSurface, unit: float, most: float) -> FloatArray:

@@ -268,15 +268,18 @@ def measure_quality(
         counted = masks.joint(point_map)
         areas = areas * counted[target.triangles].mean(axis=1)
 
-    def on_triangles(part: slice) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+    flipped, stretch = np.empty(len(areas), dtype=np.bool_), np.empty((2, len(areas)))
+    largest, smallest = stretch
+
+    def fill(part: slice) -> None:
         chosen = target.triangles[part]
-        return inverted_triangles(image, normals, chosen), *stretches(target.positions, image, chosen)
+        flipped[part] = inverted_triangles(image, normals, chosen)
+        stretch[:, part] = stretches(target.positions, image, chosen)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, target.positions, image, asked, point_map.source, masks=masks)
-        parts = in_threads(on_triangles, row_slices(len(target.triangles), CACHED))
-        flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*parts, strict=True))
+        in_threads(fill, row_slices(len(areas), CACHED))
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
@@ -319,7 +322,9 @@ def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ..
 def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequence[float]) -> FloatArray:
     """Percentiles of values, weighted."""
     order = np.argsort(values)
-    cumulative = np.cumsum(weights[order]) / weights.sum()
+    cumulative = weights.take(order)
+    np.cumsum(cumulative, out=cumulative)
+    cumulative /= weights.sum()
     places = np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)
     return np.asarray(values[order[places]])
 

@@ -127,7 +127,13 @@ class Surface:
         """
         if not 0 <= level <= self.finest:
             raise ParameterError(f"level: expected 0 to {self.finest}, got {level}")
-        return self.finest_triangles if level == self.finest else self._coarse_triangles[level]
+        if level == self.finest:
+            return self.finest_triangles
+        known, levels = self._coarse_triangles, self.hierarchy
+        if level not in known:
+            places = self.finest_triangles.positions[levels.on_finest(level)]
+            known.setdefault(level, TriangleSurface(places, level_triangles(levels, level), self.scale))
+        return known[level]
 
     @kept
     def finest_triangles(self) -> TriangleSurface:
@@ -136,12 +142,9 @@ class Surface:
         return TriangleSurface(self.scale * self.vertices, triangles, self.scale)
 
     @kept
-    def _coarse_triangles(self) -> tuple[TriangleSurface, ...]:
-        places, levels = self.finest_triangles.positions, self.hierarchy
-        return tuple(
-            TriangleSurface(places[levels.on_finest(level)], level_triangles(levels, level), self.scale)
-            for level in range(self.finest)
-        )
+    def _coarse_triangles(self) -> dict[int, TriangleSurface]:
+        """Levels below the finest that `triangles` was asked for; the two or three that a match needs."""
+        return {}
 
     def with_control(self, control: ControlMesh) -> Surface:
         """The same surface from a control mesh with other UVs or materials."""

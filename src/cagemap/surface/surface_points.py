@@ -169,7 +169,7 @@ class SurfacePoints:
     @kept
     def normals(self) -> FloatArray:
         """(m, 3) unit normals of every point's triangle."""
-        return read_only(self.surface.normals.take(self.triangle, axis=0))
+        return read_only(self.surface.normals_of(self.triangle))
 
     @property
     def at_boundary(self) -> NDArray[np.bool_]:

@@ -90,6 +90,10 @@ class TriangleSurface:
         """(t, 3) unit normals of the triangles, zero where degenerate."""
         return read_only(normalize_rows(triangle_normals(self.positions, self.triangles)))
 
+    def normals_of(self, triangles: IndexArray) -> FloatArray:
+        """(m, 3) unit normals of some triangles (m,); unlike `normals` nothing is kept for all."""
+        return normalize_rows(triangle_normals(self.positions, self.triangles.take(triangles, axis=0)))
+
     @kept
     def vertex_normals(self) -> FloatArray:
         """(n, 3) unit normals of the vertices, area-weighted means of their triangles'."""
