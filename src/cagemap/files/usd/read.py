@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.images.image import texture_files
 from cagemap.files.text import require_file, text_name
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
@@ -130,10 +131,18 @@ def opened_once() -> Iterator[None]:
         yield
 
 
-def layer_files(path: str | Path) -> list[Path]:
-    """Files of all layers that a USD file is composed of, itself included."""
+def other_files(path: str | Path) -> list[Path]:
+    """Existing files of the other layers that a USD file is composed of, and of all images that its layers name."""
     stage = open_stage(path)  # its layers end with it
-    return sorted(Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath)
+    with named_damage(path):
+        layers = [layer for layer in stage.GetUsedLayers() if layer.realPath]
+        assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _of_layer(layer.realPath))
+        files = {
+            *(Path(layer.realPath) for layer in layers),
+            *(tile for name in assets for tile in texture_files(name)),
+        }
+    own = Path(stage.GetRootLayer().realPath)
+    return sorted(file for file in files if file.is_file() and file != own)  # entries of a package are no files
 
 
 def _reason(error: Exception) -> str:
