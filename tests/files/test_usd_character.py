@@ -256,3 +256,15 @@ def test_check_says_what_a_character_in_usd_holds(tmp_path: Path) -> None:
         assert line in text
     for word in ("component:", "set aside", "copies along seams"):
         assert word not in text
+
+
+def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _written(tmp_path / "a.usda", lively())
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/body/raise"))
+    shape.CreateInbetween("half").SetWeight(0.5)
+    stage.Save()
+    check_files([tmp_path / "a.usda"])
+    assert [one.getMessage().partition(": ")[2] for one in caplog.records] == [
+        "/Asset/body: blend shape raise: its in-betweens are left out"
+    ]

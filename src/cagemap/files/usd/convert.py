@@ -39,14 +39,16 @@ from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray
 
 
-def usd_document(path: str | Path) -> Document:
+def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> Document:
     """Read a USD file as a glTF document in metres with Y up, in the bind pose.
 
     Subdivision schemes are left out, since glTF has none. Materials are those of `cagemap.files.usd.shaders`.
+
+    ``meshes``: the file's, if they are read already.
     """
     file = Path(path)
     with named_damage(file), opened_once():
-        stage, meshes = open_stage(file), read_usd_meshes(file)
+        stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character, weights = _read(file, stage, meshes)
         document = replace(character_glb(character), file=file)
         geometry = usd_modules().UsdGeom

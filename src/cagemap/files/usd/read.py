@@ -12,7 +12,7 @@ import logging
 import posixpath
 import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -208,20 +208,24 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
 
     With ``mixed``, meshes of different subdivision schemes are joined with their ``object_schemes``, to extract parts.
     """
+    return joined(path, read_usd_meshes(path), mixed=mixed)
+
+
+def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) -> ControlMesh:
+    """The control mesh of `read_usd` from the meshes of its file."""
     file = Path(path)
-    meshes = read_usd_meshes(file)
     if len(meshes) == 1:
         return replace(meshes[0].control, name=file.name)
     schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
-    joined = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
+    whole = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
-        return replace(joined, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
+        return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
         raise FormatError(
             f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
             f"{', '.join(schemes.values())}). Match the one that is meant (`find_part` NAME)."
         )
-    return joined
+    return whole
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
