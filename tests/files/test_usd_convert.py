@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
@@ -20,7 +21,7 @@ from cagemap.files.gltf.write import character_glb
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
@@ -28,6 +29,7 @@ from cagemap.files.usd.materials import STRENGTH
 from cagemap.mesh.faces import reversed_corners
 
 from usd_characters import lively, painted, posed, with_shape_weights
+from usd_scenes import usd_mesh
 
 
 def test_a_written_character_comes_back(tmp_path: Path) -> None:
@@ -120,6 +122,54 @@ def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, si
     corners = corners if left_handed == (sign < 0) else reversed_corners(hat.mesh.face_offsets)
     np.testing.assert_array_equal(found.mesh.face_indices, hat.mesh.face_indices[corners])
     np.testing.assert_allclose(found.normals, hat.normals[corners] * [sign, 1, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize("left_handed", [False, True])
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize("kind", ["constant", "uniform", "varying", "vertex", "faceVarying"])
+def test_normals_of_every_interpolation_are_read(tmp_path: Path, kind: str, indexed: bool, left_handed: bool) -> None:
+    """As an attribute, or as a primvar with indices and only a time sample; a corner is known by face and vertex."""
+    mesh = cube()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = usd_mesh(stage, "/cube", mesh)
+    prim.CreateSubdivisionSchemeAttr("none")
+    prim.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+    rows = {
+        "constant": np.zeros(len(mesh.face_indices), dtype=int),
+        "uniform": mesh.corner_faces,
+        "faceVarying": np.arange(len(mesh.face_indices)),
+    }.get(kind, mesh.face_indices)
+    values = np.random.default_rng(3).normal(size=(rows.max() + 1, 3))
+    values /= np.linalg.norm(values, axis=1, keepdims=True)
+    if indexed:
+        primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, kind)
+        primvar.Set(values[::-1].tolist(), 1.0)
+        primvar.SetIndices(list(range(len(values)))[::-1], 1.0)
+    else:
+        prim.CreateNormalsAttr(values.tolist())
+        prim.SetNormalsInterpolation(kind)
+    stage.Save()
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    assert part.normals is not None
+    order = [part.mesh.corner_faces * 8 + part.mesh.face_indices, mesh.corner_faces * 8 + mesh.face_indices]
+    found, expected = (np.argsort(keys) for keys in order)
+    np.testing.assert_allclose(part.normals[found], values[rows][expected], atol=1e-6)
+
+
+@pytest.mark.parametrize("normals", [[(0, 0, 1)] * 5, [(np.nan, 0, 1)] * 8])
+def test_normals_that_do_not_fit_are_left_out_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, normals: list[tuple[float, float, float]]
+) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
+    prim = usd_mesh(stage, "/cube", cube())
+    prim.CreateSubdivisionSchemeAttr("none")
+    prim.CreateNormalsAttr(normals)
+    stage.Save()
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    assert part.normals is None
+    assert "cube.usda: /cube: its normals are left out" in caplog.text
 
 
 def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> None:

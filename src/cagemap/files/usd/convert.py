@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,15 @@ from cagemap.files.gltf.nodes import distinct, invertible
 from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
-from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, stated
+from cagemap.files.usd.prims import (
+    BLEND_SHAPE,
+    JOINT_WEIGHTS,
+    corner_rows,
+    is_mirrored,
+    local_to_world,
+    primvar_values,
+    stated,
+)
 from cagemap.files.usd.read import (
     UsdMesh,
     in_world,
@@ -37,6 +46,8 @@ from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray
+
+_log = logging.getLogger(__name__)
 
 
 def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> Document:
@@ -108,25 +119,30 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes, _normals(prim, control, mesh_to_world)))
+        parts.append(Part(name, control, table, shapes, _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world)))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
-def _normals(prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
+def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
     """Normals (c, 3) of the corners of a plain mesh that a matrix has placed; None for other meshes and without any."""
     geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
-        values, kind = primvar.ComputeFlattened(), primvar.GetInterpolation()
+        values, numbers, kind = primvar_values(where, primvar)
     else:
-        values, kind = stated(geometry.GetNormalsAttr()), geometry.GetNormalsInterpolation()
-    is_reversed = (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix)
-    in_file = reversed_corners(control.face_offsets) if is_reversed else np.arange(len(control.face_indices))
-    corners = {"vertex": control.face_indices, "faceVarying": in_file}.get(kind)
-    if not values or corners is None or len(values) <= corners.max() or not isinstance(control.scheme, Plain):
+        values, kind = np.array(stated(geometry.GetNormalsAttr()) or []), str(geometry.GetNormalsInterpolation())
+        numbers = np.arange(len(values))
+    if not len(values) or not isinstance(control.scheme, Plain):
         return None
-    return turned_normals(np.asarray(values, dtype=np.float64), matrix[:3, :3])[corners]
+    rows = corner_rows(control, kind)
+    if kind == "faceVarying" and (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix):
+        rows = reversed_corners(control.face_offsets)
+    if rows is None or len(numbers) <= rows.max() or values.shape[1:] != (3,) or not np.isfinite(values).all():
+        text = "%s: its normals are left out, others are computed: expected finite ones, got %d of interpolation %s"
+        _log.warning(text, where, len(numbers), kind)
+        return None
+    return turned_normals(values.astype(np.float64), matrix[:3, :3])[numbers[rows]]
 
 
 def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:

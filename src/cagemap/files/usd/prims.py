@@ -53,15 +53,8 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     If a file has a value for every corner, as Blender writes them, equal ones at a vertex are merged. Otherwise every
     face would be a UV island.
     """
-    values, numbers, interpolation = _values(where, primvar)
-    values = values.astype(np.float64)
-    owners = {
-        "constant": np.zeros(len(control.face_indices), dtype=np.int64),
-        "uniform": control.corner_faces,
-        "varying": control.face_indices,
-        "vertex": control.face_indices,
-        "faceVarying": np.arange(len(control.face_indices)),
-    }.get(interpolation)
+    values, numbers, interpolation = primvar_values(where, primvar)
+    values, owners = values.astype(np.float64), corner_rows(control, interpolation)
     if owners is None or len(numbers) <= owners.max():
         _refuse(where, primvar, f"got {len(numbers)} values of interpolation {interpolation!r}")
     if not np.isfinite(values).all():
@@ -69,6 +62,18 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     if interpolation == "faceVarying" and not primvar.IsIndexed():
         return merged_corners(control.face_indices, values[owners])
     return values, numbers[owners]
+
+
+def corner_rows(control: ControlMesh, interpolation: str) -> IndexArray | None:
+    """(c,) row of every face corner in values of an interpolation; None if USD has no such interpolation."""
+    rows = {
+        "constant": np.zeros(len(control.face_indices), dtype=np.int64),
+        "uniform": control.corner_faces,
+        "varying": control.face_indices,
+        "vertex": control.face_indices,
+        "faceVarying": np.arange(len(control.face_indices)),
+    }
+    return rows.get(interpolation)
 
 
 def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
@@ -96,7 +101,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         expected = rows.get(str(primvar.GetInterpolation()))
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
             continue
-        values, numbers, _ = _values(where, primvar)
+        values, numbers, _ = primvar_values(where, primvar)
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers]
@@ -111,7 +116,7 @@ def corner_primvars(prim: Any) -> frozenset[str]:
     return frozenset(primvar.GetPrimvarName() for primvar in primvars if primvar.GetInterpolation() == "faceVarying")
 
 
-def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
+def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
     """Values, the row of each element, and the interpolation; elements of several values become rows."""
     values = np.asarray(stated(primvar))
     size = primvar.GetElementSize()
@@ -145,8 +150,8 @@ def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str,
     indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
     if not (indices and weights and indices.HasValue() and weights.HasValue()):
         return {}
-    joints, _, _ = _values(where, indices)
-    values, _, interpolation = _values(where, weights)
+    joints, _, _ = primvar_values(where, indices)
+    values, _, interpolation = primvar_values(where, weights)
     joints, values = joints.reshape(len(joints), -1), values.reshape(len(values), -1)
     if interpolation == "constant":
         joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
