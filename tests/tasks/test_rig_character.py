@@ -313,6 +313,26 @@ def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: C
     assert [of(opened) for of in stage] == [0.01, "Z"]
 
 
+def test_a_usd_body_gives_the_same_glb_as_its_glb(run: Run, files: Character, body: ControlMesh) -> None:
+    """In centimetres with Z up, moved by its prim: glTF is in metres with Y up. Landmarks name vertices of the file."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    first = _rig(run)
+    to_world = np.eye(4)
+    to_world[3, :3] = [500.0, 0.0, 0.0]
+    upright = 100 * np.column_stack([body.positions[:, 0], -body.positions[:, 2], body.positions[:, 1]])
+    write_usd("B.usda", body.with_positions(upright - to_world[3, :3]), space=StageSpace("Z", 0.01, to_world))
+    (points,) = (part.mesh.positions for part in files.parts if part.name == "body")
+    tops = [int(np.argmax(mesh @ axis)) for axis in np.eye(3) for mesh in (body.positions, points)]
+    pairs = [{"name": str(k), "target": tops[2 * k], "source": tops[2 * k + 1]} for k in range(3)]
+    Path("L.json").write_text(json.dumps({"pairs": pairs}))
+    for words in ((), ("--landmarks", "L.json")):
+        run.done("rig B.usda --like C.glb -o OUT.glb", *words)
+        made = read_character("OUT.glb")
+        np.testing.assert_allclose(made.rig.bind, first.rig.bind, atol=2e-3)
+        for given in first.parts:
+            _same_order(_part(made, given.name), given, 2e-3)
+
+
 def test_usd_and_its_images_are_written_together(run: Run, files: Character, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file of others at the layer's name, or an error after the layer: no image is left either."""
     Path("OUT.usdc").write_bytes(b"mine")

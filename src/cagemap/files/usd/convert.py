@@ -20,6 +20,7 @@ from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct, invertible
 from cagemap.files.gltf.parts import turned_normals
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
 from cagemap.files.usd.prims import (
@@ -57,11 +58,16 @@ def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> D
 
     ``meshes``: the file's, if they are read already.
     """
+    return document_and_character(path, meshes)[0]
+
+
+def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> tuple[Document, Character]:
+    """A USD file as by `usd_document` and `read_usd_character`; names are the same in both."""
     file = Path(path)
     with named_damage(file), opened_once():
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character, weights = _read(file, stage, meshes)
-        document = replace(character_glb(character), file=file)
+        plain = replace(character_glb(character), file=file)
         geometry = usd_modules().UsdGeom
         users = {
             name: (
@@ -71,7 +77,13 @@ def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> D
             for part, mesh in zip(reversed(character.parts), reversed(meshes), strict=True)
             for name in part.mesh.material_names
         }
-        return with_materials(_with_shape_weights(document, character, weights), stage, users)
+        document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
+    names = dict(zip(material_names(plain), material_names(document), strict=True))
+    parts = (
+        replace(part, mesh=replace(part.mesh, material_names=tuple(names.get(n, n) for n in part.mesh.material_names)))
+        for part in character.parts
+    )
+    return document, replace(character, parts=tuple(parts))
 
 
 def read_usd_character(path: str | Path) -> Character:
@@ -98,7 +110,8 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
         rig = _rig(file, skeleton, rig_to_world)
         animations, weights = _animations(stage, skeleton, rig, rig_to_world)
-    names = distinct([prim.GetDisplayName() or prim.GetName() for prim in prims])
+    joints = () if rig is None else rig.names
+    names = distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
     for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
         table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
