@@ -26,6 +26,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
+from cagemap.files.usd.read import in_world, read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
 
 from usd_characters import lively, painted, posed, with_shape_weights
@@ -228,6 +230,58 @@ def test_several_skeletons_are_refused(tmp_path: Path) -> None:
     stage.Save()
     with pytest.raises(FormatError, match="expected one skeleton, got /Asset/skeleton, /Asset/other"):
         usd_document(path)
+
+
+def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -> None:
+    """Joints, weights and bind transform of the prim above; joints by index; samples before the stage's first time."""
+    path = tmp_path / "C.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdSkel.Root.Define(stage, "/R")
+    joints = UsdSkel.Skeleton.Define(stage, "/R/skeleton")
+    places = [Gf.Matrix4d().SetTranslate((0, height, 0)) for height in (0, 1, 2)]
+    joints.CreateJointsAttr(["A", "A/B", "A/B/C"])
+    joints.CreateBindTransformsAttr(places)
+    joints.CreateRestTransformsAttr([places[0], places[1], places[1]])
+    animation = UsdSkel.Animation.Define(stage, "/R/animation")
+    animation.CreateJointsAttr(["A/B"])
+    animation.CreateScalesAttr([Gf.Vec3h(1, 1, 1)])
+    animation.CreateTranslationsAttr().Set([(0, 1, 0)], -12.0)
+    animation.CreateTranslationsAttr().Set([(2, 1, 0)], 12.0)
+    animation.CreateRotationsAttr().Set([Gf.Quatf(1.0)], -12.0)
+    animation.CreateRotationsAttr().Set([Gf.Quatf(0.5, 0.5, 0.5, 0.5)], 12.0)
+    UsdSkel.BindingAPI.Apply(joints.GetPrim()).CreateAnimationSourceRel().SetTargets(["/R/animation"])
+    group = UsdSkel.BindingAPI.Apply(UsdGeom.Xform.Define(stage, "/R/group").GetPrim())
+    group.CreateSkeletonRel().SetTargets([joints.GetPath()])
+    group.CreateJointsAttr(["A/B/C", "A"])
+    group.CreateJointIndicesPrimvar(True, 2).Set([0, 1])
+    group.CreateJointWeightsPrimvar(True, 2).Set([0.75, 0.25])
+    group.CreateGeomBindTransformAttr(Gf.Matrix4d().SetTranslate((0.0, 0.5, 0.0)))
+    usd_mesh(stage, "/R/group/below", cube())
+    own = UsdSkel.BindingAPI.Apply(usd_mesh(stage, "/R/group/own", cube()).GetPrim())
+    indices = own.CreateJointIndicesPrimvar(False, 1)
+    indices.Set([1, 0])
+    indices.SetIndices([0, 1] * 4)
+    own.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 8)
+    stage.Save()
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/R")), Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(joints)
+    found = read_usd_character(path)
+    assert found.rig is not None
+    assert min(track.times[0] for track in found.animations[0].tracks) == 0.0
+    for part in found.parts:
+        prim = stage.GetPrimAtPath(f"/R/group/{part.name}")
+        for frame in (-12.0, 0.0, 12.0):
+            points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
+            transforms = query.ComputeSkinningTransforms(frame)
+            assert cache.GetSkinningQuery(prim).ComputeSkinnedPoints(transforms, points, frame)
+            posed_at = pose_at(found.rig, found.animations[0], (frame + 12.0) / 24.0)
+            np.testing.assert_allclose(skinned_positions(part, found.rig, posed_at), points, atol=1e-6)
+    skeleton = read_usd_skeleton(path, in_world(read_usd_meshes(path)[0]).control)
+    assert skeleton is not None
+    np.testing.assert_allclose(skeleton.heads[:, 1], [-0.5, 0.5, 1.5])
 
 
 def test_a_character_of_another_program(shared_data: Path) -> None:

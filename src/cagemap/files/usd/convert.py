@@ -26,6 +26,7 @@ from cagemap.files.usd.animations import without_scale
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     JOINT_WEIGHTS,
+    bind_transform,
     corner_rows,
     is_mirrored,
     local_to_world,
@@ -117,9 +118,7 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
         mesh_to_world = mesh.to_world @ to_world
         if table is not None:
-            mesh_to_world = (
-                np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ rig_to_world
-            )
+            mesh_to_world = bind_transform(prim) @ rig_to_world
             if not np.isfinite(table).all():
                 raise FormatError(f"{file}: {mesh.path}: expected finite weights, got others. Export it again.")
             table = np.maximum(table, 0.0)
@@ -184,17 +183,14 @@ def _animations(
     prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get()]
     found, weights = [], _ShapeWeights()
+    given = [attribute for one in prims for attribute in (*_channels(one).values(), one.GetBlendShapeWeightsAttr())]
+    start = min(0.0, stage.GetStartTimeCode(), *(code for one in given for code in one.GetTimeSamples()[:1]))
     names = distinct([one.GetPrim().GetDisplayName() or one.GetPrim().GetName() for one in prims])
     for name, animation in zip(names, prims, strict=True):
         listed = [str(joint) for joint in animation.GetJointsAttr().Get() or []]
-        channels: tuple[tuple[Channel, Any], ...] = (
-            ("translation", animation.GetTranslationsAttr()),
-            ("rotation", animation.GetRotationsAttr()),
-            ("scale", animation.GetScalesAttr()),
-        )
         tracks = []
-        for channel, attribute in channels:
-            times, values = _samples(stage, attribute, len(listed))
+        for channel, attribute in _channels(animation).items():
+            times, values = _samples(stage, attribute, len(listed), start)
             for column, joint in enumerate(listed):
                 if joint in joints and len(times):
                     keys = values[:, column]
@@ -203,7 +199,7 @@ def _animations(
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
-        times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes))
+        times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes), start)
         if len(times):
             weights[name] = times, dict(zip(shapes, values.T, strict=True))
         if tracks or name in weights:
@@ -211,13 +207,21 @@ def _animations(
     return tuple(found), weights
 
 
-def _samples(stage: Any, attribute: Any, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Times in seconds, from 0 on, and values (k, rows, ...) of an attribute; none if it has no such values."""
+def _channels(animation: Any) -> dict[Channel, Any]:
+    """Attributes of a `SkelAnimation` by channel."""
+    return {
+        "translation": animation.GetTranslationsAttr(),
+        "rotation": animation.GetRotationsAttr(),
+        "scale": animation.GetScalesAttr(),
+    }
+
+
+def _samples(stage: Any, attribute: Any, rows: int, start: float) -> tuple[FloatArray, FloatArray]:
+    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values."""
     codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))
-    start = min(stage.GetStartTimeCode(), 0.0)
     times = np.array([0.0 if len(codes) == 1 else code - start for code in codes]) / stage.GetTimeCodesPerSecond()
     return times, np.array([np.array(value) for value in values], dtype=np.float64)
 

@@ -29,6 +29,22 @@ def stated(attribute: Any) -> Any:
     return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
 
 
+def bind_transform(prim: Any) -> FloatArray:
+    """(4, 4) transform from a mesh's space to its skeleton's in the bind pose."""
+    attribute = _skinning_attribute(prim, "primvars:skel:geomBindTransform")
+    return np.array(np.eye(4) if attribute is None else stated(attribute), dtype=np.float64)
+
+
+def _skinning_attribute(prim: Any, name: str) -> Any:
+    """The attribute of a prim or of the nearest prim above it that states one, as UsdSkel inherits; None without."""
+    while prim:
+        attribute = prim.GetAttribute(name)
+        if attribute and attribute.HasAuthoredValue():
+            return attribute
+        prim = prim.GetParent()
+    return None
+
+
 def integers(values: Any) -> IndexArray:
     """An array of USD as indices; empty if absent."""
     return np.array([] if values is None else values, dtype=np.int64)
@@ -84,7 +100,6 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     """
     from pxr import UsdGeom
 
-    api = UsdGeom.PrimvarsAPI(prim)
     taken = {primvar.GetPrimvarName() for primvar in uv_primvars(prim)}
     rows = {
         "uniform": control.n_faces,
@@ -93,7 +108,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         "faceVarying": len(control.face_indices),
     }
     arrays: dict[str, NDArray[Any]] = {}
-    for primvar in api.FindPrimvarsWithInheritance():
+    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
@@ -105,7 +120,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers]
-    return arrays | _weights(where, control, api, prim) | _blend_shapes(where, control, prim)
+    return arrays | _weights(where, control, prim) | _blend_shapes(where, control, prim)
 
 
 def corner_primvars(prim: Any) -> frozenset[str]:
@@ -145,14 +160,17 @@ def _refuse(where: str, primvar: Any, found: str) -> None:
     )
 
 
-def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str, NDArray[Any]]:
+def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
     """``skel:jointWeights`` as a dense table (n, joints), in the order of the skeleton's joints if there is one."""
-    indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
-    if not (indices and weights and indices.HasValue() and weights.HasValue()):
+    from pxr import UsdGeom
+
+    stated_by = [_skinning_attribute(prim, f"primvars:skel:{name}") for name in ("jointIndices", "jointWeights")]
+    if None in stated_by:
         return {}
-    joints, _, _ = primvar_values(where, indices)
-    values, _, interpolation = primvar_values(where, weights)
-    joints, values = joints.reshape(len(joints), -1), values.reshape(len(values), -1)
+    indices, weights = map(UsdGeom.Primvar, stated_by)
+    joints, rows, _ = primvar_values(where, indices)
+    values, weight_rows, interpolation = primvar_values(where, weights)
+    joints, values = joints.reshape(len(joints), -1)[rows], values.reshape(len(values), -1)[weight_rows]
     if interpolation == "constant":
         joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
     if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
@@ -167,10 +185,10 @@ def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
     from pxr import UsdSkel
 
-    binding = UsdSkel.BindingAPI(prim)
-    skeleton = binding.GetInheritedSkeleton()
+    skeleton = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
-    joints_of_mesh = list(binding.GetJointsAttr().Get() or []) or joints_of_skeleton
+    order = _skinning_attribute(prim, "skel:joints")
+    joints_of_mesh = list((order and order.Get()) or joints_of_skeleton)
     highest = int(joints.max(initial=0))
     if not joints_of_skeleton:
         return joints, highest + 1
