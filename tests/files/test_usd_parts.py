@@ -5,10 +5,11 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube, poles
+from examples.shapes import creature, cube, poles, torus
 
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
@@ -281,6 +282,61 @@ def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
     assert read.material_names == ("metal", "/b/metal")
     colors = read.material_colors[read.face_materials]  # type: ignore[index]
     np.testing.assert_array_equal(colors, [[1, 0, 0]] * 3 + [[0, 0, 1]] * 3)
+
+
+def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:
+    api = UsdShade.MaterialBindingAPI.Apply(to.GetPrim())
+    api.Bind(UsdShade.Material.Define(stage, f"/looks/{material}"), **options)
+
+
+def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
+    """Of previews or final renderings alone, of a collection, or of a prim above that overrides those below it."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
+    strong = UsdShade.Tokens.strongerThanDescendants
+    _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
+    meshes = {path: usd_mesh(stage, path, cube()) for path in ("/over/m", "/full", "/preview", "/list/m")}
+    subsets = {
+        path: UsdGeom.Subset.CreateGeomSubset(meshes[path], "part", "face", [0, 1], "materialBind")
+        for path in ("/over/m", "/preview", "/list/m")
+    }
+    _bound(stage, subsets["/over/m"], "below")
+    _bound(stage, meshes["/full"], "final", materialPurpose="full")
+    _bound(stage, meshes["/preview"], "all")
+    _bound(stage, subsets["/preview"], "shown", materialPurpose="preview")
+    group = UsdGeom.Xform.Define(stage, "/list").GetPrim()
+    collection = Usd.CollectionAPI.Apply(group, "chosen")
+    collection.IncludePath("/list/m/part")
+    listed = UsdShade.Material.Define(stage, "/looks/listed")
+    UsdShade.MaterialBindingAPI.Apply(group).Bind(collection, listed, "chosen")
+    stage.Save()
+    found = {mesh.path: mesh.control for mesh in read_usd_meshes(tmp_path / "looks.usda")}
+    names = {path: [one.material_names[number] for number in one.face_materials] for path, one in found.items()}
+    assert names == {
+        "/over/m": ["above"] * 6,
+        "/full": ["final"] * 6,
+        "/preview": ["shown"] * 2 + ["all"] * 4,
+        "/list/m": ["listed"] * 2 + [""] * 4,
+    }
+
+
+def test_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """By their number of rows, values of a torus' faces would be values of its vertices."""
+    ring = torus()
+    assert ring.n_faces == ring.n_vertices
+    stage = Usd.Stage.CreateNew(str(tmp_path / "ring.usda"))
+    mesh = usd_mesh(stage, "/copies/ring", ring)
+    mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)] * ring.n_faces)
+    UsdGeom.PointInstancer.Define(stage, "/copies").CreatePrototypesRel().SetTargets(["/copies/ring"])
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "ring.usda")
+    assert read.control.vertex_colors is None
+    assert not read.attributes
+    assert [one.getMessage().partition("ring.usda: ")[2][:40] for one in caplog.records] == [
+        "the copies by /copies are left out; make",
+        "/copies/ring: primvar displayColor of fa",
+    ]
 
 
 def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ from cagemap.files.usd.read import (
     named_damage,
     open_stage,
     opened_once,
+    prims_of,
     read_usd_meshes,
     usd_modules,
 )
@@ -179,7 +180,7 @@ def _animations(
     """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
     pxr = usd_modules()
     bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
-    prims = [*([bound] if bound else []), *(prim for prim in stage.Traverse() if prim.IsA(pxr.UsdSkel.Animation))]
+    prims = [*([bound] if bound else []), *prims_of(stage, pxr.UsdSkel.Animation)]
     prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get()]
     found, weights = [], _ShapeWeights()

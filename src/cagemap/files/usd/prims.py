@@ -113,8 +113,13 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
         values = np.asarray(stated(primvar))
-        expected = rows.get(str(primvar.GetInterpolation()))
+        interpolation = str(primvar.GetInterpolation())
+        expected = rows.get(interpolation)
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
+            continue
+        if interpolation == "uniform" and control.n_faces == control.n_vertices:  # rows would be taken for vertices
+            text = "%s: primvar %s of faces is left out: there are as many vertices; export it at vertices or corners"
+            logger.warning(text, where, name)
             continue
         values, numbers, _ = primvar_values(where, primvar)
         if len(numbers) != expected:
@@ -236,7 +241,7 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
 
     A face in several groups gets one group with all their names, as in OBJ's ``g one two``.
     """
-    from pxr import UsdGeom, UsdShade
+    from pxr import UsdGeom
 
     materials = np.full(n_faces, -1, dtype=np.int64)
     names: list[str] = []
@@ -252,15 +257,15 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
             colors.append(_diffuse_color(material))
         return paths.index(path.pathString)
 
-    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    bound = _bound_material(prim)
     if bound:
         materials[:] = number(bound)
     for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
         faces = integers(stated(subset.GetIndicesAttr()))
         if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
             continue
-        material_of_subset = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
-        if material_of_subset:
+        material_of_subset = _bound_material(subset.GetPrim())
+        if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):
             materials[faces] = number(material_of_subset)
         elif subset.GetFamilyNameAttr().Get() != "materialBind":
             groups.append((subset.GetPrim().GetName(), faces))
@@ -275,6 +280,14 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
     if groups:
         result |= _joined_groups(groups, n_faces)
     return result
+
+
+def _bound_material(prim: Any) -> Any:
+    """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
+    from pxr import UsdShade
+
+    api = UsdShade.MaterialBindingAPI(prim)
+    return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
 
 
 def _joined_groups(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:

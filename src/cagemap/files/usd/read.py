@@ -176,8 +176,10 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
     with named_damage(file):
-        all_prims = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
-        prims = [prim for prim in all_prims if prim.IsA(pxr.UsdGeom.Mesh)]
+        prims = prims_of(stage, pxr.UsdGeom.Mesh)
+        for instancer in prims_of(stage, pxr.UsdGeom.PointInstancer):
+            text = "%s: the copies by %s are left out; make each a mesh of its own to keep it"
+            logger.warning(text, file, instancer.GetPath())
         final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
@@ -191,6 +193,12 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         )
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
     return meshes
+
+
+def prims_of(stage: Any, kind: Any) -> list[Any]:
+    """All active prims of a type, those in instances included."""
+    every = usd_modules().Usd.PrimRange.Stage(stage, usd_modules().Usd.TraverseInstanceProxies())
+    return [prim for prim in every if prim.IsA(kind)]
 
 
 def _variants_without_choice(stage: Any) -> list[str]:

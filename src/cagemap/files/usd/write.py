@@ -91,9 +91,11 @@ def write_usd(
         text = "%s: creasing %s has no place in USD and is left out: creases of uneven sharpness come out otherwise"
         _log.warning(text, file, mesh.scheme.creasing)
     write_topology(prim, mesh)
-    if mesh.uvs is not None and mesh.uv_indices is not None:
-        write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
-        for uv_set in mesh.uv_sets:
+    if mesh.uvs is not None:
+        names = identifiers((uv_set.name or "st" for uv_set in mesh.all_uv_sets), ("displayColor", "normals"))
+        sets = [replace(uv_set, name=name) for uv_set, name in zip(mesh.all_uv_sets, names, strict=True)]
+        mesh = replace(mesh, uv_name=names[0], uv_sets=tuple(sets[1:]))
+        for uv_set in sets:
             write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
     write_subsets(stage, prim, mesh)
     _write_results(stage, prim.GetPrim(), mesh, results)
