@@ -148,6 +148,9 @@ def write_usd_over(
     stage = pxr.Usd.Stage.Open(layer)
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(target_stage))
     pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(target_stage))
+    for name in ("startTimeCode", "endTimeCode", "timeCodesPerSecond", "framesPerSecond"):  # of animations
+        if target_stage.HasAuthoredMetadata(name):
+            stage.SetMetadata(name, target_stage.GetMetadata(name))
     top = prims[0].GetPath().GetPrefixes()[0]
     layer.defaultPrim = (target_stage.GetDefaultPrim() or target_stage.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
