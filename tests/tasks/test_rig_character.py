@@ -299,6 +299,19 @@ def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -
         assert _image_error() < 0.03
 
 
+def test_images_of_the_character_are_not_replaced(run: Run, files: Character) -> None:
+    """They are cagemap's own, named like those of the output."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    document = read_document("C.glb")
+    write_usd_character("C.usda", character_of(document), read_scene(document))
+    before = {path.name: path.read_bytes() for path in Path().iterdir()}
+    assert "C_body_baseColor.png" in before
+    for _ in range(2):
+        run.done("rig B.glb --like C.usda -o C.usdc --force")
+        assert {path.name for path in Path().iterdir()} == {*before, "C.usdc", "C_body_baseColor1.png"}
+        assert {name: Path(name).read_bytes() for name in before} == before
+
+
 def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: ControlMesh) -> None:
     usd_geom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed")
     to_world = np.eye(4)

@@ -61,7 +61,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     stages("write")
     with all_or_nothing():
         made = character_glb(character, document)
-        notes += write_character(request.output, character, made, request.head, force=request.force)
+        notes += write_character(request.output, character, made, [request.head], force=request.force)
         if request.sheet is not None:
             write_image(request.sheet, contact_sheet(character, body.name, list(shapes), head), force=request.force)
     absent = f"; there is no {ABSENT}" if request.only is None else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.files.meshes.formats import read_mesh, read_whole
+from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import document_and_character, read_usd_character, usd_document
 from cagemap.files.usd.read import USD_SUFFIXES, usd_modules
@@ -90,7 +90,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     if request.report is not None:
         stages("report")
     with all_or_nothing():
-        notes += write_character(request.output, dressed, rigged_document, request.body, force=request.force)
+        inputs = request.body, request.like
+        notes += write_character(request.output, dressed, rigged_document, inputs, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
     confidence = carried.result.confidence
@@ -124,15 +125,19 @@ def _require_suffix(path: Path, what: str, suffixes: tuple[str, ...], remedy: st
         raise FormatError(f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. {remedy}.")
 
 
-def write_character(path: Path, character: Character, document: Document, body: Path, *, force: bool) -> list[str]:
-    """Write a character as glTF, or as USD in the space of a USD file ``body``; returns notes.
+def write_character(
+    path: Path, character: Character, document: Document, inputs: Sequence[Path], *, force: bool
+) -> list[str]:
+    """Write a character as glTF, or as USD in the space of the first input if that is USD; returns notes.
 
     ``document``: of the character, by `character_glb`.
+    ``inputs``: files that it was made from; their images are not replaced.
     """
     scene = _readable_scene(document, character)
     if _is_usd(path):
-        space = similar_space(body) if _is_usd(body) else None
-        return write_usd_character(path, character, scene, space=space, force=force)
+        space = similar_space(inputs[0]) if _is_usd(inputs[0]) else None
+        kept = {file.resolve() for one in inputs for file in referred_files(one)}
+        return write_usd_character(path, character, scene, space=space, kept=kept, force=force)
     write_document(path, document, force=force)
     return []
 

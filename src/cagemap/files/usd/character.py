@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,13 @@ _PADDING = 0x1986
 
 
 def write_usd_character(
-    path: str | Path, character: Character, scene: Scene, *, space: StageSpace | None = None, force: bool = False
+    path: str | Path,
+    character: Character,
+    scene: Scene,
+    *,
+    space: StageSpace | None = None,
+    kept: Collection[Path] = (),
+    force: bool = False,
 ) -> list[str]:
     """Write a character as USD: a layer with images in its folder, or a package (``.usdz``); returns notes.
 
@@ -63,13 +69,14 @@ def write_usd_character(
     ``scene``: the same character as a glTF document: its materials, images and weights of blend shapes are written.
     ``character``: in metres with Y up, as ``scene``.
     ``space``: to write it in, whose transform is a similarity without a mirror; default: metres with Y up.
+    ``kept``: resolved paths of files that no image replaces, such as images of the character's file.
     """
     file = Path(path)
     check_usd_path(file, package=True)
     character = character if space is None else _in_space(character, space)
     stage = new_stage(space or StageSpace("Y", 1.0), "SkelRoot")
     used = {name: None for part in character.parts for name in _materials(part)}
-    surfaces = write_materials(stage, scene.document, list(used), file)
+    surfaces = write_materials(stage, scene.document, list(used), file, kept)
     rig = character.rig
     if rig is None and any(part.shapes for part in character.parts):  # a skeleton holds the weights of shapes
         rig = Rig(("root",), np.array([-1]), np.eye(4)[None], np.eye(4)[None])
