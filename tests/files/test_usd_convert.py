@@ -220,6 +220,19 @@ def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog
     assert "P.usdz: body: the image of its " in caplog.text
 
 
+def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Joints of glTF have no shear, which rotated joints below it have."""
+    made = lively()
+    write_usd_character(tmp_path / "C.usda", made, read_scene(character_glb(made)))
+    stage = Usd.Stage.Open(str(tmp_path / "C.usda"))
+    scale = UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddScaleOp()
+    for size, said in (((-2.0, 2.0, 2.0), 0), ((1.0, 2.0, 1.0), 1)):
+        scale.Set(size)
+        stage.Save()
+        read_usd_character(tmp_path / "C.usda")
+        assert caplog.text.count("/Asset/skeleton: its transform scales unevenly") == said
+
+
 def test_several_skeletons_are_refused(tmp_path: Path) -> None:
     made, document = painted()
     path = tmp_path / "C.usda"

@@ -319,7 +319,7 @@ def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
     }
 
 
-def test_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
+def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """By their number of rows, values of a torus' faces would be values of its vertices."""
@@ -329,14 +329,15 @@ def test_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
     mesh = usd_mesh(stage, "/copies/ring", ring)
     mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)] * ring.n_faces)
     UsdGeom.PointInstancer.Define(stage, "/copies").CreatePrototypesRel().SetTargets(["/copies/ring"])
+    UsdGeom.BasisCurves.Define(stage, "/hair")
+    UsdGeom.Sphere.Define(stage, "/control").CreatePurposeAttr("guide")
     stage.Save()
     (read,) = read_usd_meshes(tmp_path / "ring.usda")
     assert read.control.vertex_colors is None
     assert not read.attributes
-    assert [one.getMessage().partition("ring.usda: ")[2][:40] for one in caplog.records] == [
-        "the copies by /copies are left out; make",
-        "/copies/ring: primvar displayColor of fa",
-    ]
+    said, *others = (one.getMessage() for one in caplog.records)
+    assert "left out what is no mesh: /hair (BasisCurves), /copies (PointInstancer);" in said
+    assert [one.partition("ring.usda: ")[2][:40] for one in others] == ["/copies/ring: primvar displayColor of fa"]
 
 
 def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from cagemap.files.usd.prims import (
     bind_transform,
     corner_rows,
     is_mirrored,
+    is_similarity,
     local_to_world,
     primvar_values,
     stated,
@@ -112,6 +113,9 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
         rig = _rig(file, skeleton, rig_to_world)
         animations, weights = _animations(stage, skeleton, rig, rig_to_world)
+        if animations and not is_similarity(rig_to_world):
+            text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
+            _log.warning(text, file, skeleton.GetPath())
     joints = () if rig is None else rig.names
     names = distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []

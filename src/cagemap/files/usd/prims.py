@@ -337,6 +337,12 @@ def is_mirrored(matrix: FloatArray) -> bool:
     return bool(np.linalg.det(matrix[:3, :3]) < 0)
 
 
+def is_similarity(matrix: FloatArray) -> bool:
+    """Whether a (4, 4) transform scales all directions alike."""
+    products = matrix[:3, :3] @ matrix[:3, :3].T
+    return bool(np.allclose(products, products[0, 0] * np.eye(3), atol=1e-6 * products[0, 0]))
+
+
 def local_to_world(prim: Any) -> FloatArray:
     """(4, 4) transform from a prim's local space to world space."""
     matrix = _to_world(prim)

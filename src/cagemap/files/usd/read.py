@@ -41,6 +41,7 @@ from cagemap.files.usd.prims import (
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray
@@ -177,10 +178,13 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     stage, pxr = open_stage(file), usd_modules()
     with named_damage(file):
         prims = prims_of(stage, pxr.UsdGeom.Mesh)
-        for instancer in prims_of(stage, pxr.UsdGeom.PointInstancer):
-            text = "%s: the copies by %s are left out; make each a mesh of its own to keep it"
-            logger.warning(text, file, instancer.GetPath())
-        final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
+        others = [*prims_of(stage, pxr.UsdGeom.Gprim), *prims_of(stage, pxr.UsdGeom.PointInstancer)]
+        others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and _is_final(prim)]
+        left_out = [f"{prim.GetPath()} ({prim.GetTypeName()})" for prim in others]
+        if prims and left_out:
+            text = "%s: left out what is no mesh: %s; convert it to meshes to keep it"
+            logger.warning(text, file, first_few(left_out))
+        final = [prim for prim in prims if _is_final(prim)]
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
     if not meshes:
@@ -193,6 +197,10 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         )
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
     return meshes
+
+
+def _is_final(prim: Any) -> bool:
+    return str(usd_modules().UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS
 
 
 def prims_of(stage: Any, kind: Any) -> list[Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd.prims import is_mirrored
+from cagemap.files.usd.prims import is_mirrored, is_similarity
 from cagemap.files.usd.read import USD_SUFFIXES, named_damage, open_stage, opened_once, read_usd_meshes, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
@@ -50,10 +50,8 @@ def stage_space(path: str | Path) -> StageSpace:
 def similar_space(path: str | Path) -> StageSpace:
     """The space of a file's control mesh, as by `stage_space`; world space if a transform mirrors or distorts it."""
     space = stage_space(path)
-    turn = space.to_world[:3, :3]
-    lengths = turn @ turn.T
-    is_similarity = np.allclose(lengths, lengths[0, 0] * np.eye(3), atol=1e-6 * lengths[0, 0])
-    return space if is_similarity and not is_mirrored(space.to_world) else replace(space, to_world=np.eye(4))
+    is_kept = is_similarity(space.to_world) and not is_mirrored(space.to_world)
+    return space if is_kept else replace(space, to_world=np.eye(4))
 
 
 def unit_notes(*files: Path) -> tuple[str, ...]:
