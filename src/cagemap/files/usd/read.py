@@ -105,8 +105,15 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 def open_stage(path: str | Path) -> Any:
     """Open a USD file; warns of missing files that it refers to."""
+    stage, reasons = _opened(Path(path))
+    for reason in reasons:
+        logger.warning("%s: %s", path, reason)
+    return stage
+
+
+def _opened(file: Path) -> tuple[Any, list[str]]:
+    """The stage of a file, and what USD says of files that it refers to."""
     pxr = usd_modules()
-    file = Path(path)
     require_file(file, "a USD file")
     # instead of USD's own messages, which name its source files
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
@@ -116,9 +123,7 @@ def open_stage(path: str | Path) -> Any:
             entry.commentary.partition(" (instantiating stage ")[0]
             for entry in diagnostics.TakeUncoalescedDiagnostics()
         )
-        for reason in dict.fromkeys(reasons):
-            logger.warning("%s: %s", file, reason)
-        return stage
+        return stage, list(dict.fromkeys(reasons))
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
 
@@ -134,7 +139,7 @@ def opened_once() -> Iterator[None]:
 
 def other_files(path: str | Path) -> list[Path]:
     """Existing files of the other layers that a USD file is composed of, and of all images that its layers name."""
-    stage = open_stage(path)  # its layers end with it
+    stage, _ = _opened(Path(path))  # its layers end with it
     with named_damage(path):
         layers = [layer for layer in stage.GetUsedLayers() if layer.realPath]
         assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _of_layer(layer.realPath))
