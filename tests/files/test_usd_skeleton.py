@@ -104,6 +104,20 @@ def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> Non
     assert again.names == found.names
 
 
+def test_vertices_without_weights_stay_and_all_joints_are_kept(tmp_path: Path) -> None:
+    """Such as those outside a matched part: USD would move them to the skeleton's origin."""
+    names = tuple(f"joint{number}" for number in range(9))
+    heads = np.arange(27.0).reshape(9, 3)
+    skeleton = Skeleton(names, ("", *names[:-1]), heads, heads + 1.0)
+    weights = np.ones((8, 9)) / 9.0
+    weights[5:] = 0.0
+    cube = textured_cube("c", 1.0)
+    write_usd(tmp_path / "c.usda", cube, UsdResults(attributes={"skel:jointWeights": weights}, skeleton=skeleton))
+    np.testing.assert_allclose(_at_rest(tmp_path / "c.usda", "/Asset/mesh"), cube.positions, atol=1e-5)
+    (read,) = read_usd_meshes(tmp_path / "c.usda")
+    np.testing.assert_allclose(read.attributes["skel:jointWeights"][:5], weights[:5], atol=1e-6)
+
+
 def test_the_parent_of_a_joint_is_its_nearest_listed_ancestor(tmp_path: Path) -> None:
     """A Blender export of deform bones alone leaves out joints in the middle of paths."""
     path = tmp_path / "deform.usda"

@@ -147,7 +147,7 @@ def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any],
     if skinned or part.shapes:
         pxr.UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateSkeletonRel().SetTargets([SKELETON])
     if skinned and part.weights is not None:
-        write_weights(prim.GetPrim(), part.weights.toarray(), int(np.diff(part.weights.indptr).max()))
+        write_weights(prim.GetPrim(), part.weights.toarray())
         pxr.UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr(pxr.Gf.Matrix4d(1.0))
     if part.shapes:
         write_blend_shapes(stage, prim.GetPrim(), part.shapes)

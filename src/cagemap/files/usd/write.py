@@ -29,7 +29,6 @@ from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 
-_JOINTS_KEPT = 8
 _CORNERS = "faceVarying"
 _log = logging.getLogger(__name__)
 
@@ -363,14 +362,17 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
     primvar.Set(array.FromNumpy(np.ascontiguousarray(flat)))
 
 
-def write_weights(prim: Any, table: FloatArray, most: int = _JOINTS_KEPT) -> None:
-    """Write the ``most`` largest weights of every vertex, normalised to sum to 1."""
+def write_weights(prim: Any, table: FloatArray) -> None:
+    """Write weights (n, joints), normalised to sum to 1; vertices without any follow the first joint.
+
+    Without weights they would be skinned to the skeleton's origin.
+    """
     pxr = usd_modules()
-    kept = max(1, min(most, int((table > 0).sum(axis=1).max(initial=0))))
+    table = np.where(table.any(axis=1, keepdims=True), table, np.eye(1, table.shape[1]))
+    kept = int((table > 0).sum(axis=1).max(initial=1))
     joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
     weights = np.take_along_axis(table, joints, axis=1)
-    sums = weights.sum(axis=1, keepdims=True)
-    weights = np.divide(weights, sums, out=weights, where=sums > 0)
+    weights = weights / weights.sum(axis=1, keepdims=True)
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     binding.CreateJointIndicesPrimvar(False, kept).Set(_ints(joints.ravel()))
     binding.CreateJointWeightsPrimvar(False, kept).Set(_floats(weights.ravel()))
