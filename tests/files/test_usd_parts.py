@@ -30,6 +30,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
+from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.space import upright_turn
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
@@ -282,6 +283,34 @@ def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
     assert read.material_names == ("metal", "/b/metal")
     colors = read.material_colors[read.face_materials]  # type: ignore[index]
     np.testing.assert_array_equal(colors, [[1, 0, 0]] * 3 + [[0, 0, 1]] * 3)
+
+
+def test_materials_of_one_name_on_two_meshes_stay_apart(tmp_path: Path) -> None:
+    """Each mesh has its own scope, as of assets put together; copies of an instance have one material."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
+    for number, color in enumerate([(1, 0, 0), (0, 0, 1)]):
+        mesh = usd_mesh(stage, f"/asset{number}/mesh", cube())
+        material = UsdShade.Material.Define(stage, f"/asset{number}/looks/metal")
+        shader = UsdShade.Shader.Define(stage, f"/asset{number}/looks/metal/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    stage.Save()
+    read = read_usd(tmp_path / "looks.usda")
+    assert read.material_names == ("metal", "/asset1/looks/metal")
+    document = usd_document(tmp_path / "looks.usda")
+    factors = [one["pbrMetallicRoughness"]["baseColorFactor"] for one in document.json["materials"]]
+    for colors in (read.material_colors, factors):
+        np.testing.assert_array_equal(np.array(colors)[:, :3], [[1, 0, 0], [0, 0, 1]])
+    for name in ("one", "two"):
+        prim = stage.OverridePrim(f"/{name}")
+        prim.SetTypeName("Xform")
+        prim.GetReferences().AddInternalReference("/asset1")
+        prim.SetInstanceable(True)
+    stage.RemovePrim("/asset0")
+    stage.Save()
+    assert read_usd(tmp_path / "looks.usda").material_names == ("metal", "/one/looks/metal")
 
 
 def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:

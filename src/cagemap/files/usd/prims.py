@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -236,26 +237,27 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
     return arrays
 
 
-def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
+def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:
     """Materials of faces by bindings of the mesh and its subsets; other subsets become groups.
 
     A face in several groups gets one group with all their names, as in OBJ's ``g one two``.
+
+    ``labels``: names of materials by path.
     """
     from pxr import UsdGeom
 
     materials = np.full(n_faces, -1, dtype=np.int64)
     names: list[str] = []
-    paths: list[str] = []
     groups: list[tuple[str, IndexArray]] = []
     colors: list[FloatArray] = []
 
     def number(material: Any) -> int:
-        path = material.GetPath()
-        if path.pathString not in paths:
-            paths.append(path.pathString)
-            names.append(path.name if path.name not in names else path.pathString)  # equal names in other scopes
+        path = material.GetPath().pathString
+        name = labels.get(path, path)
+        if name not in names:
+            names.append(name)
             colors.append(_diffuse_color(material))
-        return paths.index(path.pathString)
+        return names.index(name)
 
     bound = _bound_material(prim)
     if bound:

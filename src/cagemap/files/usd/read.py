@@ -12,7 +12,7 @@ import logging
 import posixpath
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -191,7 +191,8 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
             logger.warning(text, file, first_few(left_out))
         final = [prim for prim in prims if _is_final(prim)]
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
-        meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
+        labels = material_labels(stage)
+        meshes = tuple(_read_prim(file, prim, labels) for prim in unflattened(file, with_points))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         open_sets = _variants_without_choice(stage)
@@ -212,6 +213,18 @@ def prims_of(stage: Any, kind: Any) -> list[Any]:
     """All active prims of a type, those in instances included."""
     every = usd_modules().Usd.PrimRange.Stage(stage, usd_modules().Usd.TraverseInstanceProxies())
     return [prim for prim in every if prim.IsA(kind)]
+
+
+def material_labels(stage: Any) -> dict[str, str]:
+    """Names of all materials by path: their own, or the path if another material has it; one name for all instances."""
+    label_of: dict[Any, str] = {}
+    labels, taken = dict[str, str](), set[str]()
+    for prim in prims_of(stage, usd_modules().UsdShade.Material):
+        source, path = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim, str(prim.GetPath())
+        label_of.setdefault(source, path if prim.GetName() in taken else prim.GetName())
+        labels[path] = label_of[source]
+        taken.add(labels[path])
+    return labels
 
 
 def _variants_without_choice(stage: Any) -> list[str]:
@@ -281,7 +294,7 @@ def in_world(mesh: UsdMesh) -> UsdMesh:
     return replace(mesh, control=control, attributes=attributes | shapes)
 
 
-def _read_prim(file: Path, prim: Any) -> UsdMesh:
+def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     pxr = usd_modules()
     mesh = pxr.UsdGeom.Mesh(prim)
     where = f"{file}: {prim.GetPath()}"
@@ -306,7 +319,7 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
         first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
         further_sets = tuple(uv_set for uv_set in sets if uv_set is not first)
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=further_sets)
-    control = replace(control, **face_sets(prim, control.n_faces))
+    control = replace(control, **face_sets(prim, control.n_faces, labels))
     attributes = primvar_arrays(where, control, prim)
     colors = attributes.get("displayColor")
     if colors is not None and colors.shape == (control.n_vertices, 3):

@@ -18,7 +18,7 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import REPEAT
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
-from cagemap.files.usd.read import prims_of, usd_modules
+from cagemap.files.usd.read import material_labels, usd_modules
 
 _log = logging.getLogger(__name__)
 
@@ -39,8 +39,7 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tup
     ``users``: by name of a material, the names of the UV sets of a mesh that has it, and whether it is double-sided.
     """
     shade = usd_modules().UsdShade
-    prims = prims_of(stage, shade.Material)
-    named = {prim.GetName(): prim for prim in reversed(prims)} | {str(prim.GetPath()): prim for prim in prims}
+    named = {label: stage.GetPrimAtPath(path) for path, label in material_labels(stage).items()}
     made = _Materials(document)
     for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
         sets, double_sided = users[name]
