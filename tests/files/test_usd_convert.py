@@ -21,7 +21,7 @@ from cagemap.files.gltf.write import character_glb
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
@@ -231,6 +231,35 @@ def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.Lo
         stage.Save()
         read_usd_character(tmp_path / "C.usda")
         assert caplog.text.count("/Asset/skeleton: its transform scales unevenly") == said
+
+
+@pytest.mark.parametrize(
+    ("shader", "setting", "value"),
+    [
+        ("normal", "scale", (2, -2, 2, 1)),
+        ("normal", "sourceColorSpace", "sRGB"),
+        ("diffuseColor", "sourceColorSpace", "raw"),
+        ("emissiveColor", "bias", (0.5, 0.5, 0.5, 0)),
+        ("occlusion", "bias", (0, 0, 0, 0)),
+    ],
+)
+def test_images_that_gltf_reads_otherwise_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, shader: str, setting: str, value: object
+) -> None:
+    """Such as a normal map whose green axis is turned round."""
+    made, document = painted()
+    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    usd_document(tmp_path / "C.usda")
+    assert not caplog.records
+    stage = Usd.Stage.Open(str(tmp_path / "C.usda"))
+    texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{shader}_texture"))
+    texture.CreateInput(setting, getattr(Sdf.ValueTypeNames, "Token" if isinstance(value, str) else "Float4")).Set(
+        value
+    )
+    stage.Save()
+    usd_document(tmp_path / "C.usda")
+    (said,) = (one.getMessage() for one in caplog.records)
+    assert f"body: the image of its {shader} is taken as it is" in said
 
 
 def test_several_skeletons_are_refused(tmp_path: Path) -> None:

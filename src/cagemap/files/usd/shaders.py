@@ -71,6 +71,17 @@ def _shader(shader: Any, name: str, kind: str) -> Any:
     return found if found and found.GetIdAttr().Get() == kind else None
 
 
+def _is_plain(texture: Any, slot: str) -> bool:
+    """Whether glTF reads an image as a texture shader does: its colour space, scale and bias."""
+    scale, bias = (np.array(_setting(texture, name, (1.0 - k,) * 4))[:3] for k, name in enumerate(("scale", "bias")))
+    is_color = slot in ("baseColorTexture", "emissiveTexture")
+    if str(_setting(texture, "sourceColorSpace", "auto")) == ("raw" if is_color else "sRGB"):
+        return False
+    if slot == "normalTexture":  # without scale and bias, programs take an image as a normal map all the same
+        return any(np.allclose([scale, bias], [[k], [1.0 - k]]) for k in (1.0, 2.0))
+    return bool(np.allclose(bias, 1.0 - scale if slot == "occlusionTexture" else 0.0))
+
+
 def _content(path: str) -> bytes | None:
     """A file, or one in a package (``PACKAGE.usdz[NAME]``); None if it cannot be read."""
     package, inside, name = path.removesuffix("]").rpartition("[")
@@ -130,6 +141,9 @@ class _Materials:
                 _log.warning(text, self._file, entry["name"], "/".join(outputs))
             elif slot:
                 texture = next(iter(pairs.values()))
+                if not _is_plain(texture, slot):
+                    text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
+                    _log.warning(text, self._file, entry["name"], "/".join(outputs))
                 in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
                 holder = {"index": images.pop()} | self._coordinates(texture, sets)
                 if slot == "occlusionTexture":
