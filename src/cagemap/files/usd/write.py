@@ -153,7 +153,11 @@ def write_usd_over(
     top = prims[0].GetPath().GetPrefixes()[0]
     layer.defaultPrim = (target_stage.GetDefaultPrim() or target_stage.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
-        stage.OverridePrim(top).SetTypeName("SkelRoot")
+        if prims[0].GetPath() == top:
+            text = "%s: %s is the topmost prim: USD poses only meshes below a SkelRoot, so put it below a prim of that type"
+            _log.warning(text, target, top)
+        else:
+            stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
         for above in _ancestors(prim):
             if above.IsInstance():  # prims below an instance cannot be overridden
