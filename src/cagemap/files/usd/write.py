@@ -154,7 +154,7 @@ def write_usd_over(
     layer.defaultPrim = (target_stage.GetDefaultPrim() or target_stage.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
         if prims[0].GetPath() == top:
-            text = "%s: %s is the topmost prim: USD poses only meshes below a SkelRoot, so put it below a prim of that type"
+            text = "%s: %s is the topmost prim; USD poses only meshes below a SkelRoot: put it below such a prim"
             _log.warning(text, target, top)
         else:
             stage.OverridePrim(top).SetTypeName("SkelRoot")
