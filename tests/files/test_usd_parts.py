@@ -216,6 +216,25 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
     np.testing.assert_allclose(second.control.positions, cube().positions + 1, atol=1e-6)
 
 
+def test_new_points_over_a_mesh_have_none_of_its_normals(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
+    mesh = usd_mesh(stage, "/A/m", cube())
+    mesh.CreateNormalsAttr().Set([(0, 1, 0)] * 8, 1.0)
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "vertex").Set([(0, 1, 0)] * 8)
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "box.usda")
+    for name, results, kept in (
+        ("moved", UsdResults(points=read.control.positions[:, ::-1]), False),
+        ("same", UsdResults(attributes={"height": np.arange(8.0)}), True),
+    ):
+        write_usd_over(tmp_path / f"{name}.usda", tmp_path / "box.usda", [read.path], read.control, results)
+        composed = Usd.Stage.Open(str(tmp_path / f"{name}.usda"))
+        over = UsdGeom.Mesh(composed.GetPrimAtPath("/A/m"))
+        assert over.GetNormalsAttr().HasValue() == kept
+        assert UsdGeom.PrimvarsAPI(over).GetPrimvar("normals").HasValue() == kept
+        assert complaints(tmp_path / f"{name}.usda") == []
+
+
 def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
     mesh = usd_mesh(stage, "/A/m", cube())

@@ -306,6 +306,9 @@ def _write_results(
         points = pxr.Vt.Vec3fArray.FromNumpy(results.points.astype(np.float32))
         geometry.CreatePointsAttr().Set(points)
         geometry.CreateExtentAttr().Set(pxr.UsdGeom.PointBased.ComputeExtent(points))
+        for normals in (geometry.GetNormalsAttr(), prim.GetAttribute("primvars:normals")):
+            if normals and normals.HasAuthoredValue():  # those of the target's shape: programs compute new ones
+                normals.Block()
     uv_name = mesh.uv_name or "st"
     if results.uvs is not None:
         uv_name = results.uvs[0]
