@@ -27,6 +27,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from cagemap.files.usd.read import in_world, named_damage, open_stage, read_usd, read_usd_meshes
+from cagemap.files.usd.results import MATERIAL
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 
@@ -172,6 +173,21 @@ def test_names_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> 
     np.testing.assert_array_equal(read.attributes["blendShape:怒"], 2 * moves)
     others = [read.attributes[name] for name in read.attributes if name.startswith("_")]
     np.testing.assert_array_equal(others, [np.arange(8.0), -np.arange(8.0)])
+
+
+def test_textures_show_on_all_faces(tmp_path: Path) -> None:
+    """Also where faces have materials, in a file of its own and in a layer over the target."""
+    (tmp_path / "a.png").write_bytes(b"")
+    mesh, results = full_cube(), UsdResults(textures={"albedo": "./a.png"})
+    write_usd(tmp_path / "own.usda", mesh, results)
+    write_usd(tmp_path / "target.usda", mesh)
+    write_usd_over(tmp_path / "over.usda", tmp_path / "target.usda", ["/Asset/mesh"], mesh, results)
+    for name in ("own.usda", "over.usda"):
+        stage = Usd.Stage.Open(str(tmp_path / name))
+        subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(stage.GetPrimAtPath("/Asset/mesh")))
+        bound = [UsdShade.MaterialBindingAPI(one.GetPrim()).ComputeBoundMaterial()[0].GetPath() for one in subsets]
+        assert [str(path) for path in bound] == [f"/Asset/{MATERIAL}"] * 2
+        assert complaints(tmp_path / name) == []
 
 
 def test_uv_sets_of_any_name_are_written(tmp_path: Path) -> None:
