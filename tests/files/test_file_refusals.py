@@ -297,6 +297,15 @@ REFUSED = {
         "found an error (",
         "Write it again.",
     ),
+    "a matrix with columns that are not there": Refusal(
+        lambda place: (
+            np.savez(place / "m.npz", indices=[10**6], indptr=[0, 1], data=[1.0], shape=[1, 1], format="csr"),
+            read_images(place / "m.npz", identity_result(1).point_map.source),
+        ),
+        "m.npz: expected a sparse matrix",
+        "found an error (",
+        "Write it again.",
+    ),
     "a matrix of fewer entries than it states": Refusal(
         lambda place: read_images(
             text("m.mtx", "%%MatrixMarket matrix coordinate real general\n3 3 2\n1 1 1.0\n")(place),
