@@ -33,6 +33,7 @@ from cagemap.files.result.maps import read_images
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import load_surface, prepared, save_surface
 from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -344,6 +345,20 @@ REFUSED = {
         "level 0: ",
         "expected mass and stiffness with the same pattern of nonzeros",
         "Build the operators with cagemap.operators.build_operators.",
+    ),
+    "joints at two numbers": Refusal(
+        lambda place: read_skeleton(
+            text("j.json", [{"name": n, "head": [0, 1], "tail": [0, 0, 0]} for n in "abc"])(place)
+        ),
+        "j.json: ",
+        "expected a list of joints",
+        "found something else (",
+    ),
+    "shapes for a folder in none": Refusal(
+        lambda place: write_shapes(place / "no" / "where", {"smile": np.zeros((8, 3))}, cube(), []),
+        "where: the folder ",
+        "does not exist",
+        "Create it, or give another output.",
     ),
     "vertex groups without a mesh": Refusal(
         lambda place: read_attributes(text("g.json", "[]")(place)),
