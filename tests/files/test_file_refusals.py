@@ -346,6 +346,14 @@ REFUSED = {
         "expected mass and stiffness with the same pattern of nonzeros",
         "Build the operators with cagemap.operators.build_operators.",
     ),
+    "the name of an object with a tab": Refusal(
+        lambda place: write_mesh(
+            place / "o.obj", replace(cube(), face_objects=np.zeros(6, int), object_names=("left\teye",))
+        ),
+        "the name 'left\\teye'",
+        "expected no line breaks, no tabs",
+        "Rename this material, object or group.",
+    ),
     "joints at two numbers": Refusal(
         lambda place: read_skeleton(
             text("j.json", [{"name": n, "head": [0, 1], "tail": [0, 0, 0]} for n in "abc"])(place)
