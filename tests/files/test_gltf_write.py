@@ -174,6 +174,23 @@ def test_what_is_no_joint_stays_in_the_document() -> None:
     assert sorted(paths) == [(1, "translation"), (2, "rotation"), (4, "translation")]
 
 
+@pytest.mark.parametrize("rigged", [True, False])
+def test_nodes_outside_the_scene_keep_their_skin(rigged: bool, tmp_path: Path) -> None:
+    given = arm()
+    hidden = {"name": "hidden", "mesh": 0, "skin": 1}
+    skins = [*given.json["skins"], {"joints": [2, 1]}]
+    document = replace(given, json=given.json | {"nodes": [*given.json["nodes"], hidden], "skins": skins})
+    character = character_of(document)
+    if not rigged:
+        parts = tuple(replace(part, weights=None) for part in character.parts)
+        character = replace(character, parts=parts, rig=None, animations=())
+    write_document(tmp_path / "out.glb", character_glb(character, document))
+    made = read_document(tmp_path / "out.glb").json
+    assert made["skins"][made["nodes"][5]["skin"]] == skins[1]
+    if rigged:
+        _same(character, read_character(tmp_path / "out.glb"))
+
+
 def test_joints_move_and_join() -> None:
     document = arm()
     character = character_of(document)

@@ -121,9 +121,11 @@ class _Made:
             self._meshes_used, self._mesh_of_node = [], {}
 
     def rig(self, rig: Rig | None) -> None:
-        """Set the joints' transforms and the skin that all parts share."""
-        self.top.pop("skins", None)
+        """Set the joints' transforms and the skin that all parts share; nodes without a part keep their skins."""
+        given = self.top.pop("skins", [])
+        skinned = [node for node in self._nodes if node.get("skin") is not None]
         if rig is None:
+            self.top |= {"skins": given} if skinned else {}
             return
         numbers: list[int] = []
         for joint, name in enumerate(rig.names):
@@ -137,7 +139,9 @@ class _Made:
         inverse = np.linalg.inv(rig.bind)
         inverse[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
         number = self._binary.accessor(inverse.reshape(-1, 16).astype("<f4"))
-        self.top["skins"] = [{"joints": numbers, "inverseBindMatrices": number}]
+        self.top["skins"] = [{"joints": numbers, "inverseBindMatrices": number}, *(given if skinned else ())]
+        for entry in skinned:
+            entry["skin"] += 1
 
     def part(self, part: Part, rig: Rig | None) -> None:
         """Add a part's mesh to its node."""

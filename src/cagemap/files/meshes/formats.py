@@ -5,6 +5,7 @@ A new format is an entry of `_READERS` or `_WRITERS`; help lines that list forma
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Collection
@@ -112,11 +113,12 @@ def referred_files(path: Path) -> list[Path]:
         if suffix == ".obj":
             return material_files(path, read_text(path, "an OBJ file"))
         if suffix == ".gltf":
-            names = re.findall(r'"uri"\s*:\s*"([^"]{1,1000})"', read_text(path, "a glTF file"))
+            words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', read_text(path, "a glTF file"))
+            names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
             # Unlike `Path.is_file`, false for names that are too long, such as embedded data.
-            return [file for name in names if os.path.isfile(file := path.parent / unquote(name))]
+            return [file for name in names if os.path.isfile(file := path.parent / name)]
         return other_files(path) if suffix in USD_SUFFIXES else []
-    except FormatError:  # its reader reports it
+    except (FormatError, ValueError):  # its reader reports it
         return []
 
 
