@@ -104,6 +104,21 @@ def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None
         assert [(task.outputs, task.request["blend_shapes"]) for task in tasks[4:]] == [(("pony__deer/shapes",), True)]
 
 
+@pytest.mark.parametrize("text", ["mask.npy", "./mask.npy", "not:.//mask.npy", "not:sub/../mask.npy"])
+def test_masks_are_found_however_their_paths_are_typed(
+    folder: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "sub").mkdir()
+    np.save(folder / "mask.npy", np.ones(3))
+    monkeypatch.chdir(folder)
+    match, _ = requests(folder)
+    note_match(replace(match, target_mask=text))
+    job = read_job(folder / "RESULT" / JOB, COMMANDS)
+    mask = job.pairs[0].options["target_mask"]
+    assert mask.startswith("not:") == text.startswith("not:")
+    assert Path(mask.removeprefix("not:")).resolve() == (folder / "mask.npy").resolve()
+
+
 def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
     write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
     write_mesh(folder / "small.obj", textured_cube("small.obj"))
