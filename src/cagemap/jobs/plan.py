@@ -17,7 +17,7 @@ from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
-from cagemap.jobs.job_schema import Asset, OutputRule, asset_names, fill_placeholders
+from cagemap.jobs.job_schema import MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
 
 # Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
 STATE_FOLDER = ".cagemap"
@@ -142,7 +142,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
         source, target = (job.assets[name] for name in pair)
         sides = [("target", target), ("source", source)]
         if "map" in options:
-            sides, options = [], {name: options[name] for name in ("map", "level") if name in options}
+            sides, options = [], {name: options[name] for name in ("map", *MAP_OPTIONS) if name in options}
         if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
             sides = []  # parts are known only when both meshes have been read
         surfaces = [planner.prepare(asset, side, options) for side, asset in sides]
