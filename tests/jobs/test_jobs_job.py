@@ -393,3 +393,17 @@ def test_tiles_are_files_of_an_asset_and_count_by_their_content(folder: Path, na
         (folder / "a.1002.png").write_bytes(content)
         keys.append(next(task.key for task in plan_of(folder, text).tasks if task.kind == "transfer"))
     assert keys[0] != keys[1]
+
+
+def test_shapes_of_a_folder_count_by_name_and_content(folder: Path) -> None:
+    text = HEAD + ASSETS + PAIRS + '[[outputs]]\ncommand = "transfer"\nblend_shapes = ["shapes"]\noutput = "s.npz"\n'
+    (folder / "shapes").mkdir()
+    keys = []
+    for name, content in (("smile.obj", "v 0 0 0\n"), ("smile.obj", "v 0 0 1\n"), ("grin.obj", "v 0 0 1\n")):
+        for file in (folder / "shapes").iterdir():
+            file.unlink()
+        (folder / "shapes" / name).write_text(content)
+        (folder / "job.toml").write_text(text)
+        plan = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+        keys.append(next(task.key for task in plan.tasks if task.kind == "transfer"))
+    assert len(set(keys)) == 3

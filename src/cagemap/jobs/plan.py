@@ -186,10 +186,14 @@ def _rule_pairs(
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file, with the files that a mesh refers to, or of a set of tiles; the path if missing."""
-    files = [file for file in texture_files(path) if file.is_file()]
+    """Names and hashes of a file and the files that a mesh refers to, a set of tiles, or a folder; the path if missing.
+
+    Names count: they are names of shapes and numbers of tiles.
+    """
+    files = sorted(Path(path).iterdir()) if Path(path).is_dir() else texture_files(path)
+    files = [file for file in files if file.is_file()]
     referred = [other for file in files for other in referred_files(file)]
-    return "".join(map(file_hash, [*files, *referred])) or path
+    return " ".join(f"{file.name} {file_hash(file)}" for file in [*files, *referred]) or path
 
 
 class _FileHashes:
