@@ -160,7 +160,8 @@ def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
     (folder / "RESULT" / "again" / "small__large").mkdir(parents=True)
     run_task(task)
     masks = [read_result(place).masks.target for place in (request.output, Path(task.request["output"]))]
-    assert masks[0] is not None and masks[1] is not None
+    assert masks[0] is not None
+    assert masks[1] is not None
     np.testing.assert_array_equal(masks[0], masks[1])
 
 

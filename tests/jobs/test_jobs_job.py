@@ -231,6 +231,10 @@ def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> No
         plan_of(folder, HEAD + assets + PAIRS + 2 * output)
     with pytest.raises(FormatError, match="two outputs of"):
         plan_of(folder, HEAD + assets + PAIRS + output + output.replace('"{target}.png"', '"./{target}.png"'))
+    elsewhere = output.replace("{target}.png", "more/{target}.png")
+    tasks = plan_of(folder, HEAD + assets + PAIRS + output + elsewhere).tasks
+    names = [task.name for task in tasks if task.kind == "transfer"]
+    assert names == ["transfer a -> b: b.png", "transfer a -> b: more/b.png"]
     with pytest.raises(FormatError, match=r"is called picture\.jpg"):
         plan_of(folder, HEAD + assets + PAIRS + output.replace("{target}.png", "picture.jpg"))
 
@@ -339,6 +343,15 @@ def test_an_asset_has_a_scheme_of_its_own(folder: Path) -> None:
     assert (asked["b", "a"]["source_scheme"], asked["b", "a"].get("target_scheme")) == ("none", None)
     said = [task for task in tasks(scan, PAIRS + 'options = { target_scheme = "loop" }\n') if task.kind == "match"]
     assert {task.request["target_scheme"] for task in said} == {"loop"}
+
+
+def test_a_part_of_a_pair_takes_precedence_over_that_of_an_asset(folder: Path) -> None:
+    assets = ASSETS.replace('file = "b.obj"', 'file = "b.obj"\npart = "body"')
+    (folder / "job.toml").write_text(HEAD + assets + PAIRS + 'options = { target_part = "head" }\n')
+    plan = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+    asked = {task.pair: task.request for task in plan.tasks if task.kind == "match"}
+    assert asked["a", "b"]["target_part"] == "head"
+    assert (asked["b", "a"]["source_part"], asked["b", "a"]["target_part"]) == ("body", "head")
 
 
 def test_schemes_of_assets_are_those_of_meshes() -> None:

@@ -268,8 +268,8 @@ class _Planner:
         inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
         inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
         inputs |= {f"{side}_weld": asset.weld for side, asset in sides if asset.weld is not None}
-        inputs |= options
         inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
+        inputs |= options
         if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
             inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
         key = task_key(self.version, "match", self.hashes.of_value(inputs), [task.key for task in needs])
@@ -318,7 +318,7 @@ class _Planner:
         )
         input_hashes, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / file) for option, file in files.items()}
-        title = f"{rule.command} {pair}: {Path(files['output']).name}"
+        title = f"{rule.command} {pair}: {files['output'].partition('/')[2]}"
         predecessors = tuple(task.name for task in earlier[-1:])
         return Task(
             rule.command,
