@@ -104,6 +104,21 @@ def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None
         assert [(task.outputs, task.request["blend_shapes"]) for task in tasks[4:]] == [(("pony__deer/shapes",), True)]
 
 
+@pytest.mark.parametrize("text", ["mask.npy", "./mask.npy", "not:.//mask.npy", "not:sub/../mask.npy"])
+def test_masks_are_found_however_their_paths_are_typed(
+    folder: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "sub").mkdir()
+    np.save(folder / "mask.npy", np.ones(3))
+    monkeypatch.chdir(folder)
+    match, _ = requests(folder)
+    note_match(replace(match, target_mask=text))
+    job = read_job(folder / "RESULT" / JOB, COMMANDS)
+    mask = job.pairs[0].options["target_mask"]
+    assert mask.startswith("not:") == text.startswith("not:")
+    assert Path(mask.removeprefix("not:")).resolve() == (folder / "mask.npy").resolve()
+
+
 def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
     write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
     write_mesh(folder / "small.obj", textured_cube("small.obj"))
@@ -124,8 +139,30 @@ def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
     data = tomllib.loads(job.read_text())
     data["pairs"][0]["landmarks"] = "../landmarks.json"
     job.write_text(tomli_w.dumps(data))
-    with pytest.raises(FormatError, match=r"pairs\.0\.map: a map that is given takes a level only"):
+    with pytest.raises(FormatError, match=r"pairs\.0\.map: a map that is given takes level, weld.* only"):
         read_job(job, COMMANDS, WRITTEN)
+
+
+def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
+    write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
+    write_mesh(folder / "small.obj", textured_cube("small.obj"))
+    np.save(folder / "own.npy", np.arange(98))
+    np.save(folder / "mask.npy", np.arange(8) / 8)
+    files = (folder / name for name in ("own.npy", "large.obj", "small.obj", "RESULT"))
+    request = MapRequest(*files, level=2, weld="auto", source_weld="0.001", target_mask=str(folder / "mask.npy"))
+    run_map(request, Stages())
+    task = plan_job(read_job(folder / "RESULT" / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks[0]
+    assert {name: task.request.get(name) for name in ("level", "weld", "source_weld")} == {
+        "level": 2,
+        "weld": "auto",
+        "source_weld": "0.001",
+    }
+    (folder / "RESULT" / "again" / "small__large").mkdir(parents=True)
+    run_task(task)
+    masks = [read_result(place).masks.target for place in (request.output, Path(task.request["output"]))]
+    assert masks[0] is not None
+    assert masks[1] is not None
+    np.testing.assert_array_equal(masks[0], masks[1])
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from examples.shapes import creature
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.example import example_pair
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
@@ -24,11 +24,12 @@ from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
 from cagemap.jobs.detours import add_detours
 from cagemap.maps.places import cage_points_of, locate
 from cagemap.mesh.landmarks import NamedPoints
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.tasks.requests.catalogue import COMMANDS
 
-from example_result import identity_result
+from example_result import identity_result, textured_cube
 
 JOB = """output = "night"
 [options]
@@ -147,6 +148,39 @@ def test_points_and_curves_arrive_where_the_map_says(forward: bool, tmp_path: Pa
     np.testing.assert_allclose(found.positions[1], ratio * middle, atol=1e-3)
     np.testing.assert_allclose(found.curves[0].positions, end.control.positions[edge], atol=1e-3)
     assert "2 landmarks carried" in carry_notes([figures])[0]
+
+
+@pytest.mark.parametrize("forward", [True, False])
+def test_landmarks_of_parts_have_the_numbers_of_their_files(forward: bool, tmp_path: Path) -> None:
+    """Each file has another piece before the cube; its vertices come first, and a landmark there is left out."""
+    cubes = textured_cube("large.obj", 2.0), textured_cube("small.obj")
+    piece = creature()
+    wholes = [replace(join_meshes([piece, one]), name=one.name) for one in cubes]
+    faces = np.arange(piece.n_faces, wholes[0].n_faces)
+    parts = [extract_faces(whole, faces) for whole in wholes]
+    write_result(tmp_path / "RESULT", identity_result(controls=(parts[0], parts[1])))
+    start, end = wholes if forward else wholes[::-1]
+    write_mesh(tmp_path / "start.obj", start)
+    corner = piece.n_vertices + 5
+    entries = [{"name": "elsewhere", "vertex": 2}, {"name": "corner", "vertex": corner}]
+    rim = (piece.n_vertices + parts[0].face_indices[:3]).tolist()
+    curves = [{"name": "other", "vertices": piece.face_indices[:2].tolist()}, {"name": "rim", "vertices": rim}]
+    (tmp_path / "given.json").write_text(json.dumps({"points": entries, "curves": curves}))
+    request = {
+        "steps": [[str(tmp_path / "RESULT"), forward]],
+        "back": None,
+        "landmarks": str(tmp_path / "given.json"),
+        "file": str(tmp_path / "start.obj"),
+        "output": str(tmp_path / "carried.json"),
+    }
+    figures = carry_landmarks(request)
+    assert (figures["points"], figures["curves"]) == (1, 1)
+    found = read_points(tmp_path / "carried.json")
+    assert (found.names, found.vertices.tolist()) == (("corner",), [corner])
+    np.testing.assert_allclose(found.curves[0].positions, end.positions[rim], atol=1e-3)
+    (tmp_path / "given.json").write_text(json.dumps({"points": entries[:1]}))
+    with pytest.raises(InvalidLandmarksError, match=r"given\.json: expected landmarks on .*, found none there"):
+        carry_landmarks(request)
 
 
 def test_points_where_both_directions_disagree_are_to_be_looked_at(tmp_path: Path) -> None:

@@ -74,6 +74,18 @@ def test_pairs_that_are_in_no_triple_say_nothing() -> None:
     assert verdict == Consistency({}, 0, (), {})
 
 
+@pytest.mark.parametrize("level", [1, 3])
+def test_a_map_at_another_level_is_left_out(level: int) -> None:
+    other = refine(torus(), level).finest
+    surface = TriangleSurface.from_faces(other.positions, other.faces)
+    maps = collection()
+    maps["a", "b"] = PointMap.from_vertices(surface, surface, np.arange(surface.n))
+    verdict = measure_consistency(maps)
+    assert ("a", "b") not in verdict.errors
+    assert len(verdict.errors) == 6 * 5 - 1
+    assert max(verdict.errors.values()) < 1e-12
+
+
 def test_a_verdict_is_kept_for_its_own_matches_only(tmp_path: Path) -> None:
     verdict = measure_consistency(collection((("c", "e"),)))
     path = tmp_path / "state" / "consistency.json"

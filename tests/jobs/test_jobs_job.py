@@ -233,6 +233,10 @@ def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> No
         plan_of(folder, HEAD + assets + PAIRS + 2 * output)
     with pytest.raises(FormatError, match="two outputs of"):
         plan_of(folder, HEAD + assets + PAIRS + output + output.replace('"{target}.png"', '"./{target}.png"'))
+    elsewhere = output.replace("{target}.png", "more/{target}.png")
+    tasks = plan_of(folder, HEAD + assets + PAIRS + output + elsewhere).tasks
+    names = [task.name for task in tasks if task.kind == "transfer"]
+    assert names == ["transfer a -> b: b.png", "transfer a -> b: more/b.png"]
     with pytest.raises(FormatError, match=r"is called picture\.jpg"):
         plan_of(folder, HEAD + assets + PAIRS + output.replace("{target}.png", "picture.jpg"))
 
@@ -343,6 +347,15 @@ def test_an_asset_has_a_scheme_of_its_own(folder: Path) -> None:
     assert {task.request["target_scheme"] for task in said} == {"loop"}
 
 
+def test_a_part_of_a_pair_takes_precedence_over_that_of_an_asset(folder: Path) -> None:
+    assets = ASSETS.replace('file = "b.obj"', 'file = "b.obj"\npart = "body"')
+    (folder / "job.toml").write_text(HEAD + assets + PAIRS + 'options = { target_part = "head" }\n')
+    plan = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+    asked = {task.pair: task.request for task in plan.tasks if task.kind == "match"}
+    assert asked["a", "b"]["target_part"] == "head"
+    assert (asked["b", "a"]["source_part"], asked["b", "a"]["target_part"]) == ("body", "head")
+
+
 def test_schemes_of_assets_are_those_of_meshes() -> None:
     assert get_args(Scheme) == tuple(SCHEMES)
 
@@ -420,3 +433,17 @@ def test_tiles_are_files_of_an_asset_and_count_by_their_content(folder: Path, na
         (folder / "a.1002.png").write_bytes(content)
         keys.append(next(task.key for task in plan_of(folder, text).tasks if task.kind == "transfer"))
     assert keys[0] != keys[1]
+
+
+def test_shapes_of_a_folder_count_by_name_and_content(folder: Path) -> None:
+    text = HEAD + ASSETS + PAIRS + '[[outputs]]\ncommand = "transfer"\nblend_shapes = ["shapes"]\noutput = "s.npz"\n'
+    (folder / "shapes").mkdir()
+    keys = []
+    for name, content in (("smile.obj", "v 0 0 0\n"), ("smile.obj", "v 0 0 1\n"), ("grin.obj", "v 0 0 1\n")):
+        for file in (folder / "shapes").iterdir():
+            file.unlink()
+        (folder / "shapes" / name).write_text(content)
+        (folder / "job.toml").write_text(text)
+        plan = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+        keys.append(next(task.key for task in plan.tasks if task.kind == "transfer"))
+    assert len(set(keys)) == 3

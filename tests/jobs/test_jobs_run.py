@@ -101,6 +101,17 @@ def test_what_a_pattern_or_a_folder_became_is_noted(tmp_path: Path) -> None:
     assert "none was written" in execute(nothing, tmp_path, write_name).message
 
 
+def test_folders_of_outputs_are_made(tmp_path: Path) -> None:
+    outputs = ("pair/albedo/skin.png", "../beside/points.json")
+    one = replace(task(tmp_path / "out", "one"), outputs=outputs)
+    (tmp_path / "out").mkdir()
+    assert execute(one, tmp_path / "out", write_name).files == outputs
+    result = replace(task(tmp_path / "out", "two"), outputs=("two/RESULT/map.npz",))
+    assert execute(result, tmp_path / "out", lambda _: {}).state == "failed"
+    assert (tmp_path / "out" / "two").is_dir()
+    assert not (tmp_path / "out" / "two" / "RESULT").exists()
+
+
 def test_a_task_that_only_comes_after_a_failed_one_is_done(tmp_path: Path) -> None:
     failed = TaskOutcome("one", "failed", "no texture")
     assert execute(replace(task(tmp_path, "two"), predecessors=("one",)), tmp_path, write_name, failed).state == "done"

@@ -12,7 +12,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.mesh.parts import extract_faces, find_part, join_meshes
+from cagemap.mesh.parts import extract_faces, find_part, join_meshes, numbers_on_part
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.weld import coincident_vertices, weld_mesh, weld_tolerance
 
@@ -182,6 +182,13 @@ def test_parts_of_a_welded_mesh_keep_the_copies() -> None:
         found = rows.to_file(mesh.positions, below=whole.positions)
         np.testing.assert_array_equal(found, whole.positions)
     assert len(joined.file_copies) == whole.n_vertices - welded.n_vertices
+
+
+def test_every_copy_of_a_welded_vertex_has_its_number() -> None:
+    mesh = split_at_seams(creature())
+    welded = weld_mesh(mesh)
+    assert welded.mesh.n_vertices < mesh.n_vertices
+    np.testing.assert_array_equal(numbers_on_part(welded.mesh, mesh), welded.vertex_of)
 
 
 def test_plain_pieces_set_aside_are_said_with_the_tolerance_that_joins_them() -> None:

@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.errors import InvalidLandmarksError
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
+from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
@@ -25,8 +27,10 @@ from cagemap.jobs.job import Job
 from cagemap.jobs.plan import PairNames, Plan, Task, task_key
 from cagemap.maps.places import cage_points_of, locate
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
 from cagemap.mesh.curves import on_cage_curve
+from cagemap.mesh.parts import numbers_on_part
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -92,6 +96,7 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
             "steps": [[step.request["output"], forward] for step, forward in steps],
             "back": None if opposite is None else opposite.request["output"],
             "landmarks": str(landmarks),
+            "file": str(job.assets[job.carry.source].file),
             "output": str(landmark_file),
         }
         needs = tuple(task.name for task in [*(step for step, _ in steps), opposite] if task is not None)
@@ -119,11 +124,9 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     """
     steps = [DirectedMap(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
     first = steps[0].result.target if steps[0].forward else steps[0].result.source
-    source_points = read_points(request["landmarks"], first.control)
-    curve_points = [on_cage_curve(curve, first.control).points for curve in source_points.curves]
-    point_sets = [on_cage(source_points, first.control), *curve_points]
+    source_points, point_sets = _read_on(request, first.control)
     sizes = [len(points.corners) for points in point_sets]
-    joined = CagePoints(np.vstack([p.corners for p in point_sets]), np.vstack([p.weights for p in point_sets]))
+    joined = CagePoints.joined(point_sets)
     start = locate(first, joined)
     end = start
     for step in steps:
@@ -131,6 +134,8 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     last = steps[-1].result.source if steps[-1].forward else steps[-1].result.target
     cage_points = cage_points_of(last, end)
     vertices, positions = cage_points.vertices, cage_points.of(last.control.positions)
+    if last.control.file_vertices is not None:  # a part or welded: landmark files have the file's numbers
+        vertices = np.where(vertices < 0, -1, last.control.file_vertices[vertices])
     last_rows = np.cumsum(sizes)
     curves = tuple(
         NamedCurve(curve.name, np.full(size, -1, dtype=np.int64), positions[stop - size : stop], curve.closed)
@@ -148,6 +153,30 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
             source_points.names[i] for i in np.argsort(-differences) if differences[i] > MAX_DIRECTION_DIFFERENCE
         ]
     return {"points": sizes[0], "curves": len(curves), "file": str(request["output"]), "look_at": look_at}
+
+
+def _read_on(request: Mapping[str, Any], control: ControlMesh) -> tuple[NamedPoints, list[CagePoints]]:
+    """Landmarks and curves of a file on a matched mesh, which may be a part: those of other parts are left out.
+
+    The sets of points are the landmarks, then the points of each curve.
+    """
+    mesh = control if control.file_vertices is None else read_whole(Path(request["file"]))
+    points = read_points(request["landmarks"], mesh)
+    on_mesh = on_cage(points, mesh)
+    curves = [(curve, on_cage_curve(curve, mesh).points) for curve in points.curves]
+    if control.file_vertices is not None:
+        number = numbers_on_part(control, mesh)
+        on_mesh = replace(on_mesh, corners=number[on_mesh.corners])
+        curves = [(curve, replace(on_curve, corners=number[on_curve.corners])) for curve, on_curve in curves]
+    rows = np.flatnonzero((on_mesh.corners >= 0).all(axis=1))
+    curves = [(curve, on_curve) for curve, on_curve in curves if (on_curve.corners >= 0).all()]
+    if not len(rows) and not curves:
+        raise InvalidLandmarksError(
+            f"{request['landmarks']}: expected landmarks on {control.name}, as it was matched, found none there. "
+            "Give landmarks of the part that is matched."
+        )
+    kept = replace(points, names=tuple(points.names[row] for row in rows), curves=tuple(curve for curve, _ in curves))
+    return kept, [on_mesh.at(rows), *(on_curve for _, on_curve in curves)]
 
 
 def carry_notes(figures: list[dict[str, Any]]) -> list[str]:

@@ -7,6 +7,7 @@ triples estimates these errors.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,12 +57,13 @@ class Consistency:
 def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
     """Compare every map with its detours and estimate the error of each.
 
+    Maps of an asset at another level than most of its maps are left out.
+
     Parameters
     ----------
     maps : mapping of (target, source) to PointMap
-        All of one asset at the same level.
     """
-    map_keys = sorted(maps)
+    map_keys = _comparable(maps)
     column_of = {map_key: index for index, map_key in enumerate(map_keys)}
     rows, columns, disagreements = [], [], []
     for index, (direct, first, second) in enumerate(_triples(map_keys)):
@@ -93,6 +95,20 @@ def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
     vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLE_VERTICES)).astype(np.int64))
     composed_images = first.images.at(vertices).interpolate(second.images.positions)
     return float(np.linalg.norm(composed_images - direct.images.at(vertices).positions, axis=1).mean())
+
+
+def _comparable(maps: Mapping[MapKey, PointMap]) -> list[MapKey]:
+    """Sorted keys of the maps between the most frequent surfaces of their assets."""
+    sizes = {
+        map_key: [(side.n, len(side.triangles)) for side in (point_map.target, point_map.source)]
+        for map_key, point_map in maps.items()
+    }
+    counts: dict[str, Counter[tuple[int, int]]] = {}
+    for map_key in sorted(maps):
+        for name, size in zip(map_key, sizes[map_key], strict=True):
+            counts.setdefault(name, Counter())[size] += 1
+    usual = {name: count.most_common(1)[0][0] for name, count in counts.items()}
+    return [map_key for map_key in sorted(maps) if sizes[map_key] == [usual[name] for name in map_key]]
 
 
 def _triples(map_keys: Sequence[MapKey]) -> Iterator[tuple[MapKey, MapKey, MapKey]]:

@@ -13,7 +13,16 @@ from pydantic import BaseModel, ValidationError
 
 from cagemap.files import INVERT_PREFIX
 from cagemap.files.images.image import texture_files
-from cagemap.jobs.job_schema import ALL_ASSETS, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, asset_names
+from cagemap.jobs.job_schema import (
+    ALL_ASSETS,
+    MAP_OPTIONS,
+    PLACEHOLDER,
+    Asset,
+    CarryRule,
+    JobFile,
+    PairRule,
+    asset_names,
+)
 
 KeyPath = tuple[str | int, ...]
 
@@ -165,7 +174,7 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
 
 
 def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[JobProblem]:
-    """Problems of a given map: needs one pair of unchanged meshes, takes only a level."""
+    """Problems of a given map: needs one pair of unchanged meshes, takes only `MAP_OPTIONS`."""
     if pair.map is None:
         return
     entry = ("pairs", i, "map")
@@ -173,8 +182,9 @@ def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> 
         yield entry, f"pairs.{i}.map: {pair.map} does not exist. Check the path."
     if any(not isinstance(side, str) or side == ALL_ASSETS for side in (pair.source, pair.target)):
         yield entry, f"pairs.{i}.map: expected one source and one target. Name them, one map for each pair."
-    if pair.landmarks is not None or set(pair.options) - {"level"}:
-        yield entry, f"pairs.{i}.map: a map that is given takes a level only. Remove the landmarks and other options."
+    if pair.landmarks is not None or set(pair.options) - set(MAP_OPTIONS):
+        message = f"pairs.{i}.map: a map that is given takes {', '.join(MAP_OPTIONS)} only. "
+        yield entry, message + "Remove the landmarks and other options."
     for asset in assets:
         if asset.name in (pair.source, pair.target) and (asset.part or asset.scheme or asset.weld):
             yield (

@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 ALL_ASSETS = "all"
+# Options of a pair whose map is given, as of `cagemap map`; the job's other options are of its matches alone.
+MAP_OPTIONS = ("level", "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
 PLACEHOLDER = re.compile(r"\{(source|target)(?:\.([A-Za-z0-9_-]+))?\}")
 Scheme = Literal["catmull-clark", "loop", "bilinear", "none"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]
@@ -31,7 +33,7 @@ class Asset(_StrictModel):
     landmarks : Path, optional
         Landmarks of this mesh by name, for pairs that have no file of their own.
     part : str, optional
-        As `--part` of `cagemap match`, for this side.
+        As `--part` of `cagemap match`, for this side; a pair's options `target_part` and `source_part` take precedence.
     scheme : str, optional
         As `--scheme`, for this side; a pair's options `target_scheme` and `source_scheme` take precedence.
     weld : str, optional

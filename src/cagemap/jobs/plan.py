@@ -17,7 +17,7 @@ from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
-from cagemap.jobs.job_schema import Asset, OutputRule, asset_names, fill_placeholders
+from cagemap.jobs.job_schema import MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
 
 # Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
 STATE_FOLDER = ".cagemap"
@@ -142,7 +142,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
         source, target = (job.assets[name] for name in pair)
         sides = [("target", target), ("source", source)]
         if "map" in options:
-            sides, options = [], {name: options[name] for name in ("map", "level") if name in options}
+            sides, options = [], {name: options[name] for name in ("map", *MAP_OPTIONS) if name in options}
         if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
             sides = []  # parts are known only when both meshes have been read
         surfaces = [planner.prepare(asset, side, options) for side, asset in sides]
@@ -186,10 +186,14 @@ def _rule_pairs(
 
 
 def content_hash(path: str) -> str:
-    """Hash of a file, with the files that a mesh refers to, or of a set of tiles; the path if missing."""
-    files = [file for file in texture_files(path) if file.is_file()]
+    """Names and hashes of a file and the files that a mesh refers to, a set of tiles, or a folder; the path if missing.
+
+    Names count: they are names of shapes and numbers of tiles.
+    """
+    files = sorted(Path(path).iterdir()) if Path(path).is_dir() else texture_files(path)
+    files = [file for file in files if file.is_file()]
     referred = [other for file in files for other in referred_files(file)]
-    return "".join(map(file_hash, [*files, *referred])) or path
+    return " ".join(f"{file.name} {file_hash(file)}" for file in [*files, *referred]) or path
 
 
 class _FileHashes:
@@ -264,8 +268,8 @@ class _Planner:
         inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
         inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
         inputs |= {f"{side}_weld": asset.weld for side, asset in sides if asset.weld is not None}
-        inputs |= options
         inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
+        inputs |= options
         if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
             inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
         key = task_key(self.version, "match", self.hashes.of_value(inputs), [task.key for task in needs])
@@ -314,7 +318,7 @@ class _Planner:
         )
         input_hashes, request = self.hashes.files_in(options), {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / file) for option, file in files.items()}
-        title = f"{rule.command} {pair}: {Path(files['output']).name}"
+        title = f"{rule.command} {pair}: {files['output'].partition('/')[2]}"
         predecessors = tuple(task.name for task in earlier[-1:])
         return Task(
             rule.command,

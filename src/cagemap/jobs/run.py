@@ -135,8 +135,9 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
     start = time.perf_counter()
     try:
         state = root / STATE_FOLDER
-        pairs = (root / Path(path).parts[0] for path in task.outputs)
-        for folder in (state / "done", state / "locks", *pairs):
+        folders = ((root / path).parent for path in task.outputs)
+        folders = (one.parent if one.name in (RESULT_FOLDER, DETOUR_FOLDER) else one for one in folders)
+        for folder in (state / "done", state / "locks", *folders):
             folder.mkdir(parents=True, exist_ok=True)
         with FileLock(state / "locks" / f"{task.slug}.lock"):
             kept = kept_outcome(root, task)

@@ -159,11 +159,14 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
-    """(n,) vertex of a part made by `extract_faces` for every vertex of the mesh, or -1."""
+    """(n,) vertex of a part made by `extract_faces`, or of the mesh welded, for every vertex of the mesh, or -1."""
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
     number[part.file_vertices] = np.arange(part.n_vertices)
+    if part.file_copies is not None:
+        welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
+        number[copies] = welded
     return number[file_numbers]
 
 

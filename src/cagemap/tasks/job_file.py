@@ -12,6 +12,7 @@ from typing import Any
 import tomli_w
 
 from cagemap.errors import FormatError
+from cagemap.files import INVERT_PREFIX
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.result.manifest import stated, stated_path
@@ -73,7 +74,8 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
             continue
         # A mask is a name or a file: its suffix decides, not its type.
         file = mask_file(value) if field.name in ("target_mask", "source_mask") else None
-        options[field.name] = stated(value, folder) if file is None else value.replace(str(file), str(file.resolve()))
+        prefix = INVERT_PREFIX if file is not None and value.startswith(INVERT_PREFIX) else ""
+        options[field.name] = stated(value, folder) if file is None else prefix + stated_path(file, folder)
     return options
 
 
