@@ -74,7 +74,7 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
         return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
     if {"indices", "indptr", "data", "shape"} <= set(arrays):
         try:
-            matrix = sparse.load_npz(file)
+            matrix: Any = sparse.load_npz(file)
             matrix.check_format()  # SciPy crashes natively on indices out of range
         except ValueError as error:
             raise FormatError(f"{file}: expected a sparse matrix, found an error ({error}). {_REMEDY}") from error

@@ -100,8 +100,8 @@ class FileRows:
         if below is not None and below.shape != shape:
             raise ParameterError(
                 f"values outside the part (`--base`): expected an array of shape {shape}, one row a "
-                f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's own "
-                "values."
+                f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's "
+                "own values."
             )
         filled = np.zeros(shape, dtype=values.dtype) if below is None else np.array(below, dtype=values.dtype)
         if kind == 0:
