@@ -120,10 +120,10 @@ def _columns(file: Path) -> int | None:
 def _matrix_market(file: Path) -> sparse.csr_array:
     """A matrix of Matrix Market's coordinate or array form; SciPy's reader crashes natively on damaged files."""
     head, _, rest = read_text(file, "a sparse matrix").partition("\n")
-    if head.lower().split()[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
+    words = head.lower().split()
+    if words[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
         return _dense(file, rest)
     lines = [line for line in rest.splitlines() if line.strip() and not line.startswith("%")]
-    words = head.lower().split()
     form = "expected a sparse matrix (Matrix Market: matrix coordinate real general)"
     if (
         words[:3] != ["%%matrixmarket", "matrix", "coordinate"]
