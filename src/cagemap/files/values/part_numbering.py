@@ -99,7 +99,7 @@ class FileRows:
         shape = (kinds[kind][1], *values.shape[1:])
         if below is not None and below.shape != shape:
             raise ParameterError(
-                f"values outside the part (`--base`): expected an array of shape {shape}, one row a "
+                f"values outside the part: expected an array of shape {shape}, one row a "
                 f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's "
                 "own values."
             )
