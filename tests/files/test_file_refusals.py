@@ -368,6 +368,12 @@ REFUSED = {
         "does not exist",
         "Create it, or give another output.",
     ),
+    "a column without a name": Refusal(
+        lambda place: read_attributes(text("v.csv", ",heat\n0,0.5\n1,0.25\n")(place)),
+        "v.csv: ",
+        "expected a name for every column, got none for column 1",
+        "leave the column out (with pandas: `index=False`).",
+    ),
     "vertex groups without a mesh": Refusal(
         lambda place: read_attributes(text("g.json", "[]")(place)),
         "g.json: ",

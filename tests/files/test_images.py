@@ -61,6 +61,17 @@ def test_exr_colours_are_multiplied_by_alpha(tmp_path: Path, dtype: str, channel
     np.testing.assert_allclose(read_image(tmp_path / "divided.png").pixels / 255.0, plain, atol=0.01)
 
 
+@pytest.mark.parametrize("channels", [2, 4])
+@pytest.mark.parametrize("associated", [True, False])
+def test_the_alpha_of_a_tiff_is_stated(tmp_path: Path, channels: int, associated: bool) -> None:
+    pixels = noise("uint8", channels)
+    write_image(tmp_path / "a.tif", Image(pixels, associated=associated))
+    image = read_image(tmp_path / "a.tif")
+    np.testing.assert_array_equal(image.pixels, pixels)
+    assert image.associated is associated
+    assert image.channel_names[-1] == "A"
+
+
 def test_two_dimensional_16_bit_pixels_are_one_channel(tmp_path: Path) -> None:
     pixels = noise("uint16", 1)[:, :, 0]
     write_image(tmp_path / "a.png", pixels)

@@ -72,6 +72,31 @@ def test_the_hash_of_a_gltf_depends_on_its_buffer_however_it_is_named(stated: st
     assert content_hash(str(tmp_path / "a.gltf")) != before
 
 
+@pytest.mark.parametrize(
+    ("stated", "place"),
+    [("C:\\work\\häute\\skin 1.PNG", "skin 1.PNG"), ("C:/skin.tga", "textures/skin.tga"), ("maps/a.jpg", "maps/a.jpg")],
+)
+def test_the_hash_of_an_fbx_depends_on_its_textures(stated: str, place: str, tmp_path: Path) -> None:
+    name = stated.encode()
+    text = [
+        b"Kaydara FBX Binary  \0",
+        bytes(range(256)),
+        b"S",
+        bytes([len(name), 0, 0, 0]),
+        name,
+        b"S",
+        400 * b"n",
+        b".png",
+    ]
+    content = b"".join(text)
+    (tmp_path / "a.fbx").write_bytes(content)
+    (tmp_path / place).parent.mkdir(exist_ok=True)
+    (tmp_path / place).write_bytes(b"as it was")
+    before = content_hash(str(tmp_path / "a.fbx"))
+    (tmp_path / place).write_bytes(b"as it is")
+    assert content_hash(str(tmp_path / "a.fbx")) != before
+
+
 def test_what_came_of_a_file_that_changed_meanwhile_is_not_kept(tmp_path: Path) -> None:
     mesh = tmp_path / "cow.obj"
     mesh.write_text("as it was planned")

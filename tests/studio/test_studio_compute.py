@@ -93,6 +93,22 @@ def test_an_fbx_model_is_converted_once_and_its_glb_is_kept(tmp_path: Path, monk
     assert "b.fbx is converted: b1.glb is used in its place" in opened.source.notes
 
 
+def test_two_fbx_models_of_one_name_are_converted_to_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = unwrapped_cube()
+    for side, height in (("target", 1.2), ("source", 1.4)):
+        (tmp_path / side).mkdir()
+        write_mesh(tmp_path / side / "made.glb", mesh.with_positions(mesh.positions * [1.0, height, 1.0]))
+        (tmp_path / side / "body.fbx").write_bytes(b"an FBX file")
+    monkeypatch.setattr("cagemap.studio.models.fbx_as_glb", lambda path: (path.parent / "made.glb").read_bytes())
+    target, source = (tmp_path / side / "body.fbx" for side in ("target", "source"))
+    for _ in range(2):  # the files that were put there are used again
+        _, opened = run_task(PreviewCache(), OpenModels(PairFiles(target, source, None, 300, tmp_path)), lambda _: None)
+        assert isinstance(opened, OpenedPair)
+        assert (opened.target.path, opened.source.path) == (tmp_path / "body.glb", tmp_path / "body1.glb")
+        heights = [float(np.ptp(side.control.positions[:, 1])) for side in (opened.target, opened.source)]
+        assert heights[1] / heights[0] == pytest.approx(1.4 / 1.2)
+
+
 @pytest.mark.slow
 def test_without_landmarks_the_preview_has_answers_to_choose_from(opened: tuple[PreviewCache, OpenModels]) -> None:
     cache, task = opened

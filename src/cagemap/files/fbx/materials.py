@@ -11,6 +11,7 @@ import ufbx
 
 from cagemap.errors import FormatError
 from cagemap.files.fbx.meshes import get, held, items
+from cagemap.files.fbx.read import texture_file
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import image_suffix, image_type
 from cagemap.files.gltf.textures import CLAMP, REPEAT
@@ -128,17 +129,12 @@ class Materials:
 
     def _beside(self, texture: Any) -> bytes:
         """Content of the file that a texture names, searched in the FBX's folder; b"" if missing."""
-        stated = PurePosixPath(_stated(texture))
-        folder = self._path.parent
-        for place in (stated, stated.name, f"textures/{stated.name}", f"{self._path.stem}.fbm/{stated.name}"):
-            file = (folder / place).resolve()
-            if stated.name and file.is_relative_to(folder.resolve()) and file.is_file():
-                return held(file.read_bytes())
-        return b""
+        file = texture_file(self._path, _stated(texture))
+        return b"" if file is None else held(file.read_bytes())
 
 
 def _stated(texture: Any) -> str:
-    return str(get(texture, "relative_filename") or get(texture, "filename")).replace("\\", "/").replace("\0", "")
+    return str(get(texture, "relative_filename") or get(texture, "filename"))
 
 
 def _as_png(data: bytes, suffix: str) -> bytes | None:

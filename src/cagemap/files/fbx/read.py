@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 import json
 import logging
+import os
+import re
 import subprocess
 import sys
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from cagemap.errors import FormatError
 from cagemap.files.text import read_bytes
@@ -19,6 +21,9 @@ _REMEDY = "Export it again as binary FBX 7.4, or as GLB."
 _SECONDS, _SECONDS_A_MEGABYTE = 50.0, 1.0
 # The child imports from the same paths as this process.
 _CHILD = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from cagemap.files.fbx.convert import main; main()"
+_IMAGE_SUFFIX = re.compile(rb"(?i)\.(?:png|jpe?g|tga|tiff?|bmp|exr|hdr|dds|psd|gif|webp)")
+_NO_PATH = re.compile(rb'[\x00-\x1f"*:<>?|]')  # characters that no path has
+_LONGEST_PATH = 500
 # Exit status of the child after it wrote an error message.
 REFUSED = 3
 
@@ -43,3 +48,23 @@ def fbx_as_glb(path: Path) -> bytes:
     for line in messages.splitlines():
         _log.warning("%s: %s", path, line)
     return done.stdout
+
+
+def texture_file(path: Path, stated: str) -> Path | None:
+    """The texture that an FBX file names, searched in the file's folder and below; None if missing."""
+    name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
+    folder = path.parent
+    for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
+        file = (folder / place).resolve()
+        # Unlike `Path.is_file`, false for names that are too long.
+        if name.name and file.is_relative_to(folder.resolve()) and os.path.isfile(file):
+            return file
+    return None
+
+
+def named_textures(path: Path) -> list[Path]:
+    """Existing textures whose names an FBX file contains; found without reading its scene."""
+    content = read_bytes(path, "an FBX file")
+    ends = (content[max(0, found.start() - _LONGEST_PATH) : found.end()] for found in _IMAGE_SUFFIX.finditer(content))
+    names = dict.fromkeys(_NO_PATH.split(text)[-1].decode(errors="replace") for text in ends)
+    return [file for name in names if (file := texture_file(path, name)) is not None]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.gltf.entries import Document, view_bytes
+from cagemap.files.gltf.entries import COLUMNS, COMPONENT_TYPES, Document, view_bytes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Targets of buffer views.
@@ -20,8 +20,8 @@ NGONS = "FB_ngon_encoding"
 # Extra of a primitive: faces whose fan does not begin at their first corner, and the corner where it begins.
 STARTS = "cagemap_fan_starts"
 # glTF's numbers of component types, by kind and size: the letters of numpy's types differ between systems.
-COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
-SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+COMPONENTS = {kind.removeprefix("<"): number for number, kind in COMPONENT_TYPES.items()}
+SHAPES = {columns: shape for shape, columns in COLUMNS.items()}
 
 
 class Binary:

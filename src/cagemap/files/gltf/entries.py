@@ -199,8 +199,9 @@ def _require(document: Document, value: Any, wanted: Any, where: str) -> None:
             document.refuse(where, f"expected {of}, got {shown(value)}")
 
 
-_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+# NumPy's type of each componentType of glTF, and the number of columns of each type of an accessor.
+COMPONENT_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 def read_accessor(
@@ -221,7 +222,7 @@ def read_accessor(
     stated = document.whole(entry.get("count"), f"accessors {number}: count", 1)
     if count is not None and stated != count:
         document.refuse(place, f"expected {count} elements, got {stated}")
-    dtype, columns = _component(document, entry, place), _SHAPES[str(shape)]
+    dtype, columns = _component(document, entry, place), COLUMNS[str(shape)]
     if entry.get("bufferView") is not None:
         values = _elements(document, entry, place, dtype, columns, stated)
     elif count is not None:
@@ -241,9 +242,9 @@ def read_accessor(
 
 def _component(document: Document, entry: dict[str, Any], place: str) -> np.dtype[Any]:
     kind = entry.get("componentType")
-    if not isinstance(kind, int) or kind not in _COMPONENTS:
-        document.refuse(place, f"expected a componentType of {', '.join(map(str, _COMPONENTS))}, got {shown(kind)}")
-    return np.dtype(_COMPONENTS[kind])
+    if not isinstance(kind, int) or kind not in COMPONENT_TYPES:
+        document.refuse(place, f"expected a componentType of {', '.join(map(str, COMPONENT_TYPES))}, got {shown(kind)}")
+    return np.dtype(COMPONENT_TYPES[kind])
 
 
 def _elements(

@@ -20,7 +20,7 @@ from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
-from cagemap.files.ownership import is_own
+from cagemap.files.ownership import seal
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -102,10 +102,15 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
 
 
 def write_numbered(file: Path, data: bytes) -> Path:
-    """Write a file; its name gets a number if another program wrote such a file. Returns the path."""
+    """Write a file; its name gets a number if a file of that name has another content. Returns the path."""
+    with tempfile.TemporaryDirectory() as folder:
+        sealed = Path(folder) / file.name
+        sealed.write_bytes(data)
+        seal(sealed)
+        contents = data, sealed.read_bytes()
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
-    free = next(file for file in files if not file.exists() or is_own(file) or file.read_bytes() == data)
-    if is_own(free) or not free.exists():
+    free = next(file for file in files if not file.exists() or file.read_bytes() in contents)
+    if not free.exists():
         write_whole(free, data)
     return free
 

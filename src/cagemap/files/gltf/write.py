@@ -108,17 +108,15 @@ class _Made:
         self._meshes: list[Any] = self.top.setdefault("meshes", [])
         self._node_of_part: dict[str, int] = {}
         self._node_of_joint: dict[str, int] = {}
+        self._mesh_of_node: dict[int, int] = {}
         self._roots = self._scene_roots()
         if scene is not None:
             self._node_of_part = {one.part.name: one.node for one in scene.parts}
             self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
-            self._meshes_used = [self._nodes[node].pop("mesh") for node in self._node_of_part.values()]
             for node in self._node_of_part.values():
+                self._mesh_of_node[node] = self._nodes[node].pop("mesh")
                 for name in ("skin", "weights"):
                     self._nodes[node].pop(name, None)
-            self._mesh_of_node = dict(zip(self._node_of_part.values(), self._meshes_used, strict=True))
-        else:
-            self._meshes_used, self._mesh_of_node = [], {}
 
     def rig(self, rig: Rig | None) -> None:
         """Set the joints' transforms and the skin that all parts share; nodes without a part keep their skins."""
@@ -171,7 +169,7 @@ class _Made:
         """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
         number = self._mesh_of_node.get(node)
         made = made | self._stated_weights(node, made)
-        if number is None or self._meshes_used.count(number) > 1:
+        if number is None or list(self._mesh_of_node.values()).count(number) > 1:
             self._meshes.append(made)
             return len(self._meshes) - 1
         before = self._meshes[number]
@@ -183,7 +181,7 @@ class _Made:
         if kept or "extras" in made:
             entry["extras"] = kept | made.get("extras", {})
         self._meshes[number] = entry
-        return int(number)
+        return number
 
     def _materials(self, part: Part) -> list[int | None]:
         """Numbers of a part's materials in the document; missing ones are added."""

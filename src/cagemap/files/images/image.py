@@ -198,6 +198,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, _OIIO[str(pixels.dtype)])
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
+    spec.alpha_channel = channels - 1 if channels in (2, 4) else -1  # OpenImageIO sets it for four channels alone
     if file.suffix.lower() not in _ASSOCIATED_SUFFIXES:
         given = straight(replace(given, pixels=pixels))
         pixels = given.pixels

@@ -67,7 +67,7 @@ def mesh_curves(path: Path, items: Any) -> tuple[NamedCurve, ...]:
 
 
 def mesh_entries(curves: Sequence[NamedCurve]) -> list[str]:
-    """Entries of curves as JSON, as `mesh_curves` reads them; positions unless all points are vertices."""
+    """Entries of curves with known positions as JSON, for `mesh_curves`; positions unless all points are vertices."""
     entries = []
     for curve in curves:
         by_vertices = bool((curve.vertices >= 0).all())

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -82,13 +82,13 @@ def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, fo
     write_whole(path, form.text(points, mesh), force=force)
 
 
-def _own(points: NamedPoints, _: ControlMesh) -> str:
+def _own(points: NamedPoints, mesh: ControlMesh) -> str:
     shown = [
         json.dumps({"name": name} | ({"vertex": vertex} if vertex >= 0 else {"position": at}), ensure_ascii=False)
         for name, vertex, at in zip(points.names, points.vertices.tolist(), points.positions.tolist(), strict=True)
     ]
     listed = ",\n  ".join(shown)
-    entered = ",\n  ".join(mesh_entries(points.curves))
+    entered = ",\n  ".join(mesh_entries([replace(curve, positions=_places(curve, mesh)) for curve in points.curves]))
     curves = f',\n "curves": [\n  {entered}\n ]' if entered else ""
     head = f'{{"written_by": "{mark()}",\n "mesh": {json.dumps(points.mesh_name)},'
     return f'{head}\n "points": [\n  {listed}\n ]{curves}}}\n'

@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.fbx.read import named_textures
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb, write_glb_like
@@ -104,9 +105,9 @@ def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
 
 
 def referred_files(path: Path) -> list[Path]:
-    """Existing files that a mesh file refers to: materials of an OBJ; buffers or layers, and images, of .gltf and USD.
+    """Existing files that a mesh file refers to; empty for other files, and if the file cannot be read.
 
-    Empty for other files, and if the file cannot be read.
+    They are materials of an OBJ, buffers or layers, and images, of .gltf and USD, textures of an FBX.
     """
     suffix = path.suffix.lower()
     try:
@@ -117,6 +118,8 @@ def referred_files(path: Path) -> list[Path]:
             names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
             # Unlike `Path.is_file`, false for names that are too long, such as embedded data.
             return [file for name in names if os.path.isfile(file := path.parent / name)]
+        if suffix == ".fbx":
+            return named_textures(path)
         return other_files(path) if suffix in USD_SUFFIXES else []
     except (FormatError, ValueError):  # its reader reports it
         return []

@@ -165,7 +165,7 @@ def write_obj_layout(
     head = text[: first.start()]
     if not _MATERIAL.search(head):
         used, head = [_UNNAMED, *used], f"{head}usemtl {_UNNAMED}\n"
-    uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
+    uvs = _format_lines("vt %r %r\n", laid_out.uvs)
     numbers = iter((laid_out.uv_indices + 1).tolist())
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
     write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)

@@ -74,7 +74,7 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
         return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
     if {"indices", "indptr", "data", "shape"} <= set(arrays):
         try:
-            matrix = sparse.load_npz(file)
+            matrix: Any = sparse.load_npz(file)
             matrix.check_format()  # SciPy crashes natively on indices out of range
         except ValueError as error:
             raise FormatError(f"{file}: expected a sparse matrix, found an error ({error}). {_REMEDY}") from error
@@ -120,10 +120,10 @@ def _columns(file: Path) -> int | None:
 def _matrix_market(file: Path) -> sparse.csr_array:
     """A matrix of Matrix Market's coordinate or array form; SciPy's reader crashes natively on damaged files."""
     head, _, rest = read_text(file, "a sparse matrix").partition("\n")
-    if head.lower().split()[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
+    words = head.lower().split()
+    if words[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
         return _dense(file, rest)
     lines = [line for line in rest.splitlines() if line.strip() and not line.startswith("%")]
-    words = head.lower().split()
     form = "expected a sparse matrix (Matrix Market: matrix coordinate real general)"
     if (
         words[:3] != ["%%matrixmarket", "matrix", "coordinate"]

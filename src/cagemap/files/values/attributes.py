@@ -122,6 +122,11 @@ def _read_csv(file: Path) -> Attributes:
     names = None if is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
     if names is not None and len(set(names)) != len(names):
         raise FormatError(f"{file}: expected columns of different names, got {', '.join(names)[:80]}. Rename them.")
+    if names is not None and "" in names:
+        raise FormatError(
+            f"{file}: expected a name for every column, got none for column {1 + names.index('')}. Name it, or leave "
+            "the column out (with pandas: `index=False`)."
+        )
     body = rows if names is None else rows[1:]
     for number, row in enumerate(body, 1 if names is None else 2):
         if len(row) != len(rows[0]) or not all(is_number(cell) for cell in row):

@@ -99,9 +99,9 @@ class FileRows:
         shape = (kinds[kind][1], *values.shape[1:])
         if below is not None and below.shape != shape:
             raise ParameterError(
-                f"values outside the part (`--base`): expected an array of shape {shape}, one row a "
-                f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's own "
-                "values."
+                f"values outside the part: expected an array of shape {shape}, one row a "
+                f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's "
+                "own values."
             )
         filled = np.zeros(shape, dtype=values.dtype) if below is None else np.array(below, dtype=values.dtype)
         if kind == 0:
