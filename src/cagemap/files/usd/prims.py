@@ -229,8 +229,8 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
         in_range = not len(numbers) or 0 <= numbers.min() <= numbers.max() < control.n_vertices
         if len(numbers) != len(offsets) or not in_range or not np.isfinite(offsets).all():
             raise FormatError(
-                f"{where}: blend shape {name}: expected one finite offset a point, got {len(offsets)} for {len(numbers)} "
-                f"points of {control.n_vertices}. Export it again."
+                f"{where}: blend shape {name}: expected one finite offset a point, got {len(offsets)} for "
+                f"{len(numbers)} points of {control.n_vertices}. Export it again."
             )
         table = np.zeros((control.n_vertices, 3))
         table[numbers] = offsets
