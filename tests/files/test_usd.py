@@ -433,3 +433,12 @@ def test_in_betweens_are_left_out_aloud_and_shapes_without_a_target_refused(
     stage.Save()
     with pytest.raises(FormatError, match="2 names and 1 targets"):
         read_usd_meshes(path)
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetBlendShapesAttr().Set(["smile"])
+    shape.GetOffsetsAttr().Set([(np.nan, 0.0, 0.0)] * 8)
+    stage.Save()
+    with pytest.raises(FormatError, match="expected one finite offset a point"):
+        read_usd_meshes(path)
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetBlendShapeTargetsRel().SetTargets(["/Asset/mesh"])
+    stage.Save()
+    with pytest.raises(FormatError, match="blend shape smile: /Asset/mesh is no blend shape"):
+        read_usd_meshes(path)

@@ -132,7 +132,7 @@ REFUSED = {
             edited(place, shape_of_others, UsdResults(attributes={"blendShape:smile": np.ones((8, 3))}))
         ),
         "blend shape smile: ",
-        "expected one offset a point, got 8 for 8 points of 8",
+        "expected one finite offset a point, got 8 for 8 points of 8",
         AGAIN,
     ),
     "shapes of another mesh": Refusal(

@@ -17,7 +17,7 @@ from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
-from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
@@ -59,7 +59,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     if request.joints is not None:
         skeleton = read_skeleton(request.joints, result.source.control)
         _require_joints(arrays, skeleton, request)
-    elif request.weights.suffix.lower() in USD_SUFFIXES:
+    elif is_usd(request.weights):
         skeleton = read_usd_skeleton(request.weights, result.source.control)
     elif request.weights.suffix.lower() in SCENE_SUFFIXES:
         skeleton = gltf_skeleton(request.weights)

@@ -33,7 +33,7 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import document_and_character, read_usd_character, usd_document
-from cagemap.files.usd.read import USD_SUFFIXES, usd_modules
+from cagemap.files.usd.read import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.files.usd.space import similar_space
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
@@ -59,7 +59,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
-    document = usd_document(request.like) if _is_usd(request.like) else read_document(request.like)
+    document = usd_document(request.like) if is_usd(request.like) else read_document(request.like)
     source = character_of(document)
     body_document, target = read_body(request.body)
     to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
@@ -99,10 +99,6 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     return _summary(request, dressed), [*carried.notes, *notes, *doubt]
 
 
-def _is_usd(path: Path) -> bool:
-    return path.suffix.lower() in USD_SUFFIXES
-
-
 def _require_paths(request: RigRequest) -> None:
     _require_suffix(request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES), "Export it as GLB")
     require_output(request.output)
@@ -116,7 +112,7 @@ def _require_paths(request: RigRequest) -> None:
 def require_output(path: Path) -> None:
     """Refuse a file name that `write_character` cannot write."""
     _require_suffix(path, "the file to write", (*GLTF_SUFFIXES, *USD_SUFFIXES), "Name it .glb")
-    if _is_usd(path):
+    if is_usd(path):
         usd_modules()
 
 
@@ -134,8 +130,8 @@ def write_character(
     ``inputs``: files that it was made from; their images are not replaced.
     """
     scene = _readable_scene(document, character)
-    if _is_usd(path):
-        space = similar_space(inputs[0]) if _is_usd(inputs[0]) else None
+    if is_usd(path):
+        space = similar_space(inputs[0]) if is_usd(inputs[0]) else None
         kept = {file.resolve() for one in inputs for file in referred_files(one)}
         return write_usd_character(path, character, scene, space=space, kept=kept, force=force)
     write_document(path, document, force=force)
@@ -144,7 +140,7 @@ def write_character(
 
 def read_body(path: Path) -> tuple[Document | None, Character]:
     """A glTF, FBX or USD file as document and character, in metres with Y up; another file's mesh as a character."""
-    if _is_usd(path):
+    if is_usd(path):
         return document_and_character(path)
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
@@ -185,7 +181,7 @@ def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
 
 def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
     """(n, 3) positions of a file's mesh in its character: of USD in the bind pose, in metres with Y up."""
-    if not _is_usd(path):
+    if not is_usd(path):
         return mesh.positions
     return np.concatenate([part.mesh.positions for part in read_usd_character(path).parts])
 

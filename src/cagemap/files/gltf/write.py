@@ -238,7 +238,7 @@ class _Made:
         if not isinstance(stated, list) or len(stated) != len(before):
             return {}
         weights = by_names(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
-        return {"weights": weights[0].tolist()} if weights.any() else {}
+        return {"weights": weights[0].tolist()}
 
     def document(self) -> Document:
         """The finished document."""

@@ -219,17 +219,18 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
     arrays = {}
     for name, target in zip(names, targets, strict=True):
         shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
+        if not shape:
+            raise FormatError(f"{where}: blend shape {name}: {target} is no blend shape. Export it again.")
         if shape.GetInbetweens():
             logger.warning("%s: blend shape %s: its in-betweens are left out", where, name)
         offsets = np.asarray(shape.GetOffsetsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
         points = shape.GetPointIndicesAttr().Get()
         numbers = np.arange(len(offsets)) if points is None or not len(points) else np.asarray(points, dtype=np.int64)
-        if len(numbers) != len(offsets) or (
-            len(numbers) and not 0 <= numbers.min() <= numbers.max() < control.n_vertices
-        ):
+        in_range = not len(numbers) or 0 <= numbers.min() <= numbers.max() < control.n_vertices
+        if len(numbers) != len(offsets) or not in_range or not np.isfinite(offsets).all():
             raise FormatError(
-                f"{where}: blend shape {name}: expected one offset a point, got {len(offsets)} for {len(numbers)} "
-                f"points of {control.n_vertices}. Export it again."
+                f"{where}: blend shape {name}: expected one finite offset a point, got {len(offsets)} for "
+                f"{len(numbers)} points of {control.n_vertices}. Export it again."
             )
         table = np.zeros((control.n_vertices, 3))
         table[numbers] = offsets

@@ -76,6 +76,11 @@ class UsdMesh:
     of_corners: frozenset[str] = frozenset()
 
 
+def is_usd(path: Path) -> bool:
+    """Whether a file's name ends as those of USD do."""
+    return path.suffix.lower() in USD_SUFFIXES
+
+
 def usd_modules() -> Any:
     """The ``pxr`` package, with the modules that are used."""
     try:
@@ -333,7 +338,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
 def _scheme(where: str, mesh: Any) -> Scheme:
     words = []
     for name, known in _WORDS.items():
-        word = mesh.GetPrim().GetAttribute(name).Get()
+        word = stated(mesh.GetPrim().GetAttribute(name))
         if str(word) not in known:
             raise FormatError(
                 f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."

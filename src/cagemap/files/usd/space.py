@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import is_mirrored, is_similarity
-from cagemap.files.usd.read import USD_SUFFIXES, named_damage, open_stage, opened_once, read_usd_meshes, usd_modules
+from cagemap.files.usd.read import is_usd, named_damage, open_stage, opened_once, read_usd_meshes, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
 # From Z up to Y up, for points as rows.
@@ -56,7 +56,7 @@ def similar_space(path: str | Path) -> StageSpace:
 
 def unit_notes(*files: Path) -> tuple[str, ...]:
     """A sentence on target and source if both are USD files with different units or axes."""
-    if not all(map(_is_usd, files)):
+    if not all(map(is_usd, files)):
         return ()
     (target, target_space), (source, source_space) = ((file.name, stage_units(file)) for file in files)
     if (target_space.up_axis, target_space.meters_per_unit) == (source_space.up_axis, source_space.meters_per_unit):
@@ -78,7 +78,7 @@ def to_metres(space: StageSpace) -> FloatArray:
 
 def upright_turn(path: Path) -> FloatArray | None:
     """(3, 3) rotation for rows from the space of a file's control mesh to Y up; None for other formats."""
-    if not _is_usd(path):
+    if not is_usd(path):
         return None
     left, _, right = np.linalg.svd(to_standard(path)[:3, :3])
     # Of a mirror, left and right are exchanged: up stays up.
@@ -87,10 +87,6 @@ def upright_turn(path: Path) -> FloatArray | None:
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
     """(4, 4) from the source's space to the target's; the identity unless both are USD files."""
-    if target is None or source is None or not (_is_usd(target) and _is_usd(source)):
+    if target is None or source is None or not (is_usd(target) and is_usd(source)):
         return np.eye(4)
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
-
-
-def _is_usd(path: Path) -> bool:
-    return path.suffix.lower() in USD_SUFFIXES
