@@ -144,6 +144,15 @@ def test_material_colours_are_sharp_and_antialiased() -> None:
     np.testing.assert_allclose(linear[:, 12], np.broadcast_to(colors.mean(axis=0), (32, 3)), atol=1e-7)
 
 
+@pytest.mark.parametrize("supersample", [1, 2, 3, 4])
+def test_face_colors_are_averaged_in_linear_light(supersample: int) -> None:
+    level = plane(8, 8)
+    transfer = prepare_transfer(level, level, identity_map(level))
+    colors = np.repeat((np.arange(64) % 8 >= 4)[:, None], 3, axis=1).astype(float)  # the right half is white
+    baked = bake_face_colors(transfer, colors, size=9, options=BakeOptions(supersample=supersample))
+    np.testing.assert_array_equal(baked[:, 4], 188)  # the boundary runs through the middle of column 4
+
+
 def test_antialiasing_everywhere_changes_nothing_away_from_boundaries() -> None:
     control = unwrap(crossed_cube())
     target = refine(control, 3).finest

@@ -123,10 +123,13 @@ def bake_face_colors(
     counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // canvas.supersample)), 1).astype(np.int32)
 
     def shade(samples: TexelSamples) -> FloatArray:
-        linear = samples.mean(table[parents[samples.triangle]])
+        return samples.mean(table[parents[samples.triangle]])
+
+    def encode(linear: FloatArray) -> FloatArray:
         return encode_srgb(linear) * unit(kept) if kept.kind == "u" else linear
 
-    return run_bake(transfer, canvas, np.column_stack([counts, counts]), shade, table.shape[1], kept, options)
+    samples_per_axis = np.column_stack([counts, counts])
+    return run_bake(transfer, canvas, samples_per_axis, shade, table.shape[1], kept, options, encode=encode)
 
 
 def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:

@@ -282,14 +282,16 @@ def run_bake(
     dtype: DTypeLike,
     options: BakeOptions,
     crisp: NDArray[np.bool_] | None = None,
+    encode: Callable[[FloatArray], FloatArray] = np.asarray,
 ) -> Pixels:
     """Rasterise, locate and shade band by band, then fill the background.
 
     ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle.
-    ``shade``: samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several
-        threads.
+    ``shade``: samples -> (k, channels) values of their k raster cells, which are averaged over each texel. Called from
+        several threads.
     ``dtype``: number type of the result; integers are rounded and clipped.
     ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
+    ``encode``: means (k, channels) of k texels -> stored values in the range of ``dtype``; default: the means.
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
@@ -309,7 +311,7 @@ def run_bake(
         values = _shade_cells(transfer, canvas, samples_per_axis, shade, triangles, texels, top)
         if canvas.supersample > 1:
             texels, values = _average_cells(texels, values, cells.shape, canvas.supersample)
-        image[part].reshape(-1, channels)[texels] = to_dtype(values, image.dtype)
+        image[part].reshape(-1, channels)[texels] = to_dtype(encode(values), image.dtype)
         covered[part].reshape(-1)[texels] = True
 
     with ThreadPool(threads) as pool:

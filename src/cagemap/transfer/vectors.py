@@ -186,7 +186,7 @@ def bake_vectors(
 
     ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them.
     ``vectors_at``: samples, each a texel of its own -> (s, 3) vectors of the source in object space.
-    ``encode``: vectors (k, 3) in the channels' order -> their values.
+    ``encode``: mean vectors (k, 3) of k texels, in the channels' order -> their values.
     ``space``: "tangent" or "object", of the target, for the result.
     ``order``: channels of tangent, bitangent and normal.
     ``crisp``: (t1,), as `run_bake` takes it.
@@ -198,9 +198,9 @@ def bake_vectors(
         inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
         vectors = pull_back(vectors_at(samples.single()), samples, triangle, inside)
-        return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
+        return samples.mean(vectors[:, np.argsort(order)])
 
-    return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
+    return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp, encode)
 
 
 @dataclass(frozen=True, eq=False)
