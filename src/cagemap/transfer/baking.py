@@ -82,7 +82,7 @@ class BakeOptions:
         UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
     supersample : int, optional
         Raster samples along a texel's side. Default: 1, or 3 or 5 if triangles are smaller than texels. With odd
-        numbers, texels that span at most one texel of the source use their centre alone.
+        numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
     dilation : int, optional
         Width in texels of the filled border around islands; the whole background by default.
     wrap : "repeat" or "clamp"
@@ -106,6 +106,8 @@ class BakeOptions:
             raise ParameterError(f"tile: expected 0 or a UDIM number from 1001 on, got {self.tile}")
         if self.supersample is not None and self.supersample < 1:
             raise ParameterError(f"supersample: expected 1 or more samples a side, got {self.supersample}")
+        if self.filter == "nearest" and (self.supersample or 1) > 1:
+            raise ParameterError(f"supersample: expected 1 with filter nearest (labels), got {self.supersample}")
         if self.dilation is not None and self.dilation < 0:
             raise ParameterError(f"dilation: expected 0 or more texels, got {self.dilation}")
         for name, value, known in (("wrap", self.wrap, get_args(Wrap)), ("filter", self.filter, get_args(Filter))):
