@@ -11,9 +11,11 @@ from examples.shapes import cube
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import Level, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (
     BakeOptions,
     Transfer,
@@ -127,6 +129,18 @@ def test_a_face_over_several_takes_the_largest_label_and_the_mean_value() -> Non
     labels = np.array([7, 7, 7, 2, 2, 5, 5, 5, 5, 2])
     assert pull_back_faces(transfer, labels).tolist() == [5]
     np.testing.assert_allclose(pull_back_faces(transfer, labels.astype(float)), [labels.mean()], rtol=1e-9)
+
+
+def test_a_target_face_without_area_takes_the_value_at_its_image() -> None:
+    source = plane(4, 4)
+    assert source.faces is not None
+    positions = source.positions.copy()
+    positions[source.faces[5]] = positions[source.faces[5, 0]]
+    surfaces = (TriangleSurface.from_faces(places, source.faces) for places in (positions, source.positions))
+    point_map = PointMap.from_vertices(*surfaces, np.arange(len(positions)))
+    transfer = prepare_transfer(replace(source, positions=positions), source, point_map)
+    np.testing.assert_allclose(pull_back_faces(transfer, 1.5 + np.arange(16))[5], 6.5)
+    assert pull_back_faces(transfer, np.arange(16))[5] == 5
 
 
 def test_material_colours_are_sharp_and_antialiased() -> None:

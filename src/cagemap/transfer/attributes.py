@@ -53,6 +53,8 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     faces = target.face_parents[target.triangle_faces]
     areas = triangle_areas(target.positions, target.triangles)
     n_faces = n_target_faces or int(faces.max()) + 1
+    totals = np.bincount(faces, areas, minlength=n_faces)
+    areas = np.where(totals[faces] > 0, areas, 1.0)  # the triangles of a face without area count alike
     if values.dtype.kind in "iub":
         distinct, number = np.unique(values, axis=0, return_inverse=True)
         return distinct[largest_share(faces, number.ravel()[hits], areas, n_faces)]
