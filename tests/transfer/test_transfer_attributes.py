@@ -26,6 +26,7 @@ from cagemap.transfer import (
     pull_back_faces,
     unwrap,
 )
+from cagemap.transfer.vectors import bake_vector_displacement
 
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map
 
@@ -51,6 +52,25 @@ def test_float_heights_grow_with_the_surface(tripled: Transfer) -> None:
     baked = bake_displacement(tripled, texture, size=40)
     assert (baked.midlevel, baked.scale) == (0.0, 1.0)
     np.testing.assert_allclose(baked.pixels, 3 * texture, rtol=1e-6, atol=1e-6)
+
+
+def test_float_heights_outside_0_to_1_are_not_clipped_to_integers(tripled: Transfer) -> None:
+    values = np.linspace(-0.5, 0.5, 1600, dtype=np.float32).reshape(40, 40)
+    with pytest.raises(ParameterError, match=r"values from 0 to 1 to store as integers, got -0.5 to 0.5"):
+        bake_displacement(tripled, values, size=40, dtype=np.uint16)
+    with pytest.raises(ParameterError, match="values from 0 to 1"):
+        bake_vector_displacement(tripled, values[..., None].repeat(3, axis=2), size=40, dtype=np.uint16)
+    baked = bake_displacement(tripled, values + 0.5, size=40, dtype=np.uint16, midlevel=0.5)
+    np.testing.assert_allclose(heights(baked.pixels[..., 0], 0.5, baked.scale), 3 * values, atol=1e-4)
+
+
+def test_local_stretch_leaves_out_what_the_map_collapses() -> None:
+    level = plane(16, 16)
+    shifted = plane_map(level, 16, 16, lambda p: np.column_stack([np.minimum(1.3 * p[:, 0], 1), p[:, 1]]))
+    transfer = prepare_transfer(level, level, shifted)
+    baked = bake_displacement(transfer, np.full((32, 32), 200, dtype=np.uint8), size=32, local_stretch=True)
+    assert baked.scale < 3  # sqrt(5) at partly collapsed triangles on the line x = 1 / 1.3
+    np.testing.assert_allclose(heights(baked.pixels[:, :20], 0.5, baked.scale), (200 / 255 - 0.5) / 1.3**0.5, atol=0.01)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])

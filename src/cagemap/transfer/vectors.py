@@ -18,7 +18,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalize_rows, vertex_normals
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, run_bake, unit
-from cagemap.transfer.displacement import Displacement, scale_ratio
+from cagemap.transfer.displacement import Displacement, require_integer_range, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
@@ -111,6 +111,7 @@ def bake_vector_displacement(
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
+    require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     if scale == 0:
         raise ParameterError("scale: expected a number other than 0")
