@@ -257,8 +257,9 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
 
 
 def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
-    """(t1,) whether a triangle has an area in the layout."""
-    return np.asarray(triangle_areas(*target.layout()) > _MIN_AREA)
+    """(t1,) whether a triangle has an area in the layout, and is no hole."""
+    laid = np.asarray(triangle_areas(*target.layout()) > _MIN_AREA)
+    return laid if target.holes is None else laid & ~target.holes
 
 
 def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int) -> None:
@@ -270,8 +271,8 @@ def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int)
         n_flat, n_outside = np.count_nonzero(~laid), np.count_nonzero(laid & outside)
         raise ParameterError(
             f"expected texture coordinates of the target that cover a part of {place}, got {len(laid)} triangles, "
-            f"{n_flat} of them in one point or on a line and {n_outside} outside. Move the layout there, or make "
-            "another one (`unwrap`)."
+            f"{n_flat} of them in one point, on a line or in hole faces and {n_outside} outside. Move the layout "
+            "there, or make another one (`unwrap`)."
         )
 
 

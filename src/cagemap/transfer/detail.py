@@ -107,10 +107,14 @@ def detailed_share(detail: Detail, source: TriangleSurface) -> float:
     return float(source.vertex_areas @ near)
 
 
-def own_transfer(level: Level) -> Transfer:
-    """Transfer from a surface to itself, for detail over the surface whose layout is baked."""
+def own_transfer(level: Level, holes: NDArray[np.bool_] | None = None) -> Transfer:
+    """Transfer from a surface to itself, for detail over the surface whose layout is baked.
+
+    ``holes``: (m,), faces that get no texels.
+    """
     surface = TriangleSurface.from_faces(level.positions, np.asarray(level.faces))
-    return prepare_transfer(level, level, PointMap.from_vertices(surface, surface, np.arange(surface.n)))
+    point_map = PointMap.from_vertices(surface, surface, np.arange(surface.n))
+    return prepare_transfer(level, level, point_map, holes=holes)
 
 
 def bake_detail_normals(
