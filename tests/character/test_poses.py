@@ -97,6 +97,20 @@ def test_a_rig_with_other_names_and_axes_moves_alike() -> None:
         np.testing.assert_allclose(turns[1], turns[0], atol=1e-7)
 
 
+def test_scales_are_relative_to_the_bind_pose_and_follow_the_axes() -> None:
+    source = person(one_frame=True)
+    bind = source.bind.copy()
+    bind[:, :3, :3] = 0.01 * np.roll(np.eye(3), 1, axis=0)  # joint axes z, x, y, and a unit of its own
+    target = replace(source, bind=bind, local=parent_transforms(bind, source.parents))
+    scales = np.array([[1.0, 1.0, 1.0], [1.0, 2.0, 3.0]])
+    animation = Animation("grow", tuple(Track(joint, "scale", TIMES[:2], scales) for joint in (0, 4)))
+    again = retarget(animation, source, target)
+    np.testing.assert_allclose(pose_at(target, again, 0.0), target.bind, atol=1e-9)
+    factors = np.diag([1.0, 2.0, 3.0]) @ np.diag([1.0, 2.0, 3.0])
+    found = np.linalg.inv(bind[4]) @ pose_at(target, again, 0.5)[4]
+    np.testing.assert_allclose(found[:3, :3], factors, atol=1e-9)
+
+
 def raised(rig: Rig, angle: float, name: str = "LeftArm", axis: int = 2) -> Rig:
     """The rig bound with its arm raised, or another joint turned."""
     local = parent_transforms(rig.bind, rig.parents)

@@ -187,6 +187,12 @@ def test_what_does_not_follow_stays_flat(flat: Level, wavy: Detail) -> None:
     np.testing.assert_array_equal(heights[:, :25], whole[:, :25])
 
 
+def test_a_scale_of_zero_is_refused(flat: Level, wavy: Detail) -> None:
+    for bake in (bake_detail_heights, bake_detail_vectors):
+        with pytest.raises(ParameterError, match="scale: expected a number other than 0"):
+            bake(own_transfer(flat), wavy, size=SIZE, scale=0.0)
+
+
 def test_values_at_the_detail_s_vertices_arrive(flat: Level, wavy: Detail) -> None:
     # Linear in x and y: nothing is lost between vertices.
     places = wavy.surface.positions / wavy.surface.scale

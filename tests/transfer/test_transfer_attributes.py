@@ -11,9 +11,11 @@ from examples.shapes import cube
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import Level, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (
     BakeOptions,
     Transfer,
@@ -24,6 +26,7 @@ from cagemap.transfer import (
     pull_back_faces,
     unwrap,
 )
+from cagemap.transfer.vectors import bake_vector_displacement
 
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map
 
@@ -49,6 +52,25 @@ def test_float_heights_grow_with_the_surface(tripled: Transfer) -> None:
     baked = bake_displacement(tripled, texture, size=40)
     assert (baked.midlevel, baked.scale) == (0.0, 1.0)
     np.testing.assert_allclose(baked.pixels, 3 * texture, rtol=1e-6, atol=1e-6)
+
+
+def test_float_heights_outside_0_to_1_are_not_clipped_to_integers(tripled: Transfer) -> None:
+    values = np.linspace(-0.5, 0.5, 1600, dtype=np.float32).reshape(40, 40)
+    with pytest.raises(ParameterError, match=r"values from 0 to 1 to store as integers, got -0.5 to 0.5"):
+        bake_displacement(tripled, values, size=40, dtype=np.uint16)
+    with pytest.raises(ParameterError, match="values from 0 to 1"):
+        bake_vector_displacement(tripled, values[..., None].repeat(3, axis=2), size=40, dtype=np.uint16)
+    baked = bake_displacement(tripled, values + 0.5, size=40, dtype=np.uint16, midlevel=0.5)
+    np.testing.assert_allclose(heights(baked.pixels[..., 0], 0.5, baked.scale), 3 * values, atol=1e-4)
+
+
+def test_local_stretch_leaves_out_what_the_map_collapses() -> None:
+    level = plane(16, 16)
+    shifted = plane_map(level, 16, 16, lambda p: np.column_stack([np.minimum(1.3 * p[:, 0], 1), p[:, 1]]))
+    transfer = prepare_transfer(level, level, shifted)
+    baked = bake_displacement(transfer, np.full((32, 32), 200, dtype=np.uint8), size=32, local_stretch=True)
+    assert baked.scale < 3  # sqrt(5) at partly collapsed triangles on the line x = 1 / 1.3
+    np.testing.assert_allclose(heights(baked.pixels[:, :20], 0.5, baked.scale), (200 / 255 - 0.5) / 1.3**0.5, atol=0.01)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
@@ -129,6 +151,18 @@ def test_a_face_over_several_takes_the_largest_label_and_the_mean_value() -> Non
     np.testing.assert_allclose(pull_back_faces(transfer, labels.astype(float)), [labels.mean()], rtol=1e-9)
 
 
+def test_a_target_face_without_area_takes_the_value_at_its_image() -> None:
+    source = plane(4, 4)
+    assert source.faces is not None
+    positions = source.positions.copy()
+    positions[source.faces[5]] = positions[source.faces[5, 0]]
+    surfaces = (TriangleSurface.from_faces(places, source.faces) for places in (positions, source.positions))
+    point_map = PointMap.from_vertices(*surfaces, np.arange(len(positions)))
+    transfer = prepare_transfer(replace(source, positions=positions), source, point_map)
+    np.testing.assert_allclose(pull_back_faces(transfer, 1.5 + np.arange(16))[5], 6.5)
+    assert pull_back_faces(transfer, np.arange(16))[5] == 5
+
+
 def test_material_colours_are_sharp_and_antialiased() -> None:
     source, target = plane(2, 1), plane(16, 16)
     transfer = prepare_transfer(target, source, plane_map(target, 2, 1, lambda p: p))
@@ -142,6 +176,15 @@ def test_material_colours_are_sharp_and_antialiased() -> None:
     )
     linear = bake_face_colors(transfer, colors, size=(32, 25), dtype=np.float32)
     np.testing.assert_allclose(linear[:, 12], np.broadcast_to(colors.mean(axis=0), (32, 3)), atol=1e-7)
+
+
+@pytest.mark.parametrize("supersample", [1, 2, 3, 4])
+def test_face_colors_are_averaged_in_linear_light(supersample: int) -> None:
+    level = plane(8, 8)
+    transfer = prepare_transfer(level, level, identity_map(level))
+    colors = np.repeat((np.arange(64) % 8 >= 4)[:, None], 3, axis=1).astype(float)  # the right half is white
+    baked = bake_face_colors(transfer, colors, size=9, options=BakeOptions(supersample=supersample))
+    np.testing.assert_array_equal(baked[:, 4], 188)  # the boundary runs through the middle of column 4
 
 
 def test_antialiasing_everywhere_changes_nothing_away_from_boundaries() -> None:

@@ -151,6 +151,8 @@ def test_labels_are_never_mixed() -> None:
                 assert np.mean(baked == expected) > 0.8  # the map is linear between its vertices
     with pytest.raises(ParameterError, match="filter: expected smooth, linear, nearest"):
         bake_texture(transfer, labels, size=9, options=BakeOptions(filter="cubic"))  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="supersample: expected 1 with filter nearest"):
+        BakeOptions(filter="nearest", supersample=2)
 
 
 @settings(deadline=None, max_examples=30)

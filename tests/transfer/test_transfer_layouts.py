@@ -201,7 +201,7 @@ def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
         (
             lambda points: 0 * points + 0.3,
             0,
-            "unit square, got 32 triangles, 32 of them in one point or on a line and 0",
+            "unit square, got 32 triangles, 32 of them in one point, on a line or in hole faces and 0",
         ),
         (lambda points: points * (1, 0), 0, "32 of them in one point"),
         (lambda points: points - (3, 0), 0, "unit square, got 32 triangles, 0 of them .* and 32 outside"),

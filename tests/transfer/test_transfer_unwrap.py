@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from examples.shapes import bipyramid, creature, cube, disk, icosahedron, pyramid, torus, triangulated
 
-from cagemap.errors import InvalidMeshError
+from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.subdivision import refine, triangles
@@ -190,6 +190,15 @@ def test_nothing_to_unwrap_is_refused() -> None:
         unwrap(cube().with_positions(np.zeros((8, 3))))
     with pytest.raises(InvalidMeshError, match="to unwrap"):
         unwrap(ControlMesh.from_faces(np.zeros((0, 3)), []))
+
+
+@pytest.mark.parametrize("padding", [-0.1, 0.5, 0.9, 2.0, np.nan])
+def test_padding_without_room_for_the_islands_is_refused(padding: float) -> None:
+    squares = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    uvs = np.concatenate([squares + np.array([2.0 * island, 0.0]) for island in range(3)])
+    edges = np.column_stack([np.arange(12), 4 * (np.arange(12) // 4) + (np.arange(12) + 1) % 4])
+    with pytest.raises(ParameterError, match="3 islands fit into the square"):
+        pack_islands(uvs, edges, np.repeat(np.arange(3), 4), padding)
 
 
 def _islands(neighbors: np.ndarray) -> np.ndarray:

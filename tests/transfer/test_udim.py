@@ -47,6 +47,7 @@ def test_an_asset_onto_itself_gives_back_its_tiles() -> None:
     level = refine(_tiled_grid(3, 2), 4).finest
     tiles = {1001 + column + 10 * row: _noise(256, column + 3 * row) for row in range(2) for column in range(3)}
     assert target_tiles(TexturedSurface.from_level(level)) == sorted(tiles)
+    assert target_tiles(TexturedSurface.from_level(level, level.face_parents == 0)) == sorted(tiles)[1:]  # a hole
     transfer = _identity(level, level)
     for number, pixels in tiles.items():
         baked = bake_texture(transfer, tiles, size=256, options=BakeOptions(tile=number))

@@ -137,6 +137,16 @@ def test_fine_detail_that_shrinks_becomes_its_mean_and_no_moire(kind: str) -> No
     np.testing.assert_allclose(found[2:-2, 2:-2], np.broadcast_to(expected, (20, 20, 3)), atol=0.004)
 
 
+@pytest.mark.parametrize("supersample", [None, 2, 3])
+def test_normals_have_unit_length_where_triangles_are_smaller_than_texels(supersample: int | None) -> None:
+    level = plane(64, 64)
+    transfer = prepare_transfer(level, level, plane_map(level, 64, 64, lambda p: 0.9 * p[:, ::-1] ** 1.3))
+    directions = np.random.default_rng(6).normal(size=(64, 64, 3)) + np.array([0.0, 0.0, 2.0])
+    texture = (0.5 + 0.5 * directions / np.linalg.norm(directions, axis=2, keepdims=True)).astype(np.float32)
+    baked = bake_normal_map(transfer, texture, size=40, options=BakeOptions(supersample=supersample))
+    np.testing.assert_allclose(np.linalg.norm(2 * baked - 1, axis=2), 1, atol=1e-6)
+
+
 def test_a_checker_of_normals_shrunk_by_four_does_not_alias() -> None:
     """Squares of 8 texels become squares of 2, turned by a little; beside their own frequencies is next to nothing."""
     squares = np.arange(512) // 8

@@ -22,12 +22,13 @@ from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.rays import intersect_normals
-from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
+from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap, wrapped_transfer
 from cagemap.wrap.fit import fit_net
 from cagemap.wrap.terms import counterpart_mask
 
 from command_line import Run
 from example_result import identity_result
+from transfer_scenes import crossed_cube
 
 
 def surface_of(refinement: Refinement) -> TriangleSurface:
@@ -244,6 +245,15 @@ def test_wrapped_surface_and_what_is_missing_are_the_source() -> None:
     # Nearly everywhere the normal meets the source, so that heights alone lead there as well.
     off = np.linalg.norm(own.positions + hits.heights[:, None] * own.vertex_normals - hits.foot.positions, axis=1)
     assert np.mean(off < 1e-6) > 0.999
+
+
+def test_hole_faces_of_a_wrapped_cage_get_no_texels() -> None:
+    cage = replace(crossed_cube(), hole_faces=np.array([2]))
+    target = refine(cage, 2)
+    transfer, _ = wrapped_transfer(wrap(target, same_vertices(target, target)), target)
+    assert transfer.target.holes is not None
+    faces = transfer.target.face_parents[transfer.target.triangle_faces]
+    np.testing.assert_array_equal(transfer.target.holes, faces == 2)
 
 
 def test_what_does_not_fit_is_refused(ring: tuple[Refinement, Refinement]) -> None:

@@ -12,6 +12,7 @@ from cagemap.character.bones import humanoid_joints
 from cagemap.character.poses import (
     aligned_pose,
     check_joints,
+    decompose,
     fit_rotation_and_scale,
     parent_transforms,
     rest_tracks,
@@ -30,7 +31,7 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
 
     Joints correspond by name; where rigs share no names, by humanoid bone. Directions are the world's in the bind
     poses, rotated where one rig as a whole is rotated against the other. Translations of the hips and of their parents
-    scale with the length of the legs, others with the length of their bone.
+    scale with the length of the legs, others with the length of their bone. Scales are relative to the bind poses.
 
     Parameters
     ----------
@@ -72,6 +73,8 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
                 values = _convert_rotations(track, joints, bind_poses, turn)
             elif track.channel == "translation":
                 values = _convert_translations(track, joints, bind_poses, turn, scales.at(*joints))
+            else:
+                values = _convert_scales(track, joints, bind_poses, turn)
             tracks.append(replace(track, joint=joints[1], values=values))
     return Animation(animation.name, tuple(tracks))
 
@@ -124,14 +127,18 @@ def _rotations(transforms: FloatArray) -> Rotation:
     return Rotation.from_matrix(rotations_of(transforms).transpose(0, 2, 1))
 
 
+def _axes_change(joints: tuple[int, int], bind_poses: tuple[_BindPose, _BindPose], turn: FloatArray) -> Rotation:
+    """Rotation from the axes of a source's joint to those of a target's joint, in the bind poses."""
+    source, target = (pose.world_rotations[joint] for pose, joint in zip(bind_poses, joints, strict=True))
+    return target.inv() * Rotation.from_matrix(turn.T) * source
+
+
 def _convert_rotations(
     track: Track, joints: tuple[int, int], bind_poses: tuple[_BindPose, _BindPose], turn: FloatArray
 ) -> FloatArray:
     """Quaternions of a track in the target's axes."""
     (source, target), (source_joint, target_joint) = bind_poses, joints
-    to_target = (
-        target.world_rotations[target_joint].inv() * Rotation.from_matrix(turn.T) * source.world_rotations[source_joint]
-    )
+    to_target = _axes_change(joints, bind_poses, turn)
     left = target.local_rotations[target_joint] * to_target * source.local_rotations[source_joint].inv()
     return _quaternion_product(_quaternion_product(left.as_quat(), track.values), to_target.inv().as_quat())
 
@@ -148,6 +155,15 @@ def _convert_translations(
             np.stack([np.zeros(3), position, np.zeros(3)]) for position in (source_bind, target_bind)
         )
     return (track.values - source_bind) @ linear + target_bind
+
+
+def _convert_scales(
+    track: Track, joints: tuple[int, int], bind_poses: tuple[_BindPose, _BindPose], turn: FloatArray
+) -> FloatArray:
+    """Scales of a track, relative to the bind pose, each along the target's nearest axis."""
+    source_bind, target_bind = (decompose(pose.local[joint])[2] for pose, joint in zip(bind_poses, joints, strict=True))
+    axes = np.abs(_axes_change(joints, bind_poses, turn).as_matrix()).argmax(axis=1)
+    return (track.values / np.where(source_bind == 0, 1.0, source_bind))[..., axes] * target_bind
 
 
 def _quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -53,6 +53,8 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     faces = target.face_parents[target.triangle_faces]
     areas = triangle_areas(target.positions, target.triangles)
     n_faces = n_target_faces or int(faces.max()) + 1
+    totals = np.bincount(faces, areas, minlength=n_faces)
+    areas = np.where(totals[faces] > 0, areas, 1.0)  # the triangles of a face without area count alike
     if values.dtype.kind in "iub":
         distinct, number = np.unique(values, axis=0, return_inverse=True)
         return distinct[largest_share(faces, number.ravel()[hits], areas, n_faces)]
@@ -123,10 +125,13 @@ def bake_face_colors(
     counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // canvas.supersample)), 1).astype(np.int32)
 
     def shade(samples: TexelSamples) -> FloatArray:
-        linear = samples.mean(table[parents[samples.triangle]])
+        return samples.mean(table[parents[samples.triangle]])
+
+    def encode(linear: FloatArray) -> FloatArray:
         return encode_srgb(linear) * unit(kept) if kept.kind == "u" else linear
 
-    return run_bake(transfer, canvas, np.column_stack([counts, counts]), shade, table.shape[1], kept, options)
+    samples_per_axis = np.column_stack([counts, counts])
+    return run_bake(transfer, canvas, samples_per_axis, shade, table.shape[1], kept, options, encode=encode)
 
 
 def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:

@@ -82,7 +82,7 @@ class BakeOptions:
         UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
     supersample : int, optional
         Raster samples along a texel's side. Default: 1, or 3 or 5 if triangles are smaller than texels. With odd
-        numbers, texels that span at most one texel of the source use their centre alone.
+        numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
     dilation : int, optional
         Width in texels of the filled border around islands; the whole background by default.
     wrap : "repeat" or "clamp"
@@ -106,6 +106,8 @@ class BakeOptions:
             raise ParameterError(f"tile: expected 0 or a UDIM number from 1001 on, got {self.tile}")
         if self.supersample is not None and self.supersample < 1:
             raise ParameterError(f"supersample: expected 1 or more samples a side, got {self.supersample}")
+        if self.filter == "nearest" and (self.supersample or 1) > 1:
+            raise ParameterError(f"supersample: expected 1 with filter nearest (labels), got {self.supersample}")
         if self.dilation is not None and self.dilation < 0:
             raise ParameterError(f"dilation: expected 0 or more texels, got {self.dilation}")
         for name, value, known in (("wrap", self.wrap, get_args(Wrap)), ("filter", self.filter, get_args(Filter))):
@@ -255,8 +257,9 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
 
 
 def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
-    """(t1,) whether a triangle has an area in the layout."""
-    return np.asarray(triangle_areas(*target.layout()) > _MIN_AREA)
+    """(t1,) whether a triangle has an area in the layout, and is no hole."""
+    laid = np.asarray(triangle_areas(*target.layout()) > _MIN_AREA)
+    return laid if target.holes is None else laid & ~target.holes
 
 
 def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int) -> None:
@@ -268,8 +271,8 @@ def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int)
         n_flat, n_outside = np.count_nonzero(~laid), np.count_nonzero(laid & outside)
         raise ParameterError(
             f"expected texture coordinates of the target that cover a part of {place}, got {len(laid)} triangles, "
-            f"{n_flat} of them in one point or on a line and {n_outside} outside. Move the layout there, or make "
-            "another one (`unwrap`)."
+            f"{n_flat} of them in one point, on a line or in hole faces and {n_outside} outside. Move the layout "
+            "there, or make another one (`unwrap`)."
         )
 
 
@@ -282,14 +285,16 @@ def run_bake(
     dtype: DTypeLike,
     options: BakeOptions,
     crisp: NDArray[np.bool_] | None = None,
+    encode: Callable[[FloatArray], FloatArray] = np.asarray,
 ) -> Pixels:
     """Rasterise, locate and shade band by band, then fill the background.
 
     ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle.
-    ``shade``: samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several
-        threads.
+    ``shade``: samples -> (k, channels) values of their k raster cells, which are averaged over each texel. Called from
+        several threads.
     ``dtype``: number type of the result; integers are rounded and clipped.
     ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
+    ``encode``: means (k, channels) of k texels -> stored values in the range of ``dtype``; default: the means.
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
@@ -309,7 +314,7 @@ def run_bake(
         values = _shade_cells(transfer, canvas, samples_per_axis, shade, triangles, texels, top)
         if canvas.supersample > 1:
             texels, values = _average_cells(texels, values, cells.shape, canvas.supersample)
-        image[part].reshape(-1, channels)[texels] = to_dtype(values, image.dtype)
+        image[part].reshape(-1, channels)[texels] = to_dtype(encode(values), image.dtype)
         covered[part].reshape(-1)[texels] = True
 
     with ThreadPool(threads) as pool:

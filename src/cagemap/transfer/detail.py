@@ -107,10 +107,14 @@ def detailed_share(detail: Detail, source: TriangleSurface) -> float:
     return float(source.vertex_areas @ near)
 
 
-def own_transfer(level: Level) -> Transfer:
-    """Transfer from a surface to itself, for detail over the surface whose layout is baked."""
+def own_transfer(level: Level, holes: NDArray[np.bool_] | None = None) -> Transfer:
+    """Transfer from a surface to itself, for detail over the surface whose layout is baked.
+
+    ``holes``: (m,), faces that get no texels.
+    """
     surface = TriangleSurface.from_faces(level.positions, np.asarray(level.faces))
-    return prepare_transfer(level, level, PointMap.from_vertices(surface, surface, np.arange(surface.n)))
+    point_map = PointMap.from_vertices(surface, surface, np.arange(surface.n))
+    return prepare_transfer(level, level, point_map, holes=holes)
 
 
 def bake_detail_normals(
@@ -176,7 +180,7 @@ def bake_detail_vectors(
     space : "tangent" or "object"
         In tangent space the channels are tangent, normal, bitangent.
     scale : float
-        Length of a value of 1; integers hold the range from -scale / 2 to scale / 2.
+        Length of a value of 1, not 0; integers hold the range from -scale / 2 to scale / 2.
     dtype : optional
         The middle value of integers means zero.
     """
@@ -331,6 +335,8 @@ def _length_encoder(
     transfer: Transfer, detail: Detail, scale: float, kept: np.dtype[Any]
 ) -> tuple[float, Callable[[FloatArray], FloatArray]]:
     """Value of length 0, and the encoder of lengths at unit area of the source."""
+    if scale == 0:
+        raise ParameterError("scale: expected a number other than 0")
     middle = 0.5 if kept.kind == "u" else 0.0
     factor = scale_ratio(transfer) / (detail.surface.scale * scale)
     return middle, lambda lengths: np.asarray((factor * lengths + middle) * unit(kept))

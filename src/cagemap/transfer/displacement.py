@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -20,12 +21,14 @@ from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.texture import Pixels, each_tile, lay_texture
+from cagemap.transfer.texture import Pixels, Texture, channel_range, each_tile, lay_texture
 
 # Largest difference between the channels of a grey image saved in colour, as a share of the range: rounding.
 _GREY = 1e-3
 # Shares of the target's area whose largest and smallest local stretch is clipped: folds stretch without limit.
 _OUTLIERS = 0.005
+# Least area of images, as a share of what the whole surfaces' ratio gives; the map collapses below it.
+_COLLAPSED = 1e-6
 # Rows of an image whose channels are compared at a time.
 _ROWS = 256
 
@@ -82,11 +85,13 @@ def bake_displacement(
     Raises
     ------
     ParameterError
-        If the image is not grey (see `bake_vector_displacement`), or as `bake_texture`.
+        If the image is not grey (see `bake_vector_displacement`), if its floats are not from 0 to 1 and ``dtype`` is
+        of integers, or as `bake_texture`.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, grey), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
+    require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     ratio = scale_ratio(transfer)
     factors = vertex_stretch(transfer) if local_stretch else np.full(len(transfer.target.positions), ratio)
@@ -114,6 +119,19 @@ def bake_displacement(
     return Displacement(pixels, middle, out_scale)
 
 
+def require_integer_range(laid: Texture, dtype: np.dtype[Any]) -> None:
+    """Require floats from 0 to 1 where the result holds integers: others would be clipped."""
+    if laid.dtype.kind != "f" or dtype.kind != "u":
+        return
+    ends = [channel_range(pixels) for pixels in laid.tiles.values()]
+    lowest, highest = min(float(low.min()) for low, _ in ends), max(float(high.max()) for _, high in ends)
+    if lowest < 0.0 or highest > 1.0:
+        raise ParameterError(
+            f"displacement: expected values from 0 to 1 to store as integers, got {lowest:.4g} to {highest:.4g}. "
+            "Write floats (.exr, .tif), or scale the values before."
+        )
+
+
 def scale_ratio(transfer: Transfer) -> float:
     """sqrt(area of target / area of source): factor from lengths of the source to lengths of the target."""
     areas = [triangle_areas(s.positions, s.triangles).sum() for s in (transfer.target, transfer.source)]
@@ -121,7 +139,10 @@ def scale_ratio(transfer: Transfer) -> float:
 
 
 def vertex_stretch(transfer: Transfer) -> FloatArray:
-    """(n1,) local length on the target per length on the source, from triangle areas around each vertex."""
+    """(n1,) local length on the target per length on the source, from triangle areas around each vertex.
+
+    Where the map collapses the target, to a point or a line, the largest value of the rest.
+    """
     target = transfer.target
     target_areas = triangle_areas(target.positions, target.triangles)
     image_areas = triangle_areas(transfer.mapped.mapped, target.triangles)
@@ -130,9 +151,13 @@ def vertex_stretch(transfer: Transfer) -> FloatArray:
         np.bincount(corners, np.repeat(area, 3), minlength=len(target.positions))
         for area in (target_areas, image_areas)
     ]
-    stretch = np.sqrt(around[0] / np.maximum(around[1], np.finfo(float).tiny))
-    order = np.argsort(stretch)
-    share = np.cumsum(around[0][order]) / around[0].sum()
+    ratio = scale_ratio(transfer)
+    known = around[1] > _COLLAPSED * around[0] / ratio**2
+    if not known.any():
+        return np.full(len(known), ratio)
+    stretch = np.sqrt(around[0] / np.where(known, around[1], np.finfo(float).tiny))
+    order = np.argsort(stretch)[: np.count_nonzero(known)]
+    share = np.cumsum(around[0][order]) / around[0][order].sum()
     low, high = np.interp([_OUTLIERS, 1 - _OUTLIERS], share, stretch[order])
     return np.clip(stretch, low, high)
 

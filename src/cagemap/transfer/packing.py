@@ -10,13 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _COLUMNS = 512
 _ANGLES = np.deg2rad(np.arange(0.0, 90.0, 2.0))
 _QUARTER_TURNS = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]], dtype=float)
-# Packings that are tried; each takes its side from the previous one.
-_ROUNDS = 4
+# Packings that are tried, and most of them until one fits; each takes its side from the previous one.
+_ROUNDS, _MAX_ROUNDS = 4, 12
 # Largest ratio of a packing's height to its width; the padding allows for it.
 _SLACK = 1.1
 # Cost of growing the packing taller, as a share of a whole row of the square.
@@ -34,8 +35,15 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     ``edges``: (e, 2), edges of the islands' polygons, as pairs of UVs.
     ``islands``: (p,), island of every UV.
     ``padding``: distance between islands, as a part of the square's side; half of it to the border. Returns (p, 2).
+
+    Raises ParameterError if the padding is negative, or leaves no room for the islands.
     """
     members = _split(islands)
+    too_wide = ParameterError(
+        f"padding: expected 0 or more, and so little that {len(members)} islands fit into the square, got {padding:g}"
+    )
+    if not (padding >= 0 and padding**2 * len(members) < 1):
+        raise too_wide
     local = np.empty(len(uvs), dtype=np.int64)
     for rows in members:
         local[rows] = np.arange(len(rows))
@@ -50,6 +58,8 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     while rounds < _ROUNDS or not np.isfinite(best):
         rounds += 1
         placed, height = _sink(shapes, boxes, side, padding * _SLACK * side)
+        if rounds > _MAX_ROUNDS or not np.isfinite(height):
+            raise too_wide
         extent = max(side, height)
         if extent < best and extent <= _SLACK * side:
             best = extent
@@ -75,7 +85,10 @@ def _upright(points: FloatArray) -> FloatArray:
 
 
 def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) -> tuple[list[FloatArray], float]:
-    """Points of all islands placed in a strip of width ``side``, the longest first, and its height."""
+    """Points of all islands placed in a strip of width ``side``, the longest first, and its height.
+
+    The height is infinite if an island with its margin is wider than the strip.
+    """
     column = side / _COLUMNS
     horizon = np.zeros(_COLUMNS)
     placed = [points for points, _ in shapes]
@@ -95,7 +108,8 @@ def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) 
             at = int(cost.argmin())
             if cost[at] < best * (1 - 1e-9):
                 best, chosen = float(cost[at]), (points - origin, upper, at, float(floors[at]))
-        assert chosen is not None, "the strip is at least as wide as every island"
+        if chosen is None:
+            return placed, np.inf
         points, upper, at, floor = chosen
         placed[island] = points + np.array([at * column, floor])
         horizon[at : at + len(upper)] = floor + upper

@@ -53,6 +53,8 @@ def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
     ------
     InvalidMeshError
         If the mesh has no extent.
+    ParameterError
+        If the padding is negative, or leaves no room for the islands.
     """
     low, high = control.positions.min(axis=0, initial=np.inf), control.positions.max(axis=0, initial=-np.inf)
     size = float((high - low).max())

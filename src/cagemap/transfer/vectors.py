@@ -18,7 +18,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalize_rows, vertex_normals
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, run_bake, unit
-from cagemap.transfer.displacement import Displacement, scale_ratio
+from cagemap.transfer.displacement import Displacement, require_integer_range, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
@@ -111,6 +111,7 @@ def bake_vector_displacement(
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
+    require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     if scale == 0:
         raise ParameterError("scale: expected a number other than 0")
@@ -186,7 +187,7 @@ def bake_vectors(
 
     ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them.
     ``vectors_at``: samples, each a texel of its own -> (s, 3) vectors of the source in object space.
-    ``encode``: vectors (k, 3) in the channels' order -> their values.
+    ``encode``: mean vectors (k, 3) of k texels, in the channels' order -> their values.
     ``space``: "tangent" or "object", of the target, for the result.
     ``order``: channels of tangent, bitangent and normal.
     ``crisp``: (t1,), as `run_bake` takes it.
@@ -198,9 +199,9 @@ def bake_vectors(
         inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
         vectors = pull_back(vectors_at(samples.single()), samples, triangle, inside)
-        return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
+        return samples.mean(vectors[:, np.argsort(order)])
 
-    return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
+    return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp, encode)
 
 
 @dataclass(frozen=True, eq=False)

@@ -207,7 +207,7 @@ def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, Fl
     # `refine` works on the control mesh; positions of the net are refined from their own level.
     positions = fine.prolong(wrapped.mesh.positions, wrapped.level, fine.n_levels)
     follow = np.clip(fine.prolong(wrapped.follow, target.n_levels, fine.n_levels), 0.0, 1.0)
-    return own_transfer(replace(fine.finest, positions=positions)), follow
+    return own_transfer(replace(fine.finest, positions=positions), fine.holes(fine.n_levels)), follow
 
 
 def _refined(refinement: Refinement, level: int) -> Refinement:
