@@ -354,6 +354,17 @@ def test_a_part_of_a_pair_takes_precedence_over_that_of_an_asset(folder: Path) -
     assert (asked["b", "a"]["source_part"], asked["b", "a"]["target_part"]) == ("body", "head")
 
 
+@pytest.mark.parametrize(
+    "option", ['laplacian = "alexa-wardetzky"', "target_accuracy = 1e-4", 'parameter = ["search_vertices=900"]']
+)
+def test_what_changes_a_basis_is_prepared(folder: Path, option: str) -> None:
+    """Otherwise a match finds no prepared surface and prepares both itself."""
+    (folder / "job.toml").write_text(HEAD + f"{option}\n" + ASSETS + PAIRS)
+    tasks = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree).tasks
+    name = option.split()[0]
+    assert any(name in task.request["options"] for task in tasks if task.kind == "prepare")
+
+
 def test_schemes_of_assets_are_those_of_meshes() -> None:
     assert get_args(Scheme) == tuple(SCHEMES)
 
