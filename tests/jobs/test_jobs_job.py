@@ -278,6 +278,14 @@ def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
     assert len(pairs) == 6
     assert {("a", "d"), ("d", "a")} <= pairs
     assert {(b, a) for a, b in pairs} == pairs
+    assert set(plan_of(folder, text.replace('"all"', '["a", "a", "d"]')).pairs) == {("a", "d"), ("d", "a")}
+
+
+@pytest.mark.parametrize("rule", ['source = "a"\ntarget = ["a"]', 'tree = ["a", "a"]'])
+def test_a_rule_without_a_pair_is_refused(folder: Path, rule: str) -> None:
+    assert "pairs.0: expected two different assets, got 'a' alone" in refusal(
+        folder, HEAD + ASSETS + f"[[pairs]]\n{rule}\n"
+    )
 
 
 def test_shapes_are_compared_whatever_their_place_and_size() -> None:
