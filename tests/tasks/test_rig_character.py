@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
@@ -32,7 +32,7 @@ from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _landmarks, body_in, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, body_in, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -299,6 +299,13 @@ def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -
             expected = skinned_positions(given, first.rig, poses[0])
             np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=5e-3)
         assert _image_error() < 0.03
+
+
+def test_a_passenger_is_rigid_or_cloth() -> None:
+    request = RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), rigid="hat, eyes", cloth="shirt,hat")
+    with pytest.raises(ParameterError, match="--rigid and --cloth: expected each passenger in one of them, got hat"):
+        _kinds(request)
+    assert _kinds(replace(request, cloth="shirt")) == {"hat": "rigid", "eyes": "rigid", "shirt": "cloth"}
 
 
 def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> None:

@@ -202,8 +202,14 @@ def _names(words: str | None) -> list[str] | None:
 
 
 def _kinds(request: RigRequest) -> dict[str, PassengerKind]:
-    kinds: dict[str, PassengerKind] = dict.fromkeys(_names(request.rigid) or [], "rigid")
-    return kinds | dict.fromkeys(_names(request.cloth) or [], "cloth")
+    rigid, cloth = _names(request.rigid) or [], _names(request.cloth) or []
+    both = [name for name in rigid if name in cloth]
+    if both:
+        raise ParameterError(
+            f"--rigid and --cloth: expected each passenger in one of them, got {', '.join(both)} twice"
+        )
+    kinds: dict[str, PassengerKind] = dict.fromkeys(rigid, "rigid")
+    return kinds | dict.fromkeys(cloth, "cloth")
 
 
 def _with_own_materials(
