@@ -169,7 +169,9 @@ def test_wrong_parameters_are_refused(method, setting, said):
 
 def test_symmetry_files(tmp_path):
     _, image = files_of(tmp_path)
-    for name in ("s.json", "s.txt", "s.npy"):
+    for name in ("s.json", "s.npy"):
+        (tmp_path / name.upper()).write_bytes((tmp_path / name).read_bytes())
+    for name in ("s.json", "s.txt", "s.npy", "S.JSON", "S.NPY"):
         np.testing.assert_array_equal(read_symmetry(tmp_path / name), image)
     for name, content in (("a.json", '{"a": 1}'), ("b.txt", "1 2 x"), ("c.json", "[1.5]"), ("d.json", "[]")):
         (tmp_path / name).write_text(content)

@@ -127,6 +127,16 @@ def test_files_of_one_mesh_hold_curves_and_missing_ones_are_reported(tmp_path: P
         write_points(tmp_path / "c.pp", theirs, mesh)
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_first_position_repeated_at_the_end_closes_a_curve(closed: bool, tmp_path: Path) -> None:
+    positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]
+    entry = {"name": "lips", "positions": [*positions, positions[0]], "closed": closed}
+    (tmp_path / "a.json").write_text(json.dumps({"points": [], "curves": [entry]}))
+    (curve,) = read_points(tmp_path / "a.json").curves
+    assert curve.closed
+    assert curve.positions.tolist() == positions
+
+
 def test_curves_of_3d_slicer_are_read(tmp_path: Path) -> None:
     points = [{"label": str(i), "position": [float(i), 0.0, 0.0]} for i in range(3)]
     markups = [

@@ -33,6 +33,7 @@ from cagemap.files.result.maps import read_images
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import load_surface, prepared, save_surface
 from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -297,6 +298,15 @@ REFUSED = {
         "found an error (",
         "Write it again.",
     ),
+    "a matrix with columns that are not there": Refusal(
+        lambda place: (
+            np.savez(place / "m.npz", indices=[10**6], indptr=[0, 1], data=[1.0], shape=[1, 1], format="csr"),
+            read_images(place / "m.npz", identity_result(1).point_map.source),
+        ),
+        "m.npz: expected a sparse matrix",
+        "found an error (",
+        "Write it again.",
+    ),
     "a matrix of fewer entries than it states": Refusal(
         lambda place: read_images(
             text("m.mtx", "%%MatrixMarket matrix coordinate real general\n3 3 2\n1 1 1.0\n")(place),
@@ -335,6 +345,28 @@ REFUSED = {
         "level 0: ",
         "expected mass and stiffness with the same pattern of nonzeros",
         "Build the operators with cagemap.operators.build_operators.",
+    ),
+    "the name of an object with a tab": Refusal(
+        lambda place: write_mesh(
+            place / "o.obj", replace(cube(), face_objects=np.zeros(6, int), object_names=("left\teye",))
+        ),
+        "the name 'left\\teye'",
+        "expected no line breaks, no tabs",
+        "Rename this material, object or group.",
+    ),
+    "joints at two numbers": Refusal(
+        lambda place: read_skeleton(
+            text("j.json", [{"name": n, "head": [0, 1], "tail": [0, 0, 0]} for n in "abc"])(place)
+        ),
+        "j.json: ",
+        "expected a list of joints",
+        "found something else (",
+    ),
+    "shapes for a folder in none": Refusal(
+        lambda place: write_shapes(place / "no" / "where", {"smile": np.zeros((8, 3))}, cube(), []),
+        "where: the folder ",
+        "does not exist",
+        "Create it, or give another output.",
     ),
     "vertex groups without a mesh": Refusal(
         lambda place: read_attributes(text("g.json", "[]")(place)),

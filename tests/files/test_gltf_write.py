@@ -15,9 +15,11 @@ from examples.shapes import cube, icosahedron
 
 from cagemap.character.values import Character
 from cagemap.errors import FormatError
-from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.entries import Document, image_bytes
+from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
@@ -26,6 +28,7 @@ from cagemap.mesh.parts import extract_faces
 from cagemap.tasks.mesh_commands import refine_file
 
 from gltf_scenes import arm
+from usd_characters import lively, with_shape_weights
 
 READ = ("Fox.glb", "MorphStressTest.gltf", "mh_male_young.vrm", "saturday06_skinned_morph_vrm0.vrm")
 READ += ("mh_male_young_draco.glb",)
@@ -169,6 +172,23 @@ def test_what_is_no_joint_stays_in_the_document() -> None:
     assert made.json["nodes"][4]["translation"] == [7, 7, 7]
     paths = [(c["target"]["node"], c["target"]["path"]) for c in made.json["animations"][0]["channels"]]
     assert sorted(paths) == [(1, "translation"), (2, "rotation"), (4, "translation")]
+
+
+@pytest.mark.parametrize("rigged", [True, False])
+def test_nodes_outside_the_scene_keep_their_skin(rigged: bool, tmp_path: Path) -> None:
+    given = arm()
+    hidden = {"name": "hidden", "mesh": 0, "skin": 1}
+    skins = [*given.json["skins"], {"joints": [2, 1]}]
+    document = replace(given, json=given.json | {"nodes": [*given.json["nodes"], hidden], "skins": skins})
+    character = character_of(document)
+    if not rigged:
+        parts = tuple(replace(part, weights=None) for part in character.parts)
+        character = replace(character, parts=parts, rig=None, animations=())
+    write_document(tmp_path / "out.glb", character_glb(character, document))
+    made = read_document(tmp_path / "out.glb").json
+    assert made["skins"][made["nodes"][5]["skin"]] == skins[1]
+    if rigged:
+        _same(character, read_character(tmp_path / "out.glb"))
 
 
 def test_joints_move_and_join() -> None:
@@ -373,3 +393,34 @@ def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path
     ).stdout
     assert len(reports.splitlines()) == len(written) + 1
     assert [line for line in reports.splitlines() if json.loads(line)["count"]] == []
+
+
+@pytest.mark.parametrize("interpolation", ["LINEAR", "CUBICSPLINE"])
+@pytest.mark.parametrize("of_node", [False, True])
+def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool) -> None:
+    """As where `face` adds shapes to a head that has animated ones, or another order is written."""
+    made = lively()
+    rows = 3 if interpolation == "LINEAR" else 9
+    document = with_shape_weights(character_glb(made), "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))
+    top = json.loads(json.dumps(document.json))
+    entry = next(one for one in top["animations"] if one["name"] == "walk | fast")
+    sampler = entry["samplers"][-1]
+    sampler["interpolation"] = interpolation
+    keys = Binary(document)
+    sampler["input"] = keys.accessor(np.arange(3, dtype="<f4"), min=[0.0], max=[2.0])
+    node = entry["channels"][-1]["target"]["node"]
+    top["meshes"][top["nodes"][node]["mesh"]]["weights"] = [0.25, 0.5]
+    if of_node:
+        top["nodes"][node]["weights"] = [0.75, 0.0]
+    given = keys.document(top)
+    body = made.parts[0]
+    shapes = {"new": body.shapes["wide"], **dict(reversed(body.shapes.items()))}
+    changed = replace(made, parts=(replace(body, shapes=shapes), *made.parts[1:]))
+    before, after = (read_scene(one) for one in (given, character_glb(changed, given)))
+    for animation in (0, None):
+        expected, found = (read_shape_keys(scene, animation) for scene in (before, after))
+        assert expected
+        assert set(found) - set(expected) <= {("body", "new")}
+        for name, keys_of in expected.items():
+            for one, other in zip(keys_of, found[name], strict=True):
+                np.testing.assert_array_equal(one, other)

@@ -75,9 +75,9 @@ def tagged_meshes(draw: st.DrawFn) -> ControlMesh:
     if draw(st.booleans()):
         corners = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
         chosen = np.unique(np.sort(corners, axis=1), axis=0)[rng.permutation(10)]
-        mesh = mesh.with_creases(chosen, rng.random(10) * 11)
+        mesh = mesh.with_creases(chosen, np.append(rng.random(9) * 11, np.inf))
     if draw(st.booleans()):
-        mesh = mesh.with_corners(rng.permutation(n)[:3], rng.random(3) * 11)
+        mesh = mesh.with_corners(rng.permutation(n)[:3], np.append(rng.random(2) * 11, np.inf))
     if draw(st.booleans()):
         mesh = replace(mesh, hole_faces=np.sort(rng.permutation(m)[:2]))
     if draw(st.booleans()):

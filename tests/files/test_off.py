@@ -39,6 +39,7 @@ def test_what_is_written_is_read(mesh, tmp_path: Path) -> None:
     [
         BOX,
         BOX.replace("OFF # a square and a triangle\n# by hand\n", "OFF "),
+        BOX.replace("by hand", "by hand\u2028 9 9 9"),
         BOX.replace("OFF", "STCNOFF", 1),
         BOX.replace("OFF", "NCSTOFF", 1),  # MeshLab
     ],

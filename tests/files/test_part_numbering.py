@@ -94,6 +94,9 @@ def test_values_of_the_whole_file_come_back_in_its_numbers(folder: Path, suffix:
     over = TransferRequest(folder / "R", output, attribute=given, bases=(("", folder / "under.npy"),), force=True)
     run_transfer(over, Stages())
     assert (read_attributes(output, scene)["height"][~body] == 0.5).all()
+    np.save(folder / "under.npy", np.full(scene.n_vertices - 1, 0.5))
+    with pytest.raises(ParameterError, match=r"of shape \(\d+,\), one row a vertex of hero.obj, got"):
+        run_transfer(over, Stages())
 
 
 def test_values_at_faces_and_corners_too(folder: Path) -> None:

@@ -35,7 +35,7 @@ def result() -> MatchResult:
         material_names=("skin", "höof"),
         material_colors=np.array([[0.1, 0.2, 0.3], [np.nan] * 3]),
         name="box.obj",
-    )
+    ).with_creases([[0, 1]], np.inf)
     target = Surface(refine(textured, 2, CatmullClark("edge_only")), BasisConfig(count=4))
     source = Surface(refine(icosahedron(), 1, Loop()), BasisConfig(count=6))
     places = target.triangles(2), source.triangles(1)

@@ -14,6 +14,7 @@ from examples.shapes import cube, grid, icosahedron
 from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.mesh.topology import uv_islands
 from cagemap.subdivision import finest_mesh, refine
@@ -25,7 +26,8 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from cagemap.files.usd.read import in_world, named_damage, read_usd, read_usd_meshes
+from cagemap.files.usd.read import in_world, named_damage, open_stage, read_usd, read_usd_meshes
+from cagemap.files.usd.results import MATERIAL
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 
@@ -171,6 +173,40 @@ def test_names_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> 
     np.testing.assert_array_equal(read.attributes["blendShape:怒"], 2 * moves)
     others = [read.attributes[name] for name in read.attributes if name.startswith("_")]
     np.testing.assert_array_equal(others, [np.arange(8.0), -np.arange(8.0)])
+
+
+def test_textures_show_on_all_faces(tmp_path: Path) -> None:
+    """Also where faces have materials, in a file of its own and in a layer over the target."""
+    (tmp_path / "a.png").write_bytes(b"")
+    mesh, results = full_cube(), UsdResults(textures={"albedo": "./a.png"})
+    write_usd(tmp_path / "own.usda", mesh, results)
+    write_usd(tmp_path / "target.usda", mesh)
+    write_usd_over(tmp_path / "over.usda", tmp_path / "target.usda", ["/Asset/mesh"], mesh, results)
+    for name in ("own.usda", "over.usda"):
+        stage = Usd.Stage.Open(str(tmp_path / name))
+        subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(stage.GetPrimAtPath("/Asset/mesh")))
+        bound = [UsdShade.MaterialBindingAPI(one.GetPrim()).ComputeBoundMaterial()[0].GetPath() for one in subsets]
+        assert [str(path) for path in bound] == [f"/Asset/{MATERIAL}"] * 2
+        assert complaints(tmp_path / name) == []
+
+
+def test_uv_sets_of_any_name_are_written(tmp_path: Path) -> None:
+    """Names as of 3ds Max, and those that USD gives to normals and colours."""
+    corners = np.arange(24)
+    (tmp_path / "a.png").write_bytes(b"")
+    for names in (("UV Channel 1", "UV Channel 2"), ("normals", "Körper"), ("displayColor", "1"), ("", "st")):
+        uvs = np.random.default_rng(0).random((2, 24, 2)).astype(np.float32)
+        mesh = replace(full_cube(), uvs=uvs[0], uv_indices=corners, uv_name=names[0])
+        mesh = replace(mesh, uv_sets=(UvSet(names[1], uvs[1], corners),))
+        results = UsdResults(textures={"albedo": "./a.png"})
+        write_usd(tmp_path / "cube.usda", mesh, results)
+        assert complaints(tmp_path / "cube.usda") == []
+        stage = open_stage(tmp_path / "cube.usda")
+        reader = next(p for p in stage.Traverse() if p.GetName().startswith("uv_"))
+        used = UsdShade.Shader(reader).GetInput("varname").Get()
+        found = {one.name: one.uvs[one.uv_indices] for one in read_usd(tmp_path / "cube.usda").all_uv_sets}
+        np.testing.assert_allclose(found.pop(used), uvs[0])
+        np.testing.assert_allclose(*found.values(), uvs[1])
 
 
 def test_a_blend_shape_does_not_take_the_place_of_a_subset(tmp_path: Path) -> None:

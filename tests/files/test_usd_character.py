@@ -19,6 +19,7 @@ from cagemap.files.gltf.character import read_shape_keys
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import material_images
 from cagemap.files.gltf.parts import Scene, read_scene
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import read_image, write_image
 
@@ -28,6 +29,9 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
 from cagemap.files.usd import character as usd_character
 from cagemap.files.usd.character import write_usd_character
+from cagemap.files.usd.convert import usd_document
+from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.write import UsdResults, write_usd_over
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.tasks.mesh_commands import check_files
 
@@ -244,6 +248,40 @@ def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
     np.testing.assert_allclose(posed(path, "rest", 0.0)["body"], shaped, atol=1e-5)
 
 
+def test_a_layer_over_a_character_plays_as_it_does(tmp_path: Path) -> None:
+    made = lively()
+    _written(tmp_path / "a.usda", made)
+    given = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    given.SetTimeCodesPerSecond(30.0)
+    given.SetStartTimeCode(3.0)
+    given.Save()
+    body = read_usd_meshes(tmp_path / "a.usda")[0]
+    values = UsdResults(attributes={"height": np.arange(float(body.control.n_vertices))})
+    write_usd_over(tmp_path / "over.usda", tmp_path / "a.usda", [body.path], body.control, values)
+    over = Usd.Stage.Open(str(tmp_path / "over.usda"))
+    for name in ("GetStartTimeCode", "GetEndTimeCode", "GetTimeCodesPerSecond", "GetFramesPerSecond"):
+        assert getattr(over, name)() == getattr(given, name)(), name
+    path = "/Asset/animations/steps.rotations"
+    assert over.GetAttributeAtPath(path).GetTimeSamples() == given.GetAttributeAtPath(path).GetTimeSamples()
+
+
+def test_a_character_in_an_instance_is_read_whole(tmp_path: Path) -> None:
+    made, document = painted()
+    _written(tmp_path / "a.usda", made, document)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = stage.DefinePrim("/hero")
+    prim.GetReferences().AddReference("./a.usda")
+    prim.SetInstanceable(True)
+    stage.Save()
+    alone, instance = (usd_document(tmp_path / name) for name in ("a.usda", "shot.usda"))
+    for name in ("body", "hat", "eye"):
+        entries = [of.entry("materials", material_names(of).index(name)) for of in (alone, instance)]
+        assert entries[0] == entries[1]
+    assert [one["name"] for one in instance.json["animations"]] == ["nod"]
+
+
 def test_check_says_what_a_character_in_usd_holds(tmp_path: Path) -> None:
     _written(tmp_path / "a.usdz", lively())
     text, _ = check_files([tmp_path / "a.usdz"])
@@ -256,3 +294,15 @@ def test_check_says_what_a_character_in_usd_holds(tmp_path: Path) -> None:
         assert line in text
     for word in ("component:", "set aside", "copies along seams"):
         assert word not in text
+
+
+def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _written(tmp_path / "a.usda", lively())
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/body/raise"))
+    shape.CreateInbetween("half").SetWeight(0.5)
+    stage.Save()
+    check_files([tmp_path / "a.usda"])
+    assert [one.getMessage().partition(": ")[2] for one in caplog.records] == [
+        "/Asset/body: blend shape raise: its in-betweens are left out"
+    ]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
@@ -20,14 +21,17 @@ from cagemap.files.gltf.write import character_glb
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
+from cagemap.files.usd.read import in_world, read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
 
 from usd_characters import lively, painted, posed, with_shape_weights
+from usd_scenes import usd_mesh
 
 
 def test_a_written_character_comes_back(tmp_path: Path) -> None:
@@ -122,6 +126,54 @@ def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, si
     np.testing.assert_allclose(found.normals, hat.normals[corners] * [sign, 1, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize("left_handed", [False, True])
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize("kind", ["constant", "uniform", "varying", "vertex", "faceVarying"])
+def test_normals_of_every_interpolation_are_read(tmp_path: Path, kind: str, indexed: bool, left_handed: bool) -> None:
+    """As an attribute, or as a primvar with indices and only a time sample; a corner is known by face and vertex."""
+    mesh = cube()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = usd_mesh(stage, "/cube", mesh)
+    prim.CreateSubdivisionSchemeAttr("none")
+    prim.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+    rows = {
+        "constant": np.zeros(len(mesh.face_indices), dtype=int),
+        "uniform": mesh.corner_faces,
+        "faceVarying": np.arange(len(mesh.face_indices)),
+    }.get(kind, mesh.face_indices)
+    values = np.random.default_rng(3).normal(size=(rows.max() + 1, 3))
+    values /= np.linalg.norm(values, axis=1, keepdims=True)
+    if indexed:
+        primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, kind)
+        primvar.Set(values[::-1].tolist(), 1.0)
+        primvar.SetIndices(list(range(len(values)))[::-1], 1.0)
+    else:
+        prim.CreateNormalsAttr(values.tolist())
+        prim.SetNormalsInterpolation(kind)
+    stage.Save()
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    assert part.normals is not None
+    order = [part.mesh.corner_faces * 8 + part.mesh.face_indices, mesh.corner_faces * 8 + mesh.face_indices]
+    found, expected = (np.argsort(keys) for keys in order)
+    np.testing.assert_allclose(part.normals[found], values[rows][expected], atol=1e-6)
+
+
+@pytest.mark.parametrize("normals", [[(0, 0, 1)] * 5, [(np.nan, 0, 1)] * 8])
+def test_normals_that_do_not_fit_are_left_out_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, normals: list[tuple[float, float, float]]
+) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
+    prim = usd_mesh(stage, "/cube", cube())
+    prim.CreateSubdivisionSchemeAttr("none")
+    prim.CreateNormalsAttr(normals)
+    stage.Save()
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    assert part.normals is None
+    assert "cube.usda: /cube: its normals are left out" in caplog.text
+
+
 def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> None:
     """Posed points are those that USD computes in the world, in metres with Y up."""
     made = lively()
@@ -168,6 +220,48 @@ def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog
     assert "P.usdz: body: the image of its " in caplog.text
 
 
+def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Joints of glTF have no shear, which rotated joints below it have."""
+    made = lively()
+    write_usd_character(tmp_path / "C.usda", made, read_scene(character_glb(made)))
+    stage = Usd.Stage.Open(str(tmp_path / "C.usda"))
+    scale = UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddScaleOp()
+    for size, said in (((-2.0, 2.0, 2.0), 0), ((1.0, 2.0, 1.0), 1)):
+        scale.Set(size)
+        stage.Save()
+        read_usd_character(tmp_path / "C.usda")
+        assert caplog.text.count("/Asset/skeleton: its transform scales unevenly") == said
+
+
+@pytest.mark.parametrize(
+    ("shader", "setting", "value"),
+    [
+        ("normal", "scale", (2, -2, 2, 1)),
+        ("normal", "sourceColorSpace", "sRGB"),
+        ("diffuseColor", "sourceColorSpace", "raw"),
+        ("emissiveColor", "bias", (0.5, 0.5, 0.5, 0)),
+        ("occlusion", "bias", (0, 0, 0, 0)),
+    ],
+)
+def test_images_that_gltf_reads_otherwise_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, shader: str, setting: str, value: object
+) -> None:
+    """Such as a normal map whose green axis is turned round."""
+    made, document = painted()
+    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    usd_document(tmp_path / "C.usda")
+    assert not caplog.records
+    stage = Usd.Stage.Open(str(tmp_path / "C.usda"))
+    texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{shader}_texture"))
+    texture.CreateInput(setting, getattr(Sdf.ValueTypeNames, "Token" if isinstance(value, str) else "Float4")).Set(
+        value
+    )
+    stage.Save()
+    usd_document(tmp_path / "C.usda")
+    (said,) = (one.getMessage() for one in caplog.records)
+    assert f"body: the image of its {shader} is taken as it is" in said
+
+
 def test_several_skeletons_are_refused(tmp_path: Path) -> None:
     made, document = painted()
     path = tmp_path / "C.usda"
@@ -178,6 +272,58 @@ def test_several_skeletons_are_refused(tmp_path: Path) -> None:
     stage.Save()
     with pytest.raises(FormatError, match="expected one skeleton, got /Asset/skeleton, /Asset/other"):
         usd_document(path)
+
+
+def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -> None:
+    """Joints, weights and bind transform of the prim above; joints by index; samples before the stage's first time."""
+    path = tmp_path / "C.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdSkel.Root.Define(stage, "/R")
+    joints = UsdSkel.Skeleton.Define(stage, "/R/skeleton")
+    places = [Gf.Matrix4d().SetTranslate((0, height, 0)) for height in (0, 1, 2)]
+    joints.CreateJointsAttr(["A", "A/B", "A/B/C"])
+    joints.CreateBindTransformsAttr(places)
+    joints.CreateRestTransformsAttr([places[0], places[1], places[1]])
+    animation = UsdSkel.Animation.Define(stage, "/R/animation")
+    animation.CreateJointsAttr(["A/B"])
+    animation.CreateScalesAttr([Gf.Vec3h(1, 1, 1)])
+    animation.CreateTranslationsAttr().Set([(0, 1, 0)], -12.0)
+    animation.CreateTranslationsAttr().Set([(2, 1, 0)], 12.0)
+    animation.CreateRotationsAttr().Set([Gf.Quatf(1.0)], -12.0)
+    animation.CreateRotationsAttr().Set([Gf.Quatf(0.5, 0.5, 0.5, 0.5)], 12.0)
+    UsdSkel.BindingAPI.Apply(joints.GetPrim()).CreateAnimationSourceRel().SetTargets(["/R/animation"])
+    group = UsdSkel.BindingAPI.Apply(UsdGeom.Xform.Define(stage, "/R/group").GetPrim())
+    group.CreateSkeletonRel().SetTargets([joints.GetPath()])
+    group.CreateJointsAttr(["A/B/C", "A"])
+    group.CreateJointIndicesPrimvar(True, 2).Set([0, 1])
+    group.CreateJointWeightsPrimvar(True, 2).Set([0.75, 0.25])
+    group.CreateGeomBindTransformAttr(Gf.Matrix4d().SetTranslate((0.0, 0.5, 0.0)))
+    usd_mesh(stage, "/R/group/below", cube())
+    own = UsdSkel.BindingAPI.Apply(usd_mesh(stage, "/R/group/own", cube()).GetPrim())
+    indices = own.CreateJointIndicesPrimvar(False, 1)
+    indices.Set([1, 0])
+    indices.SetIndices([0, 1] * 4)
+    own.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 8)
+    stage.Save()
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/R")), Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(joints)
+    found = read_usd_character(path)
+    assert found.rig is not None
+    assert min(track.times[0] for track in found.animations[0].tracks) == 0.0
+    for part in found.parts:
+        prim = stage.GetPrimAtPath(f"/R/group/{part.name}")
+        for frame in (-12.0, 0.0, 12.0):
+            points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
+            transforms = query.ComputeSkinningTransforms(frame)
+            assert cache.GetSkinningQuery(prim).ComputeSkinnedPoints(transforms, points, frame)
+            posed_at = pose_at(found.rig, found.animations[0], (frame + 12.0) / 24.0)
+            np.testing.assert_allclose(skinned_positions(part, found.rig, posed_at), points, atol=1e-6)
+    skeleton = read_usd_skeleton(path, in_world(read_usd_meshes(path)[0]).control)
+    assert skeleton is not None
+    np.testing.assert_allclose(skeleton.heads[:, 1], [-0.5, 0.5, 1.5])
 
 
 def test_a_character_of_another_program(shared_data: Path) -> None:

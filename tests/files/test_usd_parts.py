@@ -5,10 +5,11 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube, poles
+from examples.shapes import creature, cube, poles, torus
 
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
@@ -29,6 +30,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
+from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.space import upright_turn
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
@@ -214,6 +216,25 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
     np.testing.assert_allclose(second.control.positions, cube().positions + 1, atol=1e-6)
 
 
+def test_new_points_over_a_mesh_have_none_of_its_normals(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
+    mesh = usd_mesh(stage, "/A/m", cube())
+    mesh.CreateNormalsAttr().Set([(0, 1, 0)] * 8, 1.0)
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "vertex").Set([(0, 1, 0)] * 8)
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "box.usda")
+    for name, results, kept in (
+        ("moved", UsdResults(points=read.control.positions[:, ::-1]), False),
+        ("same", UsdResults(attributes={"height": np.arange(8.0)}), True),
+    ):
+        write_usd_over(tmp_path / f"{name}.usda", tmp_path / "box.usda", [read.path], read.control, results)
+        composed = Usd.Stage.Open(str(tmp_path / f"{name}.usda"))
+        over = UsdGeom.Mesh(composed.GetPrimAtPath("/A/m"))
+        assert over.GetNormalsAttr().HasValue() == kept
+        assert UsdGeom.PrimvarsAPI(over).GetPrimvar("normals").HasValue() == kept
+        assert complaints(tmp_path / f"{name}.usda") == []
+
+
 def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
     mesh = usd_mesh(stage, "/A/m", cube())
@@ -281,6 +302,90 @@ def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
     assert read.material_names == ("metal", "/b/metal")
     colors = read.material_colors[read.face_materials]  # type: ignore[index]
     np.testing.assert_array_equal(colors, [[1, 0, 0]] * 3 + [[0, 0, 1]] * 3)
+
+
+def test_materials_of_one_name_on_two_meshes_stay_apart(tmp_path: Path) -> None:
+    """Each mesh has its own scope, as of assets put together; copies of an instance have one material."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
+    for number, color in enumerate([(1, 0, 0), (0, 0, 1)]):
+        mesh = usd_mesh(stage, f"/asset{number}/mesh", cube())
+        material = UsdShade.Material.Define(stage, f"/asset{number}/looks/metal")
+        shader = UsdShade.Shader.Define(stage, f"/asset{number}/looks/metal/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    stage.Save()
+    read = read_usd(tmp_path / "looks.usda")
+    assert read.material_names == ("metal", "/asset1/looks/metal")
+    document = usd_document(tmp_path / "looks.usda")
+    factors = [one["pbrMetallicRoughness"]["baseColorFactor"] for one in document.json["materials"]]
+    for colors in (read.material_colors, factors):
+        np.testing.assert_array_equal(np.array(colors)[:, :3], [[1, 0, 0], [0, 0, 1]])
+    for name in ("one", "two"):
+        prim = stage.OverridePrim(f"/{name}")
+        prim.SetTypeName("Xform")
+        prim.GetReferences().AddInternalReference("/asset1")
+        prim.SetInstanceable(True)
+    stage.RemovePrim("/asset0")
+    stage.Save()
+    assert read_usd(tmp_path / "looks.usda").material_names == ("metal", "/one/looks/metal")
+
+
+def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:
+    api = UsdShade.MaterialBindingAPI.Apply(to.GetPrim())
+    api.Bind(UsdShade.Material.Define(stage, f"/looks/{material}"), **options)
+
+
+def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
+    """Of previews or final renderings alone, of a collection, or of a prim above that overrides those below it."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
+    strong = UsdShade.Tokens.strongerThanDescendants
+    _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
+    meshes = {path: usd_mesh(stage, path, cube()) for path in ("/over/m", "/full", "/preview", "/list/m")}
+    subsets = {
+        path: UsdGeom.Subset.CreateGeomSubset(meshes[path], "part", "face", [0, 1], "materialBind")
+        for path in ("/over/m", "/preview", "/list/m")
+    }
+    _bound(stage, subsets["/over/m"], "below")
+    _bound(stage, meshes["/full"], "final", materialPurpose="full")
+    _bound(stage, meshes["/preview"], "all")
+    _bound(stage, subsets["/preview"], "shown", materialPurpose="preview")
+    group = UsdGeom.Xform.Define(stage, "/list").GetPrim()
+    collection = Usd.CollectionAPI.Apply(group, "chosen")
+    collection.IncludePath("/list/m/part")
+    listed = UsdShade.Material.Define(stage, "/looks/listed")
+    UsdShade.MaterialBindingAPI.Apply(group).Bind(collection, listed, "chosen")
+    stage.Save()
+    found = {mesh.path: mesh.control for mesh in read_usd_meshes(tmp_path / "looks.usda")}
+    names = {path: [one.material_names[number] for number in one.face_materials] for path, one in found.items()}
+    assert names == {
+        "/over/m": ["above"] * 6,
+        "/full": ["final"] * 6,
+        "/preview": ["shown"] * 2 + ["all"] * 4,
+        "/list/m": ["listed"] * 2 + [""] * 4,
+    }
+
+
+def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """By their number of rows, values of a torus' faces would be values of its vertices."""
+    ring = torus()
+    assert ring.n_faces == ring.n_vertices
+    stage = Usd.Stage.CreateNew(str(tmp_path / "ring.usda"))
+    mesh = usd_mesh(stage, "/copies/ring", ring)
+    mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)] * ring.n_faces)
+    UsdGeom.PointInstancer.Define(stage, "/copies").CreatePrototypesRel().SetTargets(["/copies/ring"])
+    UsdGeom.BasisCurves.Define(stage, "/hair")
+    UsdGeom.Sphere.Define(stage, "/control").CreatePurposeAttr("guide")
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "ring.usda")
+    assert read.control.vertex_colors is None
+    assert not read.attributes
+    said, *others = (one.getMessage() for one in caplog.records)
+    assert "left out what is no mesh: /hair (BasisCurves), /copies (PointInstancer);" in said
+    assert [one.partition("ring.usda: ")[2][:40] for one in others] == ["/copies/ring: primvar displayColor of fa"]
 
 
 def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:

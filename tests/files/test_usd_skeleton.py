@@ -31,9 +31,9 @@ from cagemap.files.usd.prims import local_to_world, moved
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
-from cagemap.files.usd.write import UsdResults, write_usd
+from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
-from usd_scenes import complaints
+from usd_scenes import complaints, usd_mesh
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
@@ -102,6 +102,33 @@ def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> Non
     again = read_skeleton(tmp_path / "rig.json")
     np.testing.assert_array_equal(again.axes, found.axes)
     assert again.names == found.names
+
+
+def test_vertices_without_weights_stay_and_all_joints_are_kept(tmp_path: Path) -> None:
+    """Such as those outside a matched part: USD would move them to the skeleton's origin."""
+    names = tuple(f"joint{number}" for number in range(9))
+    heads = np.arange(27.0).reshape(9, 3)
+    skeleton = Skeleton(names, ("", *names[:-1]), heads, heads + 1.0)
+    weights = np.ones((8, 9)) / 9.0
+    weights[5:] = 0.0
+    cube = textured_cube("c", 1.0)
+    write_usd(tmp_path / "c.usda", cube, UsdResults(attributes={"skel:jointWeights": weights}, skeleton=skeleton))
+    np.testing.assert_allclose(_at_rest(tmp_path / "c.usda", "/Asset/mesh"), cube.positions, atol=1e-5)
+    (read,) = read_usd_meshes(tmp_path / "c.usda")
+    np.testing.assert_allclose(read.attributes["skel:jointWeights"][:5], weights[:5], atol=1e-6)
+
+
+def test_a_topmost_mesh_stays_a_mesh(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """It cannot be the SkelRoot that it needs above it."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
+    usd_mesh(stage, "/cube", textured_cube("c", 1.0))
+    stage.Save()
+    (mesh,) = read_usd_meshes(tmp_path / "cube.usda")
+    results = UsdResults(attributes={"skel:jointWeights": np.full((8, 4), 0.25)}, skeleton=_skeleton())
+    write_usd_over(tmp_path / "over.usda", tmp_path / "cube.usda", [mesh.path], mesh.control, results)
+    (read,) = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_allclose(read.attributes["skel:jointWeights"], 0.25)
+    assert "/cube is the topmost prim" in caplog.text
 
 
 def test_the_parent_of_a_joint_is_its_nearest_listed_ancestor(tmp_path: Path) -> None:

@@ -12,9 +12,11 @@ from examples.shapes import cube, icosahedron, torus
 
 from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.manifest import file_hash
 from cagemap.jobs import Job, Plan, Task, plan_job, read_job, spanning_tree
 from cagemap.jobs.job_checks import find_line
 from cagemap.jobs.job_schema import Scheme
+from cagemap.jobs.plan import content_hash
 from cagemap.jobs.tree import shape_distribution
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.tasks.requests.catalogue import COMMANDS as REAL
@@ -412,6 +414,31 @@ def test_files_that_a_mesh_refers_to_count_by_their_content(folder: Path, mesh: 
         keys.append({task.key for task in tasks if task.kind == "match" and "a" in (task.pair or ())})
     assert keys[0]
     assert not keys[0] & keys[1]
+
+
+def test_layers_and_images_of_a_usd_character_count_by_their_content(tmp_path: Path) -> None:
+    """References, payloads, images and tiles; a package, whose layers are in it, by its own content."""
+    pytest.importorskip("pxr.Usd")
+    from pxr import UsdUtils
+
+    shader = 'def Shader "s" {\nasset inputs:a = @./skin.<UDIM>.png@\nasset inputs:b = @eye.png@\n}'
+    files = {
+        "a.usda": '#usda 1.0\ndef Xform "a" (\n references = @b.usda@</b>\n payload = @c.usda@</c>\n)\n{\n}\n',
+        "b.usda": '#usda 1.0\ndef "b" {\n}\n',
+        "c.usda": f'#usda 1.0\ndef "c" {{\n{shader}\n}}\n',
+        "skin.1002.png": "one",
+        "eye.png": "two",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    path = str(tmp_path / "a.usda")
+    assert UsdUtils.CreateNewUsdzPackage(path, str(tmp_path / "a.usdz"))
+    assert content_hash(str(tmp_path / "a.usdz")) == file_hash(tmp_path / "a.usdz")
+    known = {content_hash(path)}
+    for name, text in files.items():
+        (tmp_path / name).write_text(f"{text}\n# changed")
+        known.add(content_hash(path))
+    assert len(known) == 1 + len(files)
 
 
 @pytest.mark.parametrize("name", ["a.%(UDIM)d.png", "a.<UDIM>.png"])

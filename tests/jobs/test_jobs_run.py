@@ -62,6 +62,16 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
     assert kept_outcome(tmp_path, one) is None
 
 
+@pytest.mark.parametrize("stated", [r"gr\u00f6\u00dfe 1.bin", "gr%C3%B6%C3%9Fe%201.bin", r"maps\\..\/größe 1.bin"])
+def test_the_hash_of_a_gltf_depends_on_its_buffer_however_it_is_named(stated: str, tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "a.gltf").write_text(f'{{"buffers": [{{"uri": "{stated}"}}, {{"uri": "data:,{"x" * 2000}"}}]}}')
+    (tmp_path / "größe 1.bin").write_bytes(b"as it was")
+    before = content_hash(str(tmp_path / "a.gltf"))
+    (tmp_path / "größe 1.bin").write_bytes(b"as it is")
+    assert content_hash(str(tmp_path / "a.gltf")) != before
+
+
 def test_what_came_of_a_file_that_changed_meanwhile_is_not_kept(tmp_path: Path) -> None:
     mesh = tmp_path / "cow.obj"
     mesh.write_text("as it was planned")

@@ -71,6 +71,28 @@ def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_tha
     assert stated["source"]["sha256"] == match.stated_inputs({"source": Path(before)}, place)["source"]["sha256"]
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "other"),
+    [
+        ("m.usda", "#usda 1.0\n(\n    subLayers = [@./other.usda@]\n)\n", "other.usda"),
+        ("m.gltf", '{"buffers": [{"uri": "other.bin"}]}', "other.bin"),
+    ],
+)
+def test_a_mesh_in_several_files_has_changed_with_each_of_them(
+    tmp_path: Path, name: str, text: str, other: str
+) -> None:
+    """Its vertices have other numbers then. A result of an older version states the hash of the file alone."""
+    if name == "m.usda":
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    (tmp_path / name).write_text(text)
+    (tmp_path / other).write_text("#usda 1.0\n")
+    manifest = {"inputs": notes.stated_inputs({"target": tmp_path / name}, tmp_path)}
+    old = {"inputs": {"target": {**manifest["inputs"]["target"], "sha256": notes.file_hash(tmp_path / name)}}}
+    assert input_file(tmp_path, manifest, "target") == input_file(tmp_path, old, "target") == tmp_path / name
+    (tmp_path / other).write_text("#usda 1.0\n# changed\n")
+    assert input_file(tmp_path, manifest, "target") is None
+
+
 def test_transfers_that_end_at_once_are_both_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As where somebody starts one for each image: each reads the manifest, adds its own line and writes it."""
     pytest.importorskip("fcntl", reason="no locks of folders on this system")

@@ -10,13 +10,19 @@ import pytest
 from benchmarks.face_kit import KEPT, face_arrays
 from scipy import sparse
 
-from cagemap.character.values import Character, Part, Rig
+from cagemap.character.poses import pose_at
+from cagemap.character.values import Animation, Character, Part, Rig, Track
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.files.face_kit import ABSENT, kit_vertices, read_face_kit
 from cagemap.files.gltf.character import read_character
 from cagemap.files.gltf.document import write_document
+from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.usd.character import write_usd_character
+from cagemap.files.usd.convert import read_usd_character
+from cagemap.files.usd.read import open_stage
+from cagemap.files.usd.space import StageSpace, stage_units
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.carry_character import body_shapes, match_bodies
 from cagemap.tasks.face import _cut, _head_vertices, _on_body
@@ -83,6 +89,45 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, run: Run, monk
     largest = np.abs(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"]).max()
     assert np.abs(after[0].shapes["eyeBlinkLeft"]).max() == pytest.approx(0.01 * largest, rel=0.1)
     assert Path("S.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_a_head_in_usd_keeps_what_it_has_and_gets_shapes(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Units, axes, points, skeleton, own shapes and other meshes; as glTF it is in metres with Y up."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    monkeypatch.chdir(tmp_path)
+    mesh = read_face_kit(()).mesh
+    mesh = mesh.with_positions(0.01 * mesh.positions)
+    own = {"jawOpen": np.tile([0.0, 0.01, 0.0], (mesh.n_vertices, 1))}
+    places = np.tile(np.eye(4), (2, 1, 1))
+    places[1, 3, 1] = 0.02
+    rig = Rig(("spine", "skull"), np.array([-1, 0]), places, places)
+    weights = sparse.csr_array(np.tile([0.0, 1.0], (mesh.n_vertices, 1)))
+    nod = Track(0, "translation", np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]))
+    made = Character((Part("head", mesh, weights, own), Part("eyes", ball(2))), rig, (Animation("nod", (nod,)),))
+    write_usd_character("H.usda", made, read_scene(character_glb(made)), space=StageSpace("Z", 0.01))
+    Path("P.json").write_text(json.dumps({"points": [{"name": "chin", "vertex": int(kit_vertices(("chin",))[0])}]}))
+    for name in ("F.usdc", "F.glb"):
+        done = run.done("face H.usda --only jawOpen,eyeBlinkLeft --landmarks P.json -o", name)
+        assert "jawOpen: H.usda has its own" in done.err
+    stages = [open_stage(name) for name in ("H.usda", "F.usdc")]
+    assert str(stage_units("F.usdc")) == str(stage_units("H.usda")) == "0.01 m a unit, Z up"
+    points = [stage.GetAttributeAtPath("/Asset/head.points").Get() for stage in stages]
+    np.testing.assert_array_equal(*points)
+    for found in (read_usd_character("F.usdc"), read_character("F.glb")):
+        head, eyes = found.parts
+        assert (head.name, eyes.name) == ("head", "eyes")
+        assert set(head.shapes) == {"jawOpen", "eyeBlinkLeft"}
+        assert not eyes.shapes
+        assert found.rig is not None
+        np.testing.assert_allclose(found.rig.bind, rig.bind, atol=1e-6)
+        np.testing.assert_allclose(head.mesh.positions, mesh.positions, atol=1e-6)
+        np.testing.assert_allclose(head.shapes["jawOpen"], own["jawOpen"], atol=1e-6)
+        np.testing.assert_allclose(pose_at(found.rig, found.animations[0], 1.0)[0, 3, :3], [0, 0, 0.5], atol=1e-6)
+        largest = np.abs(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"]).max()
+        assert np.abs(head.shapes["eyeBlinkLeft"]).max() == pytest.approx(0.01 * largest, rel=0.1)
 
 
 def test_of_a_rigged_body_the_head_is_taken() -> None:

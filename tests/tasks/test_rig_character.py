@@ -331,6 +331,19 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
         np.testing.assert_allclose(curves.points.of(part.mesh.positions), places[:2], atol=1e-6)
 
 
+def test_images_of_the_character_are_not_replaced(run: Run, files: Character) -> None:
+    """They are cagemap's own, named like those of the output."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    document = read_document("C.glb")
+    write_usd_character("C.usda", character_of(document), read_scene(document))
+    before = {path.name: path.read_bytes() for path in Path().iterdir()}
+    assert "C_body_baseColor.png" in before
+    for _ in range(2):
+        run.done("rig B.glb --like C.usda -o C.usdc --force")
+        assert {path.name for path in Path().iterdir()} == {*before, "C.usdc", "C_body_baseColor1.png"}
+        assert {name: Path(name).read_bytes() for name in before} == before
+
+
 def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: ControlMesh) -> None:
     usd_geom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed")
     to_world = np.eye(4)
@@ -343,6 +356,26 @@ def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: C
     stage = usd_geom.GetStageMetersPerUnit, usd_geom.GetStageUpAxis
     opened = open_stage("OUT.usdc")
     assert [of(opened) for of in stage] == [0.01, "Z"]
+
+
+def test_a_usd_body_gives_the_same_glb_as_its_glb(run: Run, files: Character, body: ControlMesh) -> None:
+    """In centimetres with Z up, moved by its prim: glTF is in metres with Y up. Landmarks name vertices of the file."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    first = _rig(run)
+    to_world = np.eye(4)
+    to_world[3, :3] = [500.0, 0.0, 0.0]
+    upright = 100 * np.column_stack([body.positions[:, 0], -body.positions[:, 2], body.positions[:, 1]])
+    write_usd("B.usda", body.with_positions(upright - to_world[3, :3]), space=StageSpace("Z", 0.01, to_world))
+    (points,) = (part.mesh.positions for part in files.parts if part.name == "body")
+    tops = [int(np.argmax(mesh @ axis)) for axis in np.eye(3) for mesh in (body.positions, points)]
+    pairs = [{"name": str(k), "target": tops[2 * k], "source": tops[2 * k + 1]} for k in range(3)]
+    Path("L.json").write_text(json.dumps({"pairs": pairs}))
+    for words in ((), ("--landmarks", "L.json")):
+        run.done("rig B.usda --like C.glb -o OUT.glb", *words)
+        made = read_character("OUT.glb")
+        np.testing.assert_allclose(made.rig.bind, first.rig.bind, atol=2e-3)
+        for given in first.parts:
+            _same_order(_part(made, given.name), given, 2e-3)
 
 
 def test_usd_and_its_images_are_written_together(run: Run, files: Character, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,8 +93,8 @@ def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> st
 
 def check_writable_name(name: str) -> None:
     """Refuse a name that cannot be written on one line of a text file."""
-    if name != name.strip() or any(character in name for character in "\r\n\0") or name.endswith("\\"):
+    if name != name.strip() or any(character in name for character in "\r\n\t\0") or name.endswith("\\"):
         raise FormatError(
-            f"material name {name!r}: expected no line breaks, no blanks at its ends and no backslash at "
-            "its end, which a text file cannot hold. Rename the material."
+            f"the name {name!r}: expected no line breaks, no tabs, no blanks at its ends and no backslash at its end, "
+            "which a text file cannot hold. Rename this material, object or group."
         )

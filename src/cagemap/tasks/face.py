@@ -9,14 +9,13 @@ import numpy as np
 
 from cagemap.character.bones import humanoid_joints
 from cagemap.character.values import Character, Part, Rig
-from cagemap.errors import FormatError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.face_kit import ABSENT, kit_vertices, read_face_kit
-from cagemap.files.gltf.document import GLTF_SUFFIXES, write_document
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.meshes.formats import read_whole
 from cagemap.mesh.cage_points import on_cage
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, numbers_on_part
@@ -28,7 +27,7 @@ from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest, wi
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.options import comma_words
-from cagemap.tasks.rig_character import body_in, read_body
+from cagemap.tasks.rig_character import body_in, character_positions, read_body, require_output, write_character
 
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _TRUSTED = 0.8
@@ -58,22 +57,19 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     stages("shapes")
     shapes = _on_body(body_shapes(bodies), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
+    notes = [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages("write")
     with all_or_nothing():
-        write_document(request.output, character_glb(character, document), force=request.force)
+        made = character_glb(character, document)
+        notes += write_character(request.output, character, made, [request.head], force=request.force)
         if request.sheet is not None:
             write_image(request.sheet, contact_sheet(character, body.name, list(shapes), head), force=request.force)
-    notes = [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     absent = f"; there is no {ABSENT}" if request.only is None else ""
     return f"wrote {request.output}: {len(shapes)} face shapes on {body.name}{absent}", notes
 
 
 def _require_paths(request: FaceRequest) -> None:
-    if request.output.suffix.lower() not in GLTF_SUFFIXES:
-        raise FormatError(
-            f"{request.output}: expected the file to write as {', '.join(GLTF_SUFFIXES)}, got "
-            f"'{request.output.suffix}'. Name it .glb."
-        )
+    require_output(request.output)
     if request.sheet is not None:
         check_writable(request.sheet, np.dtype(np.uint8), 3)
     outputs = [request.output, *([] if request.sheet is None else [request.sheet])]
@@ -117,10 +113,10 @@ def _landmarks(request: FaceRequest, head: Part) -> Landmarks:
     """Landmarks from points of HEAD's file to the kit's points of the same names."""
     if request.landmarks is None:
         return Landmarks.none()
-    mesh = read_mesh(request.head)
+    mesh = read_whole(request.head)
     points = read_points(request.landmarks, mesh)
     rows = kit_vertices(points.names)
-    places = mesh.positions[on_cage(points, mesh).nearest_vertices]
+    places = character_positions(request.head, mesh)[on_cage(points, mesh).nearest_vertices]
     return Landmarks(points.names, nearest(head.mesh.positions, places), np.array(rows, dtype=np.int64))
 
 

@@ -15,9 +15,8 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
-from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
-from cagemap.files.usd.convert import usd_document
-from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
+from cagemap.files.usd.read import USD_SUFFIXES, UsdMesh, joined, opened_once, read_usd_meshes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
 from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
@@ -81,32 +80,39 @@ def _checked(
 
     The report of a character describes its body mesh only.
     """
-    scene, is_usd = _scene_of(path), path.suffix.lower() in USD_SUFFIXES
-    mesh = read_whole(path) if scene is None or is_usd else scene_mesh(scene)
+    scene: Scene | None = None
+    meshes: tuple[UsdMesh, ...] = ()
+    if path.suffix.lower() in USD_SUFFIXES:
+        with opened_once():
+            meshes = read_usd_meshes(path)
+            mesh, scene = joined(path, meshes, mixed=True), _rigged_scene(path, meshes)
+    elif path.suffix.lower() in SCENE_SUFFIXES:
+        scene = read_scene(read_document(path))
+        mesh = scene_mesh(scene)
+    else:
+        mesh = read_mesh(path)
     if scene is None:
         return mesh, _report(mesh, subdivision, weld), None
     holds = contents_of(scene)
     if not holds.is_character:
         return mesh, _report(mesh, subdivision, weld), holds
-    meshes = [one.part.mesh for one in scene.parts]
-    if is_usd:  # its vertices are not split, and its subdivision schemes have no place in a glTF scene
-        meshes = [one.control for one in read_usd_meshes(path)]
+    controls = [one.part.mesh for one in scene.parts]
+    if meshes:  # vertices of USD are not split, and its subdivision schemes have no place in a glTF scene
+        controls = [one.control for one in meshes]
         holds = replace(holds, stored=holds.vertices, welded=())
-    body = meshes[[one.part.name for one in scene.parts].index(holds.body)]
+    body = controls[[one.part.name for one in scene.parts].index(holds.body)]
     name = f"{mesh.name}: {holds.body}" if holds.passengers else mesh.name
     named = replace(body, name=name, file_vertices=None, file_faces=None, file_copies=None)
     return mesh, _report(named, subdivision, weld, pieces=False), holds
 
 
-def _scene_of(path: Path) -> Scene | None:
-    """Scene of a glTF or FBX file, or of a USD file with a skeleton; None for other files."""
-    suffix = path.suffix.lower()
-    if suffix in SCENE_SUFFIXES:
-        return read_scene(read_document(path))
-    if suffix in USD_SUFFIXES:
-        with suppress(CagemapError):  # damage is refused where the mesh is read
-            scene = read_scene(usd_document(path))
-            return None if scene.joints is None else scene
+def _rigged_scene(path: Path, meshes: Sequence[UsdMesh]) -> Scene | None:
+    """Scene of a USD file with a skeleton, from its meshes; None without one or if it cannot be read."""
+    from cagemap.files.usd.convert import usd_document
+
+    with suppress(CagemapError):
+        scene = read_scene(usd_document(path, meshes))
+        return None if scene.joints is None else scene
     return None
 
 

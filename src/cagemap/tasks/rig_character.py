@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,11 +30,11 @@ from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.files.meshes.formats import read_mesh, read_whole
+from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.convert import read_usd_character, usd_document
+from cagemap.files.usd.convert import document_and_character, read_usd_character, usd_document
 from cagemap.files.usd.read import USD_SUFFIXES, usd_modules
-from cagemap.files.usd.space import stage_space
+from cagemap.files.usd.space import similar_space
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -89,15 +89,11 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         )
     stages("write")
     rigged_document = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
-    scene = _readable_scene(rigged_document, dressed)
     if request.report is not None:
         stages("report")
     with all_or_nothing():
-        if _is_usd(request.output):
-            space = stage_space(request.body) if _is_usd(request.body) else None
-            notes += write_usd_character(request.output, dressed, scene, space=space, force=request.force)
-        else:
-            write_document(request.output, rigged_document, force=request.force)
+        inputs = request.body, request.like
+        notes += write_character(request.output, dressed, rigged_document, inputs, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
     confidence = carried.result.confidence
@@ -110,16 +106,8 @@ def _is_usd(path: Path) -> bool:
 
 
 def _require_paths(request: RigRequest) -> None:
-    for path, what, suffixes in (
-        (request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES)),
-        (request.output, "the file to write", (*GLTF_SUFFIXES, *USD_SUFFIXES)),
-    ):
-        if path.suffix.lower() not in suffixes:
-            raise FormatError(
-                f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. Export it as GLB."
-            )
-    if _is_usd(request.output):
-        usd_modules()
+    _require_suffix(request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES), "Export it as GLB")
+    require_output(request.output)
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
     outputs = [request.output, *([] if request.report is None else [request.report])]
     if request.report is not None:
@@ -127,8 +115,39 @@ def _require_paths(request: RigRequest) -> None:
     check_outputs(outputs, inputs, force=request.force)
 
 
+def require_output(path: Path) -> None:
+    """Refuse a file name that `write_character` cannot write."""
+    _require_suffix(path, "the file to write", (*GLTF_SUFFIXES, *USD_SUFFIXES), "Name it .glb")
+    if _is_usd(path):
+        usd_modules()
+
+
+def _require_suffix(path: Path, what: str, suffixes: tuple[str, ...], remedy: str) -> None:
+    if path.suffix.lower() not in suffixes:
+        raise FormatError(f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. {remedy}.")
+
+
+def write_character(
+    path: Path, character: Character, document: Document, inputs: Sequence[Path], *, force: bool
+) -> list[str]:
+    """Write a character as glTF, or as USD in the space of the first input if that is USD; returns notes.
+
+    ``document``: of the character, by `character_glb`.
+    ``inputs``: files that it was made from; their images are not replaced.
+    """
+    scene = _readable_scene(document, character)
+    if _is_usd(path):
+        space = similar_space(inputs[0]) if _is_usd(inputs[0]) else None
+        kept = {file.resolve() for one in inputs for file in referred_files(one)}
+        return write_usd_character(path, character, scene, space=space, kept=kept, force=force)
+    write_document(path, document, force=force)
+    return []
+
+
 def read_body(path: Path) -> tuple[Document | None, Character]:
-    """A glTF or FBX document and its character, or another file's mesh as a character."""
+    """A glTF, FBX or USD file as document and character, in metres with Y up; another file's mesh as a character."""
+    if _is_usd(path):
+        return document_and_character(path)
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
         return document, character_of(document)
@@ -153,12 +172,10 @@ def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
     """Landmarks and curves of the files' meshes as points of the two bodies."""
     if request.landmarks is None:
         return Landmarks.none()
-    meshes = read_mesh(request.body), read_whole(request.like)
+    meshes = read_whole(request.body), read_whole(request.like)
     given, _ = read_landmarks(request.landmarks, request.body, request.like)
     check_landmarks(given, *meshes)
-    places = [mesh.positions for mesh in meshes]
-    if _is_usd(request.like):  # the bind pose in metres with Y up
-        places[1] = np.concatenate([part.mesh.positions for part in read_usd_character(request.like).parts])
+    places = [character_positions(file, mesh) for file, mesh in zip((request.body, request.like), meshes, strict=True)]
     points = (_on_body(given.target_points, places[0], target), _on_body(given.source_points, places[1], source))
     curves = (
         replace(given.curves.target, points=_on_body(given.curves.target.points, places[0], target)),
@@ -173,6 +190,13 @@ def _on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:
     count = len(points.corners)
     names, vertices = tuple(f"point {row}" for row in range(count)), np.full(count, -1, dtype=np.int64)
     return on_cage(NamedPoints(names, vertices, points.of(places)), body.mesh)
+
+
+def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
+    """(n, 3) positions of a file's mesh in its character: of USD in the bind pose, in metres with Y up."""
+    if not _is_usd(path):
+        return mesh.positions
+    return np.concatenate([part.mesh.positions for part in read_usd_character(path).parts])
 
 
 def _in_one_square(mesh: ControlMesh) -> ControlMesh:

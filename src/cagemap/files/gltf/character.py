@@ -160,7 +160,7 @@ def animation_entries(
     above: Mapping[int, FloatArray],
     before: Sequence[Any],
     given: Document | None,
-    targets: Sequence[int],
+    shapes: Mapping[int, tuple[Sequence[str], Sequence[str]]],
 ) -> list[dict[str, Any]]:
     """Entries of ``animations``: tracks of joints, and the given document's other channels.
 
@@ -168,14 +168,14 @@ def animation_entries(
     ``above``: transforms by node, see `cagemap.files.gltf.nodes.Joints`.
     ``before``: entries of ``given``, in its order.
     ``given``: the document of these entries.
-    ``targets``: present number of blend shapes of each node's mesh.
+    ``shapes``: names of blend shapes by node, in the given document and now; weights of new ones are 0.
     """
     named = {} if given is None else dict(zip(animation_names(given), before, strict=True))
     times: dict[bytes, int] = {}
     entries = []
     for animation in animations:
         old = named.pop(animation.name, {})
-        kept = _kept(old, set(nodes), targets, given)
+        kept = {"samplers": [], "channels": []} if given is None else _kept(binary, old, set(nodes), shapes, given)
         entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")} | kept
         for track in animation.tracks:
             node = nodes[track.joint]
@@ -216,7 +216,11 @@ def animation_lengths(document: Document) -> tuple[float, ...]:
 
 
 def _kept(
-    entry: dict[str, Any], joints: set[int], targets: Sequence[int], given: Document | None
+    binary: Binary,
+    entry: dict[str, Any],
+    joints: set[int],
+    shapes: Mapping[int, tuple[Sequence[str], Sequence[str]]],
+    given: Document,
 ) -> dict[str, list[Any]]:
     """Channels of an animation that move no joints, with their samplers."""
     samplers: list[Any] = []
@@ -227,14 +231,27 @@ def _kept(
         sampler = entry["samplers"][channel["sampler"]]
         if node in joints and path != "weights":
             continue
-        if path == "weights" and node is not None and given is not None:
+        if path == "weights" and node is not None:
+            before, now = shapes.get(node, ((), ()))
             keys = given.entry("accessors", sampler["input"])["count"]
             keys *= 3 if sampler.get("interpolation") == "CUBICSPLINE" else 1
-            if given.entry("accessors", sampler["output"])["count"] != keys * targets[node]:
+            count = given.entry("accessors", sampler["output"])["count"]
+            if not set(before) & set(now) or count != keys * len(before):
                 continue
+            if list(before) != list(now):
+                values = read_accessor(given, sampler["output"], "animations", ("SCALAR",)).astype(np.float64)
+                table = by_names(values.reshape(-1, len(before)), before, now)
+                sampler = sampler | {"output": binary.accessor(table.astype("<f4").ravel())}
         samplers.append(sampler)
         channels.append(channel | {"sampler": len(samplers) - 1})
     return {"samplers": samplers, "channels": channels}
+
+
+def by_names(values: FloatArray, before: Sequence[str], now: Sequence[str]) -> FloatArray:
+    """Columns (k, before) in the order of other names (k, now); 0 for names that were not there before."""
+    number = {name: place for place, name in enumerate(before)}
+    columns = [values[:, number[name]] if name in number else np.zeros(len(values)) for name in now]
+    return np.column_stack(columns)
 
 
 def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:

@@ -16,13 +16,13 @@ from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.binary import Binary, without_unused
-from cagemap.files.gltf.character import animation_entries, character_of
+from cagemap.files.gltf.character import animation_entries, by_names, character_of
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
 from cagemap.files.gltf.nodes import decomposed, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
-from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.primitives import material_names, shape_names
 from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UvSet
@@ -121,9 +121,11 @@ class _Made:
             self._meshes_used, self._mesh_of_node = [], {}
 
     def rig(self, rig: Rig | None) -> None:
-        """Set the joints' transforms and the skin that all parts share."""
-        self.top.pop("skins", None)
+        """Set the joints' transforms and the skin that all parts share; nodes without a part keep their skins."""
+        given = self.top.pop("skins", [])
+        skinned = [node for node in self._nodes if node.get("skin") is not None]
         if rig is None:
+            self.top |= {"skins": given} if skinned else {}
             return
         numbers: list[int] = []
         for joint, name in enumerate(rig.names):
@@ -137,7 +139,9 @@ class _Made:
         inverse = np.linalg.inv(rig.bind)
         inverse[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
         number = self._binary.accessor(inverse.reshape(-1, 16).astype("<f4"))
-        self.top["skins"] = [{"joints": numbers, "inverseBindMatrices": number}]
+        self.top["skins"] = [{"joints": numbers, "inverseBindMatrices": number}, *(given if skinned else ())]
+        for entry in skinned:
+            entry["skin"] += 1
 
     def part(self, part: Part, rig: Rig | None) -> None:
         """Add a part's mesh to its node."""
@@ -166,6 +170,7 @@ class _Made:
     def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
         """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
         number = self._mesh_of_node.get(node)
+        made = made | self._stated_weights(node, made)
         if number is None or self._meshes_used.count(number) > 1:
             self._meshes.append(made)
             return len(self._meshes) - 1
@@ -174,13 +179,9 @@ class _Made:
         kept = (
             {name: value for name, value in extras.items() if name != "targetNames"} if isinstance(extras, dict) else {}
         )
-        stated = before.get("weights")
-        count = len(made.get("extras", {}).get("targetNames", ()))
         entry = {name: value for name, value in before.items() if name in ("name", "extensions")} | made
         if kept or "extras" in made:
             entry["extras"] = kept | made.get("extras", {})
-        if isinstance(stated, list) and len(stated) == count:
-            entry["weights"] = stated
         self._meshes[number] = entry
         return int(number)
 
@@ -204,17 +205,42 @@ class _Made:
         nodes = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
         given = None if self._scene is None else self._scene.document
         before = self.top.get("animations", [])
-        counts = [self._targets(node) for node in range(len(self._nodes))]
-        entries = animation_entries(self._binary, character.animations, nodes, above, before, given, counts)
+        shapes = {
+            node: (self._shapes_before(node), self._shapes(self._meshes[entry["mesh"]]))
+            for node, entry in enumerate(self._nodes)
+            if "mesh" in entry
+        }
+        entries = animation_entries(self._binary, character.animations, nodes, above, before, given, shapes)
         self.top.pop("animations", None)
         if entries:
             self.top["animations"] = entries
 
-    def _targets(self, node: int) -> int:
-        """Number of blend shapes of a node's mesh."""
-        mesh = self._nodes[node].get("mesh")
-        primitives = [] if mesh is None else self._meshes[mesh].get("primitives", [])
-        return len(primitives[0].get("targets", ())) if primitives else 0
+    def _shapes(self, mesh: dict[str, Any]) -> list[str]:
+        """Names of the blend shapes of a new mesh."""
+        names: list[str] = mesh.get("extras", {}).get("targetNames", [])
+        return names
+
+    def _shapes_before(self, node: int) -> tuple[str, ...]:
+        """Names of the blend shapes of a node's mesh in the given document."""
+        number = self._mesh_of_node.get(node)
+        if number is None or self._scene is None:
+            return ()
+        document = self._scene.document
+        primitives = document.entries("primitives", document.entry("meshes", number))
+        return shape_names(document, number, len(document.entries("targets", primitives[0])))
+
+    def _stated_weights(self, node: int, made: dict[str, Any]) -> dict[str, list[float]]:
+        """The field ``weights`` of a new mesh, by the names of blend shapes in the given document."""
+        names, before = self._shapes(made), self._shapes_before(node)
+        if self._scene is None or not names or not before:
+            return {}
+        document = self._scene.document
+        mesh = document.entry("meshes", self._mesh_of_node[node])
+        stated = document.entry("nodes", node).get("weights", mesh.get("weights"))
+        if not isinstance(stated, list) or len(stated) != len(before):
+            return {}
+        weights = by_names(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
+        return {"weights": weights[0].tolist()} if weights.any() else {}
 
     def document(self) -> Document:
         """The finished document."""

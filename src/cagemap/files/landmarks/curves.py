@@ -77,7 +77,7 @@ def mesh_entries(curves: Sequence[NamedCurve]) -> list[str]:
 
 
 def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurve:
-    """A curve through positions."""
+    """A curve through positions; closed too if the first position is repeated at the end."""
     try:
         positions = np.array(places, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -86,6 +86,8 @@ def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurv
         raise FormatError(
             f"{path}: curve '{name}': expected a list of finite places [x, y, z], got something else. Write it again."
         )
+    if len(positions) > 1 and np.array_equal(positions[0], positions[-1]):
+        positions, closed = positions[:-1], True
     return NamedCurve(name, np.full(len(positions), -1, dtype=np.int64), positions, closed)
 
 

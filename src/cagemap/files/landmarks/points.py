@@ -219,13 +219,13 @@ _SYMMETRY_REMEDY = (
 
 def read_symmetry(path: Path) -> IndexArray:
     """Read the mirror image of every control vertex from ``.npy``, ``.json`` or text."""
-    content = read_bytes(path, "a symmetry file")
-    if path.suffix == ".npy":
+    content, suffix = read_bytes(path, "a symmetry file"), path.suffix.lower()
+    if suffix == ".npy":
         values = read_npy(content, path, _SYMMETRY_REMEDY)
     else:
         try:
             text = content.decode("utf-8")
-            values = np.array(json.loads(text) if path.suffix == ".json" else [int(word) for word in text.split()])
+            values = np.array(json.loads(text) if suffix == ".json" else [int(word) for word in text.split()])
         except (ValueError, RecursionError) as error:
             raise FormatError(f"{path}: is no list of whole numbers ({error}). {_SYMMETRY_REMEDY}") from None
     if values.ndim != 1 or not len(values) or not np.issubdtype(values.dtype, np.integer):

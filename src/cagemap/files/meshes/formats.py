@@ -5,6 +5,7 @@ A new format is an entry of `_READERS` or `_WRITERS`; help lines that list forma
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Collection
@@ -23,7 +24,7 @@ from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
 from cagemap.files.text import read_text
-from cagemap.files.usd.read import USD_SUFFIXES, layer_files, read_usd
+from cagemap.files.usd.read import USD_SUFFIXES, other_files, read_usd
 from cagemap.files.usd.space import stage_space, to_standard
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
@@ -103,7 +104,7 @@ def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
 
 
 def referred_files(path: Path) -> list[Path]:
-    """Existing files that a mesh file refers to: materials of an OBJ, buffers and images of a .gltf, layers of USD.
+    """Existing files that a mesh file refers to: materials of an OBJ; buffers or layers, and images, of .gltf and USD.
 
     Empty for other files, and if the file cannot be read.
     """
@@ -112,11 +113,12 @@ def referred_files(path: Path) -> list[Path]:
         if suffix == ".obj":
             return material_files(path, read_text(path, "an OBJ file"))
         if suffix == ".gltf":
-            names = re.findall(r'"uri"\s*:\s*"([^"]{1,1000})"', read_text(path, "a glTF file"))
+            words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', read_text(path, "a glTF file"))
+            names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
             # Unlike `Path.is_file`, false for names that are too long, such as embedded data.
-            return [file for name in names if os.path.isfile(file := path.parent / unquote(name))]
-        return layer_files(path) if suffix in USD_SUFFIXES else []
-    except FormatError:  # its reader reports it
+            return [file for name in names if os.path.isfile(file := path.parent / name)]
+        return other_files(path) if suffix in USD_SUFFIXES else []
+    except (FormatError, ValueError):  # its reader reports it
         return []
 
 

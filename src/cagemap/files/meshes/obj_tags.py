@@ -56,7 +56,7 @@ def parse_tags(
         name, ints, floats, words = _parse_line(line, partial(fail, row))
         if name in sharp:
             wanted = _COUNTS[name]
-            if (len(ints), len(floats), len(words)) != wanted or not 0 <= floats[0] < np.inf:
+            if (len(ints), len(floats), len(words)) != wanted or not floats[0] >= 0:
                 raise fail(row, f"'t {name} {'/'.join(map(str, wanted))}', 0-based vertices and a sharpness")
             _check_range(ints, n_vertices, "vertices", partial(fail, row))
             sharp[name].append((ints, floats[0]))

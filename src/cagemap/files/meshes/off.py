@@ -24,7 +24,8 @@ _FORM = "OFF, then the numbers of vertices, faces and edges, then a line each: x
 def read_off(path: str | Path) -> ControlMesh:
     """Read a control mesh from an OFF file in the file's order; normals and colours are ignored."""
     file = Path(path)
-    rows = [words for line in read_text(file, "an OFF file").splitlines() if (words := line.partition("#")[0].split())]
+    lines = read_text(file, "an OFF file").split("\n")  # `str.splitlines` splits comments at other characters too
+    rows = [words for line in lines if (words := line.partition("#")[0].split())]
     first = _FIRST_WORD.match(rows[0][0]) if rows else None
     if first is None:
         raise FormatError(

@@ -19,8 +19,10 @@ import numpy as np
 from cagemap import __version__
 from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.meshes.arrays import CONTROL_ARRAYS
+from cagemap.files.meshes.formats import referred_files
 from cagemap.files.ownership import mark
 from cagemap.files.schema import (
     BasisRecord,
@@ -80,7 +82,7 @@ def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str
     readers report them.
     """
     return {
-        name: {"file": path.name, "path": stated_path(path, folder), "sha256": file_hash(path)}
+        name: {"file": path.name, "path": stated_path(path, folder), "sha256": _input_hash(path)}
         for name, path in files.items()
         if path.is_file()
     }
@@ -93,7 +95,15 @@ def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path 
     if not isinstance(path, str) or not isinstance(digest, str):
         return None
     file = Path(folder) / path
-    return file if file.is_file() and file_hash(file) == digest else None
+    # Older versions stated the hash of the file alone.
+    return file if file.is_file() and digest in (_input_hash(file), file_hash(file)) else None
+
+
+def _input_hash(path: Path) -> str:
+    """SHA-256 of a file; of a mesh in several files, such as layers of USD or buffers of glTF, of all their hashes."""
+    others = [file for file in referred_files(path) if file.suffix.lower() not in (*IMAGE_SUFFIXES, ".mtl")]
+    hashes = [file_hash(file) for file in (path, *others)]
+    return hashlib.sha256("".join(hashes).encode()).hexdigest() if others else hashes[0]
 
 
 def read_files(folder: str | Path, manifest: dict[str, Any]) -> list[Path]:

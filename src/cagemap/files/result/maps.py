@@ -74,10 +74,11 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
         return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
     if {"indices", "indptr", "data", "shape"} <= set(arrays):
         try:
-            matrix = sparse.csr_array(sparse.load_npz(file))
+            matrix = sparse.load_npz(file)
+            matrix.check_format()  # SciPy crashes natively on indices out of range
         except ValueError as error:
             raise FormatError(f"{file}: expected a sparse matrix, found an error ({error}). {_REMEDY}") from error
-        return SurfacePoints.from_matrix(source, matrix)
+        return SurfacePoints.from_matrix(source, sparse.csr_array(matrix))
     raise FormatError(
         f"{file}: expected 'triangle' and 'barycentric', or a sparse matrix written by SciPy, found {', '.join(arrays)}"
     )

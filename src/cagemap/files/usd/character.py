@@ -5,25 +5,27 @@ from __future__ import annotations
 import struct
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cagemap.character.values import Character, Part, Rig
+from cagemap.character.values import Character, Part, Rig, Track
 from cagemap.files.atomic import atomic_path, write_whole
 from cagemap.files.gltf.binary import NGONS
+from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
-from cagemap.files.gltf.parts import Scene
+from cagemap.files.gltf.parts import Scene, turned_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
 from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
-from cagemap.files.usd.prims import named_faces
+from cagemap.files.usd.prims import moved, named_faces
 from cagemap.files.usd.read import identifiers, open_stage, usd_modules
-from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.space import StageSpace, to_metres
 from cagemap.files.usd.write import (
     check_usd_path,
     export_layer,
@@ -36,6 +38,7 @@ from cagemap.files.usd.write import (
 )
 from cagemap.mesh import Plain
 from cagemap.mesh.faces import cage_triangles
+from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.triangles import vertex_normals
 
 # Extensions of glTF that are written or hold nothing of the character; contents of others.
@@ -51,20 +54,29 @@ _PADDING = 0x1986
 
 
 def write_usd_character(
-    path: str | Path, character: Character, scene: Scene, *, space: StageSpace | None = None, force: bool = False
+    path: str | Path,
+    character: Character,
+    scene: Scene,
+    *,
+    space: StageSpace | None = None,
+    kept: Collection[Path] = (),
+    force: bool = False,
 ) -> list[str]:
     """Write a character as USD: a layer with images in its folder, or a package (``.usdz``); returns notes.
 
     Notes say what USD has no place for.
 
     ``scene``: the same character as a glTF document: its materials, images and weights of blend shapes are written.
-    ``space``: of the character; default: metres with Y up.
+    ``character``: in metres with Y up, as ``scene``.
+    ``space``: to write it in, whose transform is a similarity without a mirror; default: metres with Y up.
+    ``kept``: resolved paths of files that no image replaces, such as images of the character's file.
     """
     file = Path(path)
     check_usd_path(file, package=True)
+    character = character if space is None else _in_space(character, space)
     stage = new_stage(space or StageSpace("Y", 1.0), "SkelRoot")
     used = {name: None for part in character.parts for name in _materials(part)}
-    surfaces = write_materials(stage, scene.document, list(used), file)
+    surfaces = write_materials(stage, scene.document, list(used), file, kept)
     rig = character.rig
     if rig is None and any(part.shapes for part in character.parts):  # a skeleton holds the weights of shapes
         rig = Rig(("root",), np.array([-1]), np.eye(4)[None], np.eye(4)[None])
@@ -82,6 +94,37 @@ def write_usd_character(
         sizes[prim.GetPath().pathString] = part.mesh.n_vertices
     _save(stage.GetRootLayer(), file, surfaces.images, sizes, force=force)
     return notes
+
+
+def _in_space(character: Character, space: StageSpace) -> Character:
+    """A character in metres with Y up as one in a space, by a similarity without a mirror."""
+    matrix = np.asarray(np.linalg.inv(to_metres(space)), dtype=np.float64)
+    turn = matrix[:3, :3]
+    parts = [
+        replace(
+            part,
+            mesh=part.mesh.with_positions(moved(part.mesh.positions, matrix)),
+            shapes={name: offsets @ turn for name, offsets in part.shapes.items()},
+            normals=None if part.normals is None else turned_normals(part.normals, turn),
+        )
+        for part in character.parts
+    ]
+    rig, animations = character.rig, character.animations
+    if rig is not None:
+        roots = rig.parents < 0
+        local = np.where(roots[:, None, None], rig.local @ matrix, rig.local)
+        rig = replace(rig, local=local, bind=rig.bind @ matrix)
+        animations = tuple(
+            replace(one, tracks=tuple(_moved_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
+            for one in animations
+        )
+    return replace(character, parts=tuple(parts), rig=rig, animations=animations)
+
+
+def _moved_track(track: Track, matrix: FloatArray) -> Track:
+    """A root's track after a similarity of the whole character."""
+    tangents = track.interpolation == "CUBICSPLINE"
+    return replace(track, values=in_rig(track.values, track.channel, matrix, tangents=tangents))
 
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
@@ -104,7 +147,7 @@ def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any],
     if skinned or part.shapes:
         pxr.UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateSkeletonRel().SetTargets([SKELETON])
     if skinned and part.weights is not None:
-        write_weights(prim.GetPrim(), part.weights.toarray(), int(np.diff(part.weights.indptr).max()))
+        write_weights(prim.GetPrim(), part.weights.toarray())
         pxr.UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr(pxr.Gf.Matrix4d(1.0))
     if part.shapes:
         write_blend_shapes(stage, prim.GetPrim(), part.shapes)

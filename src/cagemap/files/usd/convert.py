@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,15 +20,27 @@ from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct, invertible
 from cagemap.files.gltf.parts import turned_normals
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
-from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, stated
+from cagemap.files.usd.prims import (
+    BLEND_SHAPE,
+    JOINT_WEIGHTS,
+    bind_transform,
+    corner_rows,
+    is_mirrored,
+    is_similarity,
+    local_to_world,
+    primvar_values,
+    stated,
+)
 from cagemap.files.usd.read import (
     UsdMesh,
     in_world,
     named_damage,
     open_stage,
     opened_once,
+    prims_of,
     read_usd_meshes,
     usd_modules,
 )
@@ -38,17 +51,26 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray
 
+_log = logging.getLogger(__name__)
 
-def usd_document(path: str | Path) -> Document:
+
+def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> Document:
     """Read a USD file as a glTF document in metres with Y up, in the bind pose.
 
     Subdivision schemes are left out, since glTF has none. Materials are those of `cagemap.files.usd.shaders`.
+
+    ``meshes``: the file's, if they are read already.
     """
+    return document_and_character(path, meshes)[0]
+
+
+def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> tuple[Document, Character]:
+    """A USD file as by `usd_document` and `read_usd_character`; names are the same in both."""
     file = Path(path)
     with named_damage(file), opened_once():
-        stage, meshes = open_stage(file), read_usd_meshes(file)
+        stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character, weights = _read(file, stage, meshes)
-        document = replace(character_glb(character), file=file)
+        plain = replace(character_glb(character), file=file)
         geometry = usd_modules().UsdGeom
         users = {
             name: (
@@ -58,7 +80,13 @@ def usd_document(path: str | Path) -> Document:
             for part, mesh in zip(reversed(character.parts), reversed(meshes), strict=True)
             for name in part.mesh.material_names
         }
-        return with_materials(_with_shape_weights(document, character, weights), stage, users)
+        document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
+    names = dict(zip(material_names(plain), material_names(document), strict=True))
+    parts = (
+        replace(part, mesh=replace(part.mesh, material_names=tuple(names.get(n, n) for n in part.mesh.material_names)))
+        for part in character.parts
+    )
+    return document, replace(character, parts=tuple(parts))
 
 
 def read_usd_character(path: str | Path) -> Character:
@@ -85,15 +113,17 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
         rig = _rig(file, skeleton, rig_to_world)
         animations, weights = _animations(stage, skeleton, rig, rig_to_world)
-    names = distinct([prim.GetDisplayName() or prim.GetName() for prim in prims])
+        if animations and not is_similarity(rig_to_world):
+            text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
+            _log.warning(text, file, skeleton.GetPath())
+    joints = () if rig is None else rig.names
+    names = distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
     for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
         table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
         mesh_to_world = mesh.to_world @ to_world
         if table is not None:
-            mesh_to_world = (
-                np.array(pxr.UsdSkel.BindingAPI(prim).GetGeomBindTransformAttr().Get() or np.eye(4)) @ rig_to_world
-            )
+            mesh_to_world = bind_transform(prim) @ rig_to_world
             if not np.isfinite(table).all():
                 raise FormatError(f"{file}: {mesh.path}: expected finite weights, got others. Export it again.")
             table = np.maximum(table, 0.0)
@@ -106,25 +136,30 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes, _normals(prim, control, mesh_to_world)))
+        parts.append(Part(name, control, table, shapes, _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world)))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
-def _normals(prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
+def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
     """Normals (c, 3) of the corners of a plain mesh that a matrix has placed; None for other meshes and without any."""
     geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
-        values, kind = primvar.ComputeFlattened(), primvar.GetInterpolation()
+        values, numbers, kind = primvar_values(where, primvar)
     else:
-        values, kind = stated(geometry.GetNormalsAttr()), geometry.GetNormalsInterpolation()
-    is_reversed = (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix)
-    in_file = reversed_corners(control.face_offsets) if is_reversed else np.arange(len(control.face_indices))
-    corners = {"vertex": control.face_indices, "faceVarying": in_file}.get(kind)
-    if not values or corners is None or len(values) <= corners.max() or not isinstance(control.scheme, Plain):
+        values, kind = np.array(stated(geometry.GetNormalsAttr()) or []), str(geometry.GetNormalsInterpolation())
+        numbers = np.arange(len(values))
+    if not len(values) or not isinstance(control.scheme, Plain):
         return None
-    return turned_normals(np.asarray(values, dtype=np.float64), matrix[:3, :3])[corners]
+    rows = corner_rows(control, kind)
+    if kind == "faceVarying" and (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix):
+        rows = reversed_corners(control.face_offsets)
+    if rows is None or len(numbers) <= rows.max() or values.shape[1:] != (3,) or not np.isfinite(values).all():
+        text = "%s: its normals are left out, others are computed: expected finite ones, got %d of interpolation %s"
+        _log.warning(text, where, len(numbers), kind)
+        return None
+    return turned_normals(values.astype(np.float64), matrix[:3, :3])[numbers[rows]]
 
 
 def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:
@@ -149,21 +184,18 @@ def _animations(
     """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
     pxr = usd_modules()
     bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
-    prims = [*([bound] if bound else []), *(prim for prim in stage.Traverse() if prim.IsA(pxr.UsdSkel.Animation))]
+    prims = [*([bound] if bound else []), *prims_of(stage, pxr.UsdSkel.Animation)]
     prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get()]
     found, weights = [], _ShapeWeights()
+    given = [attribute for one in prims for attribute in (*_channels(one).values(), one.GetBlendShapeWeightsAttr())]
+    start = min(0.0, stage.GetStartTimeCode(), *(code for one in given for code in one.GetTimeSamples()[:1]))
     names = distinct([one.GetPrim().GetDisplayName() or one.GetPrim().GetName() for one in prims])
     for name, animation in zip(names, prims, strict=True):
         listed = [str(joint) for joint in animation.GetJointsAttr().Get() or []]
-        channels: tuple[tuple[Channel, Any], ...] = (
-            ("translation", animation.GetTranslationsAttr()),
-            ("rotation", animation.GetRotationsAttr()),
-            ("scale", animation.GetScalesAttr()),
-        )
         tracks = []
-        for channel, attribute in channels:
-            times, values = _samples(stage, attribute, len(listed))
+        for channel, attribute in _channels(animation).items():
+            times, values = _samples(stage, attribute, len(listed), start)
             for column, joint in enumerate(listed):
                 if joint in joints and len(times):
                     keys = values[:, column]
@@ -172,7 +204,7 @@ def _animations(
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
-        times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes))
+        times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes), start)
         if len(times):
             weights[name] = times, dict(zip(shapes, values.T, strict=True))
         if tracks or name in weights:
@@ -180,13 +212,21 @@ def _animations(
     return tuple(found), weights
 
 
-def _samples(stage: Any, attribute: Any, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Times in seconds, from 0 on, and values (k, rows, ...) of an attribute; none if it has no such values."""
+def _channels(animation: Any) -> dict[Channel, Any]:
+    """Attributes of a `SkelAnimation` by channel."""
+    return {
+        "translation": animation.GetTranslationsAttr(),
+        "rotation": animation.GetRotationsAttr(),
+        "scale": animation.GetScalesAttr(),
+    }
+
+
+def _samples(stage: Any, attribute: Any, rows: int, start: float) -> tuple[FloatArray, FloatArray]:
+    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values."""
     codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))
-    start = min(stage.GetStartTimeCode(), 0.0)
     times = np.array([0.0 if len(codes) == 1 else code - start for code in codes]) / stage.GetTimeCodesPerSecond()
     return times, np.array([np.array(value) for value in values], dtype=np.float64)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,11 +43,14 @@ class UsdMaterials:
     notes: list[str] = field(default_factory=list)  # what UsdPreviewSurface has no place for
 
 
-def write_materials(stage: Any, document: Document, names: Sequence[str], layer: Path) -> UsdMaterials:
+def write_materials(
+    stage: Any, document: Document, names: Sequence[str], layer: Path, kept: Collection[Path] = ()
+) -> UsdMaterials:
     """Define materials of a document below ``/Asset/materials``.
 
     ``names``: by `cagemap.files.gltf.primitives.material_names`.
     ``layer``: the file of the stage; images are named after it, and never like a file that cagemap did not write.
+    ``kept``: resolved paths of files that no image replaces.
     """
     written, file_of = UsdMaterials(), dict[int, str]()
     numbers = material_names(document)
@@ -65,7 +68,9 @@ def write_materials(stage: Any, document: Document, names: Sequence[str], layer:
             number = used[slot].image
             if number not in file_of:
                 data, suffix = _readable(document, number)
-                file_of[number] = _free_name(layer, f"{label}_{slot.removesuffix('Texture')}", suffix, written.images)
+                file_of[number] = _free_name(
+                    layer, f"{label}_{slot.removesuffix('Texture')}", suffix, written.images, kept
+                )
                 written.images[file_of[number]] = data
             reader = _reader(stage, material.GetPath(), used[slot])
             modes = zip(("wrapS", "wrapT"), used[slot].wraps, strict=True)
@@ -159,12 +164,14 @@ def _readable(document: Document, number: int) -> tuple[bytes, str]:
     return data, suffix
 
 
-def _free_name(layer: Path, name: str, suffix: str, taken: dict[str, bytes]) -> str:
-    """A file name for an image that no other image and no file of others has."""
+def _free_name(layer: Path, name: str, suffix: str, taken: dict[str, bytes], kept: Collection[Path]) -> str:
+    """A file name for an image that no other image, no file of others and none that is kept has."""
     names = (f"{layer.stem}_{name}{number or ''}{suffix}" for number in itertools.count())
     used = {one.lower() for one in taken}
     return next(
         one
         for one in names
-        if one.lower() not in used and (not layer.with_name(one).exists() or is_own(layer.with_name(one)))
+        if one.lower() not in used
+        and (not layer.with_name(one).exists() or is_own(layer.with_name(one)))
+        and layer.with_name(one).resolve() not in kept
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,22 @@ def stated(attribute: Any) -> Any:
     return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
 
 
+def bind_transform(prim: Any) -> FloatArray:
+    """(4, 4) transform from a mesh's space to its skeleton's in the bind pose."""
+    attribute = _skinning_attribute(prim, "primvars:skel:geomBindTransform")
+    return np.array(np.eye(4) if attribute is None else stated(attribute), dtype=np.float64)
+
+
+def _skinning_attribute(prim: Any, name: str) -> Any:
+    """The attribute of a prim or of the nearest prim above it that states one, as UsdSkel inherits; None without."""
+    while prim:
+        attribute = prim.GetAttribute(name)
+        if attribute and attribute.HasAuthoredValue():
+            return attribute
+        prim = prim.GetParent()
+    return None
+
+
 def integers(values: Any) -> IndexArray:
     """An array of USD as indices; empty if absent."""
     return np.array([] if values is None else values, dtype=np.int64)
@@ -53,15 +70,8 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     If a file has a value for every corner, as Blender writes them, equal ones at a vertex are merged. Otherwise every
     face would be a UV island.
     """
-    values, numbers, interpolation = _values(where, primvar)
-    values = values.astype(np.float64)
-    owners = {
-        "constant": np.zeros(len(control.face_indices), dtype=np.int64),
-        "uniform": control.corner_faces,
-        "varying": control.face_indices,
-        "vertex": control.face_indices,
-        "faceVarying": np.arange(len(control.face_indices)),
-    }.get(interpolation)
+    values, numbers, interpolation = primvar_values(where, primvar)
+    values, owners = values.astype(np.float64), corner_rows(control, interpolation)
     if owners is None or len(numbers) <= owners.max():
         _refuse(where, primvar, f"got {len(numbers)} values of interpolation {interpolation!r}")
     if not np.isfinite(values).all():
@@ -69,6 +79,18 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     if interpolation == "faceVarying" and not primvar.IsIndexed():
         return merged_corners(control.face_indices, values[owners])
     return values, numbers[owners]
+
+
+def corner_rows(control: ControlMesh, interpolation: str) -> IndexArray | None:
+    """(c,) row of every face corner in values of an interpolation; None if USD has no such interpolation."""
+    rows = {
+        "constant": np.zeros(len(control.face_indices), dtype=np.int64),
+        "uniform": control.corner_faces,
+        "varying": control.face_indices,
+        "vertex": control.face_indices,
+        "faceVarying": np.arange(len(control.face_indices)),
+    }
+    return rows.get(interpolation)
 
 
 def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
@@ -79,7 +101,6 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     """
     from pxr import UsdGeom
 
-    api = UsdGeom.PrimvarsAPI(prim)
     taken = {primvar.GetPrimvarName() for primvar in uv_primvars(prim)}
     rows = {
         "uniform": control.n_faces,
@@ -88,19 +109,24 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         "faceVarying": len(control.face_indices),
     }
     arrays: dict[str, NDArray[Any]] = {}
-    for primvar in api.FindPrimvarsWithInheritance():
+    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
         values = np.asarray(stated(primvar))
-        expected = rows.get(str(primvar.GetInterpolation()))
+        interpolation = str(primvar.GetInterpolation())
+        expected = rows.get(interpolation)
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
             continue
-        values, numbers, _ = _values(where, primvar)
+        if interpolation == "uniform" and control.n_faces == control.n_vertices:  # rows would be taken for vertices
+            text = "%s: primvar %s of faces is left out: there are as many vertices; export it at vertices or corners"
+            logger.warning(text, where, name)
+            continue
+        values, numbers, _ = primvar_values(where, primvar)
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers]
-    return arrays | _weights(where, control, api, prim) | _blend_shapes(where, control, prim)
+    return arrays | _weights(where, control, prim) | _blend_shapes(where, control, prim)
 
 
 def corner_primvars(prim: Any) -> frozenset[str]:
@@ -111,7 +137,7 @@ def corner_primvars(prim: Any) -> frozenset[str]:
     return frozenset(primvar.GetPrimvarName() for primvar in primvars if primvar.GetInterpolation() == "faceVarying")
 
 
-def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
+def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
     """Values, the row of each element, and the interpolation; elements of several values become rows."""
     values = np.asarray(stated(primvar))
     size = primvar.GetElementSize()
@@ -140,14 +166,17 @@ def _refuse(where: str, primvar: Any, found: str) -> None:
     )
 
 
-def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str, NDArray[Any]]:
+def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
     """``skel:jointWeights`` as a dense table (n, joints), in the order of the skeleton's joints if there is one."""
-    indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
-    if not (indices and weights and indices.HasValue() and weights.HasValue()):
+    from pxr import UsdGeom
+
+    stated_by = [_skinning_attribute(prim, f"primvars:skel:{name}") for name in ("jointIndices", "jointWeights")]
+    if None in stated_by:
         return {}
-    joints, _, _ = _values(where, indices)
-    values, _, interpolation = _values(where, weights)
-    joints, values = joints.reshape(len(joints), -1), values.reshape(len(values), -1)
+    indices, weights = map(UsdGeom.Primvar, stated_by)
+    joints, rows, _ = primvar_values(where, indices)
+    values, weight_rows, interpolation = primvar_values(where, weights)
+    joints, values = joints.reshape(len(joints), -1)[rows], values.reshape(len(values), -1)[weight_rows]
     if interpolation == "constant":
         joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
     if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
@@ -162,10 +191,10 @@ def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
     from pxr import UsdSkel
 
-    binding = UsdSkel.BindingAPI(prim)
-    skeleton = binding.GetInheritedSkeleton()
+    skeleton = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
-    joints_of_mesh = list(binding.GetJointsAttr().Get() or []) or joints_of_skeleton
+    order = _skinning_attribute(prim, "skel:joints")
+    joints_of_mesh = list((order and order.Get()) or joints_of_skeleton)
     highest = int(joints.max(initial=0))
     if not joints_of_skeleton:
         return joints, highest + 1
@@ -208,36 +237,37 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
     return arrays
 
 
-def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
+def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:
     """Materials of faces by bindings of the mesh and its subsets; other subsets become groups.
 
     A face in several groups gets one group with all their names, as in OBJ's ``g one two``.
+
+    ``labels``: names of materials by path.
     """
-    from pxr import UsdGeom, UsdShade
+    from pxr import UsdGeom
 
     materials = np.full(n_faces, -1, dtype=np.int64)
     names: list[str] = []
-    paths: list[str] = []
     groups: list[tuple[str, IndexArray]] = []
     colors: list[FloatArray] = []
 
     def number(material: Any) -> int:
-        path = material.GetPath()
-        if path.pathString not in paths:
-            paths.append(path.pathString)
-            names.append(path.name if path.name not in names else path.pathString)  # equal names in other scopes
+        path = material.GetPath().pathString
+        name = labels.get(path, path)
+        if name not in names:
+            names.append(name)
             colors.append(_diffuse_color(material))
-        return paths.index(path.pathString)
+        return names.index(name)
 
-    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    bound = _bound_material(prim)
     if bound:
         materials[:] = number(bound)
     for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
         faces = integers(stated(subset.GetIndicesAttr()))
         if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
             continue
-        material_of_subset = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
-        if material_of_subset:
+        material_of_subset = _bound_material(subset.GetPrim())
+        if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):
             materials[faces] = number(material_of_subset)
         elif subset.GetFamilyNameAttr().Get() != "materialBind":
             groups.append((subset.GetPrim().GetName(), faces))
@@ -252,6 +282,14 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
     if groups:
         result |= _joined_groups(groups, n_faces)
     return result
+
+
+def _bound_material(prim: Any) -> Any:
+    """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
+    from pxr import UsdShade
+
+    api = UsdShade.MaterialBindingAPI(prim)
+    return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
 
 
 def _joined_groups(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
@@ -299,6 +337,12 @@ def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
 def is_mirrored(matrix: FloatArray) -> bool:
     """Whether a (4, 4) transform reverses orientation."""
     return bool(np.linalg.det(matrix[:3, :3]) < 0)
+
+
+def is_similarity(matrix: FloatArray) -> bool:
+    """Whether a (4, 4) transform scales all directions alike."""
+    products = matrix[:3, :3] @ matrix[:3, :3].T
+    return bool(np.allclose(products, products[0, 0] * np.eye(3), atol=1e-6 * products[0, 0]))
 
 
 def local_to_world(prim: Any) -> FloatArray:

@@ -12,7 +12,7 @@ import logging
 import posixpath
 import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.images.image import texture_files
 from cagemap.files.text import require_file, text_name
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
@@ -40,6 +41,7 @@ from cagemap.files.usd.prims import (
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray
@@ -103,8 +105,15 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 def open_stage(path: str | Path) -> Any:
     """Open a USD file; warns of missing files that it refers to."""
+    stage, reasons = _opened(Path(path))
+    for reason in reasons:
+        logger.warning("%s: %s", path, reason)
+    return stage
+
+
+def _opened(file: Path) -> tuple[Any, list[str]]:
+    """The stage of a file, and what USD says of files that it refers to."""
     pxr = usd_modules()
-    file = Path(path)
     require_file(file, "a USD file")
     # instead of USD's own messages, which name its source files
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
@@ -114,9 +123,7 @@ def open_stage(path: str | Path) -> Any:
             entry.commentary.partition(" (instantiating stage ")[0]
             for entry in diagnostics.TakeUncoalescedDiagnostics()
         )
-        for reason in dict.fromkeys(reasons):
-            logger.warning("%s: %s", file, reason)
-        return stage
+        return stage, list(dict.fromkeys(reasons))
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
 
@@ -130,10 +137,18 @@ def opened_once() -> Iterator[None]:
         yield
 
 
-def layer_files(path: str | Path) -> list[Path]:
-    """Files of all layers that a USD file is composed of, itself included."""
-    stage = open_stage(path)  # its layers end with it
-    return sorted(Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath)
+def other_files(path: str | Path) -> list[Path]:
+    """Existing files of the other layers that a USD file is composed of, and of all images that its layers name."""
+    stage, _ = _opened(Path(path))  # its layers end with it
+    with named_damage(path):
+        layers = [layer for layer in stage.GetUsedLayers() if layer.realPath]
+        assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _of_layer(layer.realPath))
+        files = {
+            *(Path(layer.realPath) for layer in layers),
+            *(tile for name in assets for tile in texture_files(name)),
+        }
+    own = Path(stage.GetRootLayer().realPath)
+    return sorted(file for file in files if file.is_file() and file != own)  # entries of a package are no files
 
 
 def _reason(error: Exception) -> str:
@@ -167,11 +182,17 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
     with named_damage(file):
-        all_prims = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
-        prims = [prim for prim in all_prims if prim.IsA(pxr.UsdGeom.Mesh)]
-        final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
+        prims = prims_of(stage, pxr.UsdGeom.Mesh)
+        others = [*prims_of(stage, pxr.UsdGeom.Gprim), *prims_of(stage, pxr.UsdGeom.PointInstancer)]
+        others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and _is_final(prim)]
+        left_out = [f"{prim.GetPath()} ({prim.GetTypeName()})" for prim in others]
+        if prims and left_out:
+            text = "%s: left out what is no mesh: %s; convert it to meshes to keep it"
+            logger.warning(text, file, first_few(left_out))
+        final = [prim for prim in prims if _is_final(prim)]
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
-        meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
+        labels = material_labels(stage)
+        meshes = tuple(_read_prim(file, prim, labels) for prim in unflattened(file, with_points))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         open_sets = _variants_without_choice(stage)
@@ -182,6 +203,28 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         )
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
     return meshes
+
+
+def _is_final(prim: Any) -> bool:
+    return str(usd_modules().UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS
+
+
+def prims_of(stage: Any, kind: Any) -> list[Any]:
+    """All active prims of a type, those in instances included."""
+    every = usd_modules().Usd.PrimRange.Stage(stage, usd_modules().Usd.TraverseInstanceProxies())
+    return [prim for prim in every if prim.IsA(kind)]
+
+
+def material_labels(stage: Any) -> dict[str, str]:
+    """Names of all materials by path: their own, or the path if another material has it; one name for all instances."""
+    label_of: dict[Any, str] = {}
+    labels, taken = dict[str, str](), set[str]()
+    for prim in prims_of(stage, usd_modules().UsdShade.Material):
+        source, path = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim, str(prim.GetPath())
+        label_of.setdefault(source, path if prim.GetName() in taken else prim.GetName())
+        labels[path] = label_of[source]
+        taken.add(labels[path])
+    return labels
 
 
 def _variants_without_choice(stage: Any) -> list[str]:
@@ -199,20 +242,24 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
 
     With ``mixed``, meshes of different subdivision schemes are joined with their ``object_schemes``, to extract parts.
     """
+    return joined(path, read_usd_meshes(path), mixed=mixed)
+
+
+def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) -> ControlMesh:
+    """The control mesh of `read_usd` from the meshes of its file."""
     file = Path(path)
-    meshes = read_usd_meshes(file)
     if len(meshes) == 1:
         return replace(meshes[0].control, name=file.name)
     schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
-    joined = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
+    whole = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
-        return replace(joined, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
+        return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
         raise FormatError(
             f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
             f"{', '.join(schemes.values())}). Match the one that is meant (`find_part` NAME)."
         )
-    return joined
+    return whole
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
@@ -247,7 +294,7 @@ def in_world(mesh: UsdMesh) -> UsdMesh:
     return replace(mesh, control=control, attributes=attributes | shapes)
 
 
-def _read_prim(file: Path, prim: Any) -> UsdMesh:
+def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     pxr = usd_modules()
     mesh = pxr.UsdGeom.Mesh(prim)
     where = f"{file}: {prim.GetPath()}"
@@ -272,7 +319,7 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
         first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
         further_sets = tuple(uv_set for uv_set in sets if uv_set is not first)
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=further_sets)
-    control = replace(control, **face_sets(prim, control.n_faces))
+    control = replace(control, **face_sets(prim, control.n_faces, labels))
     attributes = primvar_arrays(where, control, prim)
     colors = attributes.get("displayColor")
     if colors is not None and colors.shape == (control.n_vertices, 3):

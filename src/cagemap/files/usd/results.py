@@ -74,7 +74,8 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
     reader = uv_reader(stage, material.GetPath().AppendChild(Tf.MakeValidIdentifier(f"uv_{uv_name}")), uv_name)
     for role, name in preview_inputs(textures).items():
         connect_texture(stage, surface, name, textures[role], reader)
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+    # Materials of subsets of the mesh would hide it.
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, UsdShade.Tokens.strongerThanDescendants)
 
 
 def define_material(stage: Any, path: Any) -> tuple[Any, Any]:

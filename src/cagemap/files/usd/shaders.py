@@ -18,7 +18,7 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import REPEAT
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
-from cagemap.files.usd.read import usd_modules
+from cagemap.files.usd.read import material_labels, usd_modules
 
 _log = logging.getLogger(__name__)
 
@@ -39,8 +39,7 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tup
     ``users``: by name of a material, the names of the UV sets of a mesh that has it, and whether it is double-sided.
     """
     shade = usd_modules().UsdShade
-    prims = [prim for prim in stage.Traverse() if prim.IsA(shade.Material)]
-    named = {prim.GetName(): prim for prim in reversed(prims)} | {str(prim.GetPath()): prim for prim in prims}
+    named = {label: stage.GetPrimAtPath(path) for path, label in material_labels(stage).items()}
     made = _Materials(document)
     for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
         sets, double_sided = users[name]
@@ -70,6 +69,17 @@ def _shader(shader: Any, name: str, kind: str) -> Any:
     source = _source(shader, name)
     found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
     return found if found and found.GetIdAttr().Get() == kind else None
+
+
+def _is_plain(texture: Any, slot: str) -> bool:
+    """Whether glTF reads an image as a texture shader does: its colour space, scale and bias."""
+    scale, bias = (np.array(_setting(texture, name, (1.0 - k,) * 4))[:3] for k, name in enumerate(("scale", "bias")))
+    is_color = slot in ("baseColorTexture", "emissiveTexture")
+    if str(_setting(texture, "sourceColorSpace", "auto")) == ("raw" if is_color else "sRGB"):
+        return False
+    if slot == "normalTexture":  # without scale and bias, programs take an image as a normal map all the same
+        return any(np.allclose([scale, bias], [[k], [1.0 - k]]) for k in (1.0, 2.0))
+    return bool(np.allclose(bias, 1.0 - scale if slot == "occlusionTexture" else 0.0))
 
 
 def _content(path: str) -> bytes | None:
@@ -131,6 +141,9 @@ class _Materials:
                 _log.warning(text, self._file, entry["name"], "/".join(outputs))
             elif slot:
                 texture = next(iter(pairs.values()))
+                if not _is_plain(texture, slot):
+                    text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
+                    _log.warning(text, self._file, entry["name"], "/".join(outputs))
                 in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
                 holder = {"index": images.pop()} | self._coordinates(texture, sets)
                 if slot == "occlusionTexture":

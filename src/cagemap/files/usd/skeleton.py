@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.character.poses import parent_transforms
 from cagemap.errors import FormatError
-from cagemap.files.usd.prims import integers, moved
+from cagemap.files.usd.prims import bind_transform, integers, moved
 from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton, tails_of
@@ -25,14 +25,14 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
     meshes = read_usd_meshes(path)
     chosen = one_mesh(path, meshes, control)
     pxr, stage = usd_modules(), open_stage(path)
-    binding = pxr.UsdSkel.BindingAPI(stage.GetPrimAtPath(chosen.path))
-    skeleton = binding.GetInheritedSkeleton()
+    prim = stage.GetPrimAtPath(chosen.path)
+    skeleton = pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     if not skeleton:
         return None
     where = f"{path}: {skeleton.GetPath()}"
     with named_damage(path):
         joints, binds = joints_of(path, skeleton)
-        bound_at = np.array(binding.GetGeomBindTransformAttr().Get() or np.eye(4), dtype=np.float64)
+        bound_at = bind_transform(prim)
     if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.usd.prims import is_mirrored, is_similarity
 from cagemap.files.usd.read import USD_SUFFIXES, named_damage, open_stage, opened_once, read_usd_meshes, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
@@ -44,6 +45,13 @@ def stage_space(path: str | Path) -> StageSpace:
     with opened_once():
         units, meshes = stage_units(path), read_usd_meshes(path)
     return replace(units, to_world=meshes[0].to_world) if len(meshes) == 1 else units
+
+
+def similar_space(path: str | Path) -> StageSpace:
+    """The space of a file's control mesh, as by `stage_space`; world space if a transform mirrors or distorts it."""
+    space = stage_space(path)
+    is_kept = is_similarity(space.to_world) and not is_mirrored(space.to_world)
+    return space if is_kept else replace(space, to_world=np.eye(4))
 
 
 def unit_notes(*files: Path) -> tuple[str, ...]:

@@ -29,7 +29,6 @@ from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 
-_JOINTS_KEPT = 8
 _CORNERS = "faceVarying"
 _log = logging.getLogger(__name__)
 
@@ -91,9 +90,11 @@ def write_usd(
         text = "%s: creasing %s has no place in USD and is left out: creases of uneven sharpness come out otherwise"
         _log.warning(text, file, mesh.scheme.creasing)
     write_topology(prim, mesh)
-    if mesh.uvs is not None and mesh.uv_indices is not None:
-        write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
-        for uv_set in mesh.uv_sets:
+    if mesh.uvs is not None:
+        names = identifiers((uv_set.name or "st" for uv_set in mesh.all_uv_sets), ("displayColor", "normals"))
+        sets = [replace(uv_set, name=name) for uv_set, name in zip(mesh.all_uv_sets, names, strict=True)]
+        mesh = replace(mesh, uv_name=names[0], uv_sets=tuple(sets[1:]))
+        for uv_set in sets:
             write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
     write_subsets(stage, prim, mesh)
     _write_results(stage, prim.GetPrim(), mesh, results)
@@ -146,10 +147,17 @@ def write_usd_over(
     stage = pxr.Usd.Stage.Open(layer)
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(target_stage))
     pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(target_stage))
+    for name in ("startTimeCode", "endTimeCode", "timeCodesPerSecond", "framesPerSecond"):  # of animations
+        if target_stage.HasAuthoredMetadata(name):
+            stage.SetMetadata(name, target_stage.GetMetadata(name))
     top = prims[0].GetPath().GetPrefixes()[0]
     layer.defaultPrim = (target_stage.GetDefaultPrim() or target_stage.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
-        stage.OverridePrim(top).SetTypeName("SkelRoot")
+        if prims[0].GetPath() == top:
+            text = "%s: %s is the topmost prim; USD poses only meshes below a SkelRoot: put it below such a prim"
+            _log.warning(text, target, top)
+        else:
+            stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
         for above in _ancestors(prim):
             if above.IsInstance():  # prims below an instance cannot be overridden
@@ -298,6 +306,9 @@ def _write_results(
         points = pxr.Vt.Vec3fArray.FromNumpy(results.points.astype(np.float32))
         geometry.CreatePointsAttr().Set(points)
         geometry.CreateExtentAttr().Set(pxr.UsdGeom.PointBased.ComputeExtent(points))
+        for normals in (geometry.GetNormalsAttr(), prim.GetAttribute("primvars:normals")):
+            if normals and normals.HasAuthoredValue():  # those of the target's shape: programs compute new ones
+                normals.Block()
     uv_name = mesh.uv_name or "st"
     if results.uvs is not None:
         uv_name = results.uvs[0]
@@ -358,14 +369,17 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
     primvar.Set(array.FromNumpy(np.ascontiguousarray(flat)))
 
 
-def write_weights(prim: Any, table: FloatArray, most: int = _JOINTS_KEPT) -> None:
-    """Write the ``most`` largest weights of every vertex, normalised to sum to 1."""
+def write_weights(prim: Any, table: FloatArray) -> None:
+    """Write weights (n, joints), normalised to sum to 1; vertices without any follow the first joint.
+
+    Without weights they would be skinned to the skeleton's origin.
+    """
     pxr = usd_modules()
-    kept = max(1, min(most, int((table > 0).sum(axis=1).max(initial=0))))
+    table = np.where(table.any(axis=1, keepdims=True), table, np.eye(1, table.shape[1]))
+    kept = int((table > 0).sum(axis=1).max(initial=1))
     joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
     weights = np.take_along_axis(table, joints, axis=1)
-    sums = weights.sum(axis=1, keepdims=True)
-    weights = np.divide(weights, sums, out=weights, where=sums > 0)
+    weights = weights / weights.sum(axis=1, keepdims=True)
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     binding.CreateJointIndicesPrimvar(False, kept).Set(_ints(joints.ravel()))
     binding.CreateJointWeightsPrimvar(False, kept).Set(_floats(weights.ravel()))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import USD_SUFFIXES, UsdMesh, in_world, read_usd, read_usd_meshes
@@ -90,14 +91,19 @@ class FileRows:
         return np.asarray(sums / counts.reshape(-1, *[1] * (values.ndim - 1)), dtype=values.dtype)
 
     def to_file(self, values: NDArray[Any], below: NDArray[Any] | None = None) -> NDArray[Any]:
-        """The part's values in the file's numbering; elsewhere those of ``below``, or 0."""
+        """The part's values in the file's numbering; elsewhere those of ``below``, which has a row for each, or 0."""
         kinds = list(zip(_counts(self.part), _counts(self.whole), strict=True))
         kind = next((number for number, (part_count, _) in enumerate(kinds) if len(values) == part_count), None)
         if kind is None:
             return values
         shape = (kinds[kind][1], *values.shape[1:])
-        fits = below is not None and below.shape == shape
-        filled = np.array(below, dtype=values.dtype) if fits else np.zeros(shape, dtype=values.dtype)
+        if below is not None and below.shape != shape:
+            raise ParameterError(
+                f"values outside the part (`--base`): expected an array of shape {shape}, one row a "
+                f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's own "
+                "values."
+            )
+        filled = np.zeros(shape, dtype=values.dtype) if below is None else np.array(below, dtype=values.dtype)
         if kind == 0:
             return self._spread(filled, values)
         filled[self.faces if kind == 1 else self.corners] = values

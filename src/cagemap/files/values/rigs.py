@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path, check_outputs, write_whole
+from cagemap.files.atomic import atomic_path, check_outputs, require_writable_folder, write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_shapes, gltf_skeleton
 from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
@@ -54,7 +54,8 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         names = tuple(str(joint["name"]) for joint in joints)
         parents = tuple(str(joint.get("parent") or "") for joint in joints)
         heads, tails = (
-            np.array([joint[end] for joint in joints], dtype=np.float64).reshape(-1, 3) for end in ("head", "tail")
+            np.array([joint[end] for joint in joints], dtype=np.float64).reshape(len(names), 3)
+            for end in ("head", "tail")
         )
         turned = [joint["axes"] for joint in joints if "axes" in joint]
         axes = np.array(turned, dtype=np.float64).reshape(-1, 3, 3) if turned else None
@@ -188,6 +189,8 @@ def write_shapes(
     if output.is_dir():
         written = [path for name, file in files.items() for path in mesh_files(file, bare[name])]
         check_outputs(written, inputs, force=force)
+    else:
+        require_writable_folder(output)
     output.mkdir(exist_ok=True)
     for name, mesh in bare.items():
         write_mesh(files[name], mesh, force=force)
