@@ -433,7 +433,7 @@ def test_layers_and_images_of_a_usd_character_count_by_their_content(tmp_path: P
         (tmp_path / name).write_text(text)
     path = str(tmp_path / "a.usda")
     assert UsdUtils.CreateNewUsdzPackage(path, str(tmp_path / "a.usdz"))
-    assert content_hash(str(tmp_path / "a.usdz")) == file_hash(tmp_path / "a.usdz")
+    assert content_hash(str(tmp_path / "a.usdz")) == f"a.usdz {file_hash(tmp_path / 'a.usdz')}"
     known = {content_hash(path)}
     for name, text in files.items():
         (tmp_path / name).write_text(f"{text}\n# changed")
