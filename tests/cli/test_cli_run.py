@@ -17,7 +17,7 @@ from cagemap.cli.app import app
 from cagemap.errors import FormatError, ParameterError
 from cagemap.example import ExamplePair
 from cagemap.files.atomic import write_whole
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import code_version
 from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
@@ -90,6 +90,15 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> Non
     assert "match pony -> deer" in said.output
     assert "core minutes" in said.output
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None:
+    job = folder / "job.toml"
+    job.write_text(JOB.replace("vertices = 1500", 'scheme = "none"\nlevel = 3'))
+    said = CliRunner().invoke(app, ["run", str(job), "--dry-run"])
+    assert said.exit_code == 0, said.output
+    shown = {int(count) for count in re.findall(r"prepare \w+ \w+: ([0-9,]+) vertices", said.output)}
+    assert shown == {0, *(read_mesh(folder / f"{name}.obj").n_vertices for name in ("pony", "deer"))}
 
 
 def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

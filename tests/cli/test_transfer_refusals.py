@@ -48,6 +48,19 @@ def test_a_layer_that_cannot_be_is_refused_before_its_values_are_written(place: 
     assert "does not exist" in refused(place, "o.npz", usd=place / "none" / "o.usda", **values)
 
 
+def test_a_base_that_nothing_reads_is_refused_or_reported(place: Path) -> None:
+    own, image = (("", place / "t.png"),), place / "t.png"
+    for options in ({"source_uvs": True}, {"write_map": True}, {"blend_shapes": (place,)}):
+        assert "--base: expected with" in refused(place, "o.obj", bases=own, **options)
+    named = (("albedo", image),)
+    assert "--base: expected one file without a name, got albedo" in refused(place, "o.png", texture=image, bases=named)
+    maps = {"maps": (("color", image),), "target_mask": "red"}
+    assert "names of what is carried (color), got albedo" in refused(place, "o.png", bases=named, **maps)
+    for mask in (None, "red"):
+        request = TransferRequest(place / "R", place / "o.png", texture=image, bases=own, target_mask=mask)
+        assert any("--base is not used" in text for text in run_transfer(request, Stages())[1]) == (mask is None)
+
+
 @pytest.mark.parametrize("words", [("attribute", "o.csv"), ("weights", "o.csv"), ("blend_shapes", "shapes")])
 def test_values_and_the_layer_beside_them_are_written_both_or_neither(
     place: Path, words: tuple[str, str], monkeypatch: pytest.MonkeyPatch

@@ -280,6 +280,14 @@ def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
     assert len(pairs) == 6
     assert {("a", "d"), ("d", "a")} <= pairs
     assert {(b, a) for a, b in pairs} == pairs
+    assert set(plan_of(folder, text.replace('"all"', '["a", "a", "d"]')).pairs) == {("a", "d"), ("d", "a")}
+
+
+@pytest.mark.parametrize("rule", ['source = "a"\ntarget = ["a"]', 'tree = ["a", "a"]'])
+def test_a_rule_without_a_pair_is_refused(folder: Path, rule: str) -> None:
+    assert "pairs.0: expected two different assets, got 'a' alone" in refusal(
+        folder, HEAD + ASSETS + f"[[pairs]]\n{rule}\n"
+    )
 
 
 def test_shapes_are_compared_whatever_their_place_and_size() -> None:
@@ -356,6 +364,17 @@ def test_a_part_of_a_pair_takes_precedence_over_that_of_an_asset(folder: Path) -
     assert (asked["b", "a"]["source_part"], asked["b", "a"]["target_part"]) == ("body", "head")
 
 
+@pytest.mark.parametrize(
+    "option", ['laplacian = "alexa-wardetzky"', "target_accuracy = 1e-4", 'parameter = ["search_vertices=900"]']
+)
+def test_what_changes_a_basis_is_prepared(folder: Path, option: str) -> None:
+    """Otherwise a match finds no prepared surface and prepares both itself."""
+    (folder / "job.toml").write_text(HEAD + f"{option}\n" + ASSETS + PAIRS)
+    tasks = plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree).tasks
+    name = option.split()[0]
+    assert any(name in task.request["options"] for task in tasks if task.kind == "prepare")
+
+
 def test_schemes_of_assets_are_those_of_meshes() -> None:
     assert get_args(Scheme) == tuple(SCHEMES)
 
@@ -414,7 +433,7 @@ def test_layers_and_images_of_a_usd_character_count_by_their_content(tmp_path: P
         (tmp_path / name).write_text(text)
     path = str(tmp_path / "a.usda")
     assert UsdUtils.CreateNewUsdzPackage(path, str(tmp_path / "a.usdz"))
-    assert content_hash(str(tmp_path / "a.usdz")) == file_hash(tmp_path / "a.usdz")
+    assert content_hash(str(tmp_path / "a.usdz")) == f"a.usdz {file_hash(tmp_path / 'a.usdz')}"
     known = {content_hash(path)}
     for name, text in files.items():
         (tmp_path / name).write_text(f"{text}\n# changed")

@@ -66,6 +66,8 @@ def test_the_page_shows_every_pair_and_needs_nothing_beside_it() -> None:
     assert first[1:3] == ["c → d", "0"]
     assert second[1:5] == ["a → b", "3", "0.04", "99"]
     assert "&lt;mesh&gt; is broken &amp; lost" in build_library_page("night", [failed])
+    page = build_library_page("night", [replace(GOOD, files=("a__b/skin #1 50%?.png",))])
+    assert '<a href="a__b/skin%20%231%2050%25%3F.png">skin #1 50%?.png</a>' in page
 
 
 def test_the_table_has_all_figures(tmp_path: Path) -> None:

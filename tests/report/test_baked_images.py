@@ -28,3 +28,14 @@ def test_floats_are_encoded_once_if_they_are_colours(tmp_path: Path, kind: str, 
     entry = {"kind": kind, "output": "a.exr", "tiles": [0]}
     (pixels,) = _baked_image(tmp_path, identity_result(1), entry).tiles.values()
     np.testing.assert_allclose(pixels[0, :, 0], shown, atol=1e-4)
+
+
+@pytest.mark.parametrize("names", ["skin.{}.png", "skin_{}_v2.png", "1001_{}.png"])
+def test_tiles_are_found_wherever_their_number_stands(tmp_path: Path, names: str) -> None:
+    tiles = [1001, 1002]
+    for tile in tiles:
+        write_image(tmp_path / names.format(tile), np.full((4, 4, 3), tile - 1000, dtype=np.uint8))
+    entry = {"kind": "texture", "output": names.format(1001), "tiles": tiles}
+    image = _baked_image(tmp_path, identity_result(1), entry)
+    assert image.name.endswith(names.format("<UDIM>"))
+    assert {tile: round(float(pixels.max() * 255)) for tile, pixels in image.tiles.items()} == {1001: 1, 1002: 2}

@@ -94,6 +94,11 @@ def test_sampling_hits_texel_centres_exactly_and_is_linear_between() -> None:
     between = sample_texture(texture, np.array([[2.0 / 5, 1 - 0.5 / 4]]))[0]
     np.testing.assert_allclose(between, (texture[0, 1] + texture[0, 2]) / 2, atol=1e-12)
     np.testing.assert_allclose(sample_texture(np.full((1, 1, 3), 0.3), np.array([[0.9, -2.0]])), 0.3)
+    # Repeating textures and layouts in other tiles: as bakes read them.
+    for shift in ([1.0, 0.0], [-2.0, 3.0]):
+        np.testing.assert_allclose(sample_texture(texture, centres + shift), texture.reshape(-1, 3), atol=1e-12)
+    edges = np.array([[0.0, 0.0], [1.0, 1.0]])
+    np.testing.assert_allclose(sample_texture(texture, edges), texture[[-1, 0], [0, -1]], atol=1e-12)
 
 
 def test_background_is_untouched_without_a_floor_and_shadowed_with_one() -> None:

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image, read_image
-from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.read import open_stage, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
@@ -31,6 +31,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.rig import RigRequest
+from cagemap.tasks.rig_character import _kinds, _landmarks, body_in, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -297,6 +299,36 @@ def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -
             expected = skinned_positions(given, first.rig, poses[0])
             np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=5e-3)
         assert _image_error() < 0.03
+
+
+def test_a_passenger_is_rigid_or_cloth() -> None:
+    request = RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), rigid="hat, eyes", cloth="shirt,hat")
+    with pytest.raises(ParameterError, match="--rigid and --cloth: expected each passenger in one of them, got hat"):
+        _kinds(request)
+    assert _kinds(replace(request, cloth="shirt")) == {"hat": "rigid", "eyes": "rigid", "shirt": "cloth"}
+
+
+def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> None:
+    meshes = read_mesh("B.glb"), read_whole(Path("C.glb"))
+    corners = [mesh.face_indices[:3] for mesh in meshes]
+    weights = [0.2, 0.5, 0.3]
+    spots = [{"corners": corner.tolist(), "weights": weights} for corner in corners]
+    chains = [corner[:2].tolist() for corner in corners]
+    data = {
+        "pairs": [{"name": "spot", "target": spots[0], "source": spots[1]}],
+        "curves": [{"name": "rim", "target": chains[0], "source": chains[1]}],
+    }
+    Path("L.json").write_text(json.dumps(data))
+    _, target = read_body(Path("B.glb"))
+    _, source = read_body(Path("C.glb"))
+    parts = body_in(target, None, Path("B.glb")), body_in(source, "body", Path("C.glb"))
+    landmarks = _landmarks(RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), *parts)
+    assert (landmarks.names, landmarks.curves.names) == (("spot",), ("rim",))
+    sides = (landmarks.target_points, landmarks.curves.target), (landmarks.source_points, landmarks.curves.source)
+    for (points, curves), part, mesh, corner in zip(sides, parts, meshes, corners, strict=True):
+        places = mesh.positions[corner]
+        np.testing.assert_allclose(points.of(part.mesh.positions)[0], np.array(weights) @ places, atol=1e-6)
+        np.testing.assert_allclose(curves.points.of(part.mesh.positions), places[:2], atol=1e-6)
 
 
 def test_images_of_the_character_are_not_replaced(run: Run, files: Character) -> None:

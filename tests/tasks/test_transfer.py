@@ -85,3 +85,13 @@ def test_an_image_inside_a_gltf_file_for_other_uvs_is_refused(tmp_path: Path, ch
     (tmp_path / "other.gltf").write_text(json.dumps(scene | changed))
     with pytest.raises(ParameterError, match=r"other.gltf: expected a colour image .* UV set in use"):
         run_transfer(replace(request, texture=tmp_path / "other.gltf"), Stages())
+
+
+def test_every_file_of_several_maps_is_named_on_a_line_of_its_own(tmp_path: Path) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    maps = tuple((name, tmp_path / "skin.png") for name in ("albedo", "roughness"))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", maps=maps, unwrap=True, target_mask="red")
+    lines = run_transfer(request, Stages())[0].splitlines()
+    files = ", ".join(str(tmp_path / name) for name in ("o_albedo.png", "o_roughness.png", "o_unwrapped.obj"))
+    assert lines == [f"wrote 2 maps: {files}", "  alpha says how much counts"]

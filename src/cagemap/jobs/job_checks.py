@@ -169,6 +169,10 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
         for name in asset_names(getattr(pair, side), names):
             if name not in names:
                 yield ("pairs", i, side), f"pairs.{i}.{side}: no asset is called {name!r}. Check the name, or add it."
+    named = {name for side in (pair.source, pair.target, pair.tree) for name in asset_names(side, names)}
+    if len(named) == 1:
+        message = f"pairs.{i}: expected two different assets, got {named.pop()!r} alone. Name another one."
+        yield ("pairs", i), message
     if pair.landmarks is not None and not (folder / pair.landmarks).is_file():
         yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
 

@@ -14,6 +14,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
@@ -231,7 +232,7 @@ def _row(row: PairRow, with_cycles: bool) -> str:
         if encoded
         else ""
     )
-    links = " ".join(f'<a href="{escape(file)}">{escape(Path(file).name)}</a>' for file in row.files)
+    links = " ".join(f'<a href="{quote(file)}">{escape(Path(file).name)}</a>' for file in row.files)
     messages = "".join(f"<li>{escape(text)}</li>" for text in row.messages)
     cells = [
         f"<td>{image}</td>",

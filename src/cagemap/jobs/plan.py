@@ -32,7 +32,11 @@ SURFACE_OPTIONS = frozenset(
         "vertices",
         "k",
         "schedule",
+        "laplacian",
+        "accuracy",
+        "literal",
         "method",
+        "parameter",
         "scheme",
         "boundary",
         "uv_interpolation",
@@ -177,7 +181,7 @@ def _rule_pairs(
     """Source and target of every pair of a rule, without pairs of one asset."""
     names = list(job.assets)
     if among is not None:
-        yield from tree([job.assets[name] for name in asset_names(among, names)])
+        yield from tree([job.assets[name] for name in dict.fromkeys(asset_names(among, names))])
         return
     for source_name in asset_names(source, names):
         for target_name in asset_names(target, names):

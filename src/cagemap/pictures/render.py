@@ -295,8 +295,12 @@ def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) 
 
 
 def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
-    """(r, channels) bilinear texture values at UVs (r, 2); texel centres at half-integers, clamped."""
+    """(r, channels) bilinear texture values at UVs (r, 2); texel centres at half-integers.
+
+    As in bakes, the texture repeats outside the unit square, but texels at its edges do not mix.
+    """
     height, width = texture.shape[:2]
+    uv = np.where((uv < 0.0) | (uv > 1.0), uv - np.floor(uv), uv)
     x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
     y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
     column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)

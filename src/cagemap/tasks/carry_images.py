@@ -91,7 +91,9 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         warnings += unbound_maps(images_by_use)
         summary += "\n" + write_usd_results(layer, request.result, result, results, force=request.force)
     if len(maps) > 1:
-        summary = f"wrote {len(maps)} maps: {', '.join(map(str, outputs))}" + summary.partition("\n")[2]
+        written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
+        _, end, rest = summary.partition("\n")
+        summary = f"wrote {len(maps)} maps: {', '.join(map(str, written))}{end}{rest}"
     return summary, warnings
 
 

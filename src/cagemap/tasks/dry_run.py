@@ -21,6 +21,7 @@ from cagemap.jobs.costs import (
 )
 from cagemap.jobs.farm import farm_steps, numbered_tasks
 from cagemap.mesh.mesh_report import count_noun
+from cagemap.mesh.schemes import Plain
 from cagemap.pipeline import choose_level
 from cagemap.spectral.surface import DEFAULT_VERTICES
 from cagemap.subdivision.refinement import default_scheme, vertex_counts
@@ -124,7 +125,8 @@ def _size(job: Job, name: str, plan: Plan) -> AssetSize:
         subdivision = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
         control = subdivision.applied(read_whole(job.assets[name].file))
         wanted = int(options.get("vertices") or DEFAULT_VERTICES)
-        level = int(options.get("level") or choose_level(control, wanted))
+        is_plain = isinstance(control.scheme, Plain)  # then `--level` does not count
+        level = int((not is_plain and options.get("level")) or choose_level(control, wanted))
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
     except CagemapError as error:
         return AssetSize(problem=str(error))

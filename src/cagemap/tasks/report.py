@@ -109,9 +109,9 @@ def _baked_images(folder: Path, result: MatchResult, left_out: dict[str, Any] | 
 
 def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> BakedImage:
     first, tiles = folder / entry["output"], entry["tiles"]
-    stem = first.stem.removesuffix(str(tiles[0]) if tiles[0] else "")
-    file = first.name if tiles == [0] else f"{stem}{UDIM_MARK}{first.suffix}"
-    pixels = {tile: read_image(first.with_stem(f"{stem}{tile or ''}")).pixels for tile in tiles}
+    before, _, after = first.name.rpartition(str(tiles[0])) if tiles != [0] else (first.name, "", "")
+    file = first.name if tiles == [0] else f"{before}{UDIM_MARK}{after}"
+    pixels = {tile: read_image(first.with_name(f"{before}{tile or ''}{after}")).pixels for tile in tiles}
     control = result.target.control
     if entry.get("mesh") is not None:
         laid_out = read_mesh(folder / entry["mesh"])

@@ -38,7 +38,9 @@ from cagemap.files.usd.space import similar_space
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.curves import Curves
 from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun
@@ -163,20 +165,27 @@ def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Cha
 
 
 def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
-    """Landmarks of the files' meshes as vertices of the two bodies."""
+    """Landmarks and curves of the files' meshes as points of the two bodies."""
     if request.landmarks is None:
         return Landmarks.none()
     meshes = read_whole(request.body), read_whole(request.like)
-    file_landmarks, _ = read_landmarks(request.landmarks, request.body, request.like)
-    check_landmarks(file_landmarks, *meshes)
+    given, _ = read_landmarks(request.landmarks, request.body, request.like)
+    check_landmarks(given, *meshes)
     places = [character_positions(file, mesh) for file, mesh in zip((request.body, request.like), meshes, strict=True)]
-    vertices = [
-        nearest(part.mesh.positions, positions[points.nearest_vertices])
-        for part, positions, points in zip(
-            (target, source), places, (file_landmarks.target_points, file_landmarks.source_points), strict=True
-        )
-    ]
-    return Landmarks(file_landmarks.names, vertices[0], vertices[1])
+    points = (_on_body(given.target_points, places[0], target), _on_body(given.source_points, places[1], source))
+    curves = (
+        replace(given.curves.target, points=_on_body(given.curves.target.points, places[0], target)),
+        replace(given.curves.source, points=_on_body(given.curves.source.points, places[1], source)),
+    )
+    landmarks = Landmarks.of_points(given.names, *points, given.target_name, given.source_name)
+    return replace(landmarks, curves=Curves(given.curves.names, *curves))
+
+
+def _on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:
+    """Points of a file's mesh, whose vertices are at ``places``, as the closest points of a body."""
+    count = len(points.corners)
+    names, vertices = tuple(f"point {row}" for row in range(count)), np.full(count, -1, dtype=np.int64)
+    return on_cage(NamedPoints(names, vertices, points.of(places)), body.mesh)
 
 
 def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
@@ -213,8 +222,14 @@ def _names(words: str | None) -> list[str] | None:
 
 
 def _kinds(request: RigRequest) -> dict[str, PassengerKind]:
-    kinds: dict[str, PassengerKind] = dict.fromkeys(_names(request.rigid) or [], "rigid")
-    return kinds | dict.fromkeys(_names(request.cloth) or [], "cloth")
+    rigid, cloth = _names(request.rigid) or [], _names(request.cloth) or []
+    both = [name for name in rigid if name in cloth]
+    if both:
+        raise ParameterError(
+            f"--rigid and --cloth: expected each passenger in one of them, got {', '.join(both)} twice"
+        )
+    kinds: dict[str, PassengerKind] = dict.fromkeys(rigid, "rigid")
+    return kinds | dict.fromkeys(cloth, "cloth")
 
 
 def _with_own_materials(

@@ -66,9 +66,10 @@ _READ_BY = {
     "scale": ("--displacement", "--vector-displacement"),
     "midlevel": ("--displacement", "--vector-displacement"),
     "unwrap": (*_PICTURES, "--material-colors"),
+    "bases": (*_PICTURES, "--material-colors", "--attribute", "--weights"),
 }
 
-_SAID_AS = {"kind": "as"}  # options whose field has another name
+_SAID_AS = {"kind": "as", "bases": "base"}  # options whose field has another name
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
@@ -84,6 +85,11 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     require_map_names(request.maps)
     named = [base for base in request.bases if base[0]]
     require_map_names(named if len(request.bases) - len(named) < 2 else request.bases, "--base")
+    images = [name for name, _ in request.maps] or list(request.bake)
+    unknown = [name for name, _ in named if name not in images]
+    if unknown:
+        expected = f"names of what is carried ({', '.join(images)})" if images else "one file without a name"
+        raise ParameterError(f"--base: expected {expected}, got {', '.join(unknown)}. Name them alike.")
     for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
         if value is not None and not math.isfinite(value):
             raise ParameterError(f"{option}: expected a finite number, got {value}.")
@@ -99,7 +105,12 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
         check_usd_path(request.usd)
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
-    summary, warnings = carry(request, with_masks(result, request, request.result), stages)
+    masked = with_masks(result, request, request.result)
+    summary, warnings = carry(request, masked, stages)
+    of_part = request.attribute is not None or request.weights is not None
+    of_part = of_part and result.target.control.file_vertices is not None
+    if request.bases and not (masked.masks.any or of_part or request.only is not None):
+        warnings = [*warnings, "--base is not used, for no mask is given. Give --target-mask or --source-mask"]
     if result.shared is not None and request.target_mask is None:
         warnings = [*warnings, *unshared_warnings(result.shared.target_share, 1.0)]
     return summary, warnings
