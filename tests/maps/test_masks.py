@@ -79,6 +79,8 @@ def test_masks_of_other_surfaces_and_of_nothing_are_refused() -> None:
         Masks(None, np.zeros(3)).require_fit(6, 3)
     with pytest.raises(ParameterError, match="method elastic"):
         MatchConfig(method="hfm", masks=masks)
+    with pytest.raises(ParameterError, match="finite width"):
+        soft_edge(TriangleSurface(np.eye(3), np.array([[0, 1, 2]])), np.zeros(3), np.inf)
 
 
 def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:

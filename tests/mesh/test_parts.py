@@ -87,6 +87,12 @@ def test_parts_are_found_by_name() -> None:
         assert find_part(paths, name).name == "/hero/eye_right"
 
 
+def test_titles_of_components_are_unique_where_objects_are_named_by_numbers() -> None:
+    scene = replace(_scene(), object_names=("1", "eye", "eye"))
+    assert [part.title for part in connected_parts(scene)] == ["component:0", "component:1", "component:2"]
+    np.testing.assert_array_equal(find_part(scene, "component:1").faces, np.arange(6, 26))
+
+
 def test_a_group_of_several_names_is_in_each_of_them() -> None:
     mesh = replace(cube(), face_groups=np.array([0, 0, 1, 1, 2, 2]), group_names=("lips", "lips face", "ear"))
     for name, faces in (("lips", [0, 1, 2, 3]), ("face", [2, 3]), ("group:ear", [4, 5]), ("lips face", [2, 3])):

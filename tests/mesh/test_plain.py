@@ -161,6 +161,7 @@ def test_holes_stay_and_uv_sets_come_along() -> None:
     [
         ([[0, 1, 9]], "vertex numbers"),
         ([[0, 0, 1], [1, 1, 2]], "visit a vertex twice"),
+        ([[0, 1], [1, 2]], "three corners or more"),
         ([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4], [2, 3, 5], [3, 0, 5]], "inside and an outside"),
     ],
 )
@@ -168,6 +169,8 @@ def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: 
     positions = np.random.default_rng(0).normal(size=(6, 3))
     with pytest.raises(InvalidMeshError, match=message):
         plain_mesh(ControlMesh.from_faces(positions, faces))
+    with pytest.raises(InvalidMeshError, match="no holes, got none"):
+        plain_mesh(replace(ControlMesh.from_faces(positions, [[0, 1, 2]]), hole_faces=np.array([0])))
     positions[2] = np.nan
     with pytest.raises(InvalidMeshError, match="finite positions"):
         plain_mesh(ControlMesh.from_faces(positions, [[0, 1, 2]]))

@@ -47,7 +47,8 @@ def test_what_divides_is_kept() -> None:
     numbers = np.arange(12) % 2
     named = replace(triangles, face_materials=numbers, material_names=("a", "b"))
     parted = triangles.with_uvs(np.zeros((36, 2)), np.arange(36))
-    for mesh in (creased, named, parted):
+    open_half = replace(triangles, hole_faces=np.arange(1, 12, 2))
+    for mesh in (creased, named, parted, open_half):
         assert join_quads(mesh) == (mesh, 0)
 
 

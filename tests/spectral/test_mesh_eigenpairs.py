@@ -56,6 +56,9 @@ def test_what_cannot_be_computed_is_refused(arrays):
     loose = np.vstack([arrays[0], [[9.0, 9.0, 9.0]]]), arrays[1]
     with pytest.raises(InvalidMeshError, match="found none at 1 of them, such as \\[2434\\]"):
         cagemap.eigenpairs(loose, 5)
+    for outside in (-1, 99):
+        with pytest.raises(InvalidMeshError, match="vertex numbers from 0 to 2"):
+            cagemap.eigenpairs((np.eye(3), [[0, 1, outside]]), 1)
     with pytest.raises(ParameterError, match="k: expected 1 to 2434"):
         cagemap.eigenpairs(arrays, 0)
     with pytest.raises(ParameterError, match="accuracy: expected a residual"):

@@ -159,10 +159,10 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
     Raises
     ------
     ParameterError
-        If the width is negative, or the mask has not one number from 0 to 1 for each vertex.
+        If the width is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
     """
-    if not width >= 0.0:
-        raise ParameterError(f"mask edge: expected a width of 0 or more, of sqrt(area), got {width}")
+    if not 0.0 <= width < np.inf:
+        raise ParameterError(f"mask edge: expected a finite width of 0 or more, of sqrt(area), got {width}")
     mask = _checked(mask, surface.n, "vertex of the surface")
     outside = np.flatnonzero(mask <= 0.0)
     if width == 0.0 or not len(outside):

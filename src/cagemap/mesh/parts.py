@@ -58,6 +58,8 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
         ]
         counts = Counter(common_names)
         names = [word if word and counts[word] == 1 else name for word, name in zip(common_names, names, strict=True)]
+    while repeated := {name for name, count in Counter(names).items() if count > 1}:  # "1" may be an object's name
+        names = [str(number) if name in repeated else name for number, name in enumerate(names)]
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 

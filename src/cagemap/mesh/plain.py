@@ -152,6 +152,8 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
     holes = np.zeros(0, dtype=np.int64) if mesh.hole_faces is None else mesh.hole_faces
     work = keep_faces(work, np.delete(np.arange(mesh.n_faces), holes)) if len(holes) else work
     work = replace(work, hole_faces=None)
+    if not np.any(work.face_sizes >= 3):
+        raise InvalidMeshError(f"{mesh.name}: expected faces of three corners or more that are no holes, got none")
     work, split = _of_one_face_size(work)
     bad = np.union1d(degenerate_faces(work), duplicate_faces(work))
     if len(bad) == work.n_faces:

@@ -24,8 +24,8 @@ _MOST_EVEN = 0.9
 def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     """Join triangles in pairs; also the number of quads.
 
-    A pair shares an edge that is no crease and no seam of UVs, materials or objects. Of several possible quads,
-    consecutive faces and corners near 90 degrees are preferred. Vertices keep their numbers.
+    A pair shares an edge that is no crease, no border of a hole and no seam of UVs, materials or objects. Of several
+    possible quads, consecutive faces and corners near 90 degrees are preferred. Vertices keep their numbers.
 
     Examples
     --------
@@ -76,6 +76,9 @@ def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
     for _, labels, _ in mesh.partitions:
         if labels is not None:
             fits &= labels[faces[first]] == labels[faces[second]]
+    if mesh.hole_faces is not None:
+        is_hole = np.isin(np.arange(mesh.n_faces), mesh.hole_faces)
+        fits &= is_hole[faces[first]] == is_hole[faces[second]]
     for uvs in (uv_set.uv_indices for uv_set in mesh.all_uv_sets):
         fits &= (uvs[first] == uvs[following[second]]) & (uvs[following[first]] == uvs[second])
     if mesh.crease_edges is not None and len(mesh.crease_edges):

@@ -8,6 +8,7 @@ from scipy import linalg, sparse
 from cagemap.errors import InvalidMeshError, ParameterError, SolverError
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
@@ -50,7 +51,7 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     Raises
     ------
     InvalidMeshError
-        If a vertex has no area around it.
+        If the arrays are no mesh, or a vertex has no area around it.
     ParameterError
         If k or the accuracy is out of range.
     SolverError
@@ -65,6 +66,7 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     """
     if not 1e-12 <= accuracy <= 1e-2:
         raise ParameterError(f"accuracy: expected a residual from 1e-12 to 1e-2, got {accuracy:g}")
+    require_structure(mesh)
     sizes = np.unique(mesh.face_sizes)
     uniform = len(sizes) == 1 and sizes[0] in (3, 4)
     faces = mesh.face_indices.reshape(-1, sizes[0]) if uniform else cage_triangles(mesh)[0]
