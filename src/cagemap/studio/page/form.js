@@ -56,7 +56,7 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
       }
       const number = element('input', {type: 'number', value, min: least ?? '', max: most ?? '', step: 'any'});
       number.title = step;
-      return [number, () => number.value];
+      return [number, () => number.validity.badInput ? 'no number' : number.value];  // its value would be empty: the default
     }
     case 'several': {
       const boxes = choices.map(one => [one, element('input', {type: 'checkbox'})]);
