@@ -129,6 +129,18 @@ def test_an_animated_source_poses_both_models(tmp_path: Path, browser: Any) -> N
         assert not page.state("asks")
 
 
+def test_files_of_another_folder_are_listed_with_its_name(tmp_path: Path, browser: Any) -> None:
+    listed = "return [...document.querySelector('#models [name=target]').options].map(one => [one.value, one.text])"
+    for name in ("studio", "scans"):
+        (tmp_path / name).mkdir()
+        write_mesh(tmp_path / name / "box.obj", cube())
+    folders = [word for name in ("studio", "scans") for word in ("--folder", str(tmp_path / name))]
+    with studio(*folders) as (_, address):
+        page = Page(browser, address)
+        page.until(lambda: len(page.run(listed)) > 1, "the files")
+        assert page.run(listed)[1:] == [["box.obj", "box.obj"], ["../scans/box.obj", "box.obj (folder scans)"]]
+
+
 def test_another_machine_needs_the_token(tmp_path: Path, browser: Any) -> None:
     with studio("--folder", str(tmp_path), "--host", "0.0.0.0") as (_, address):
         here = address.replace(socket.gethostname(), "127.0.0.1", 1)
