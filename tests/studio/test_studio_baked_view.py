@@ -101,3 +101,17 @@ def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path
     opened.show_baked_image(None)
     opened.change_view(mode="baked", cages=True)
     assert opened.state.view == replace(before, mode="baked", cages=True, baked=image)
+
+
+def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened: Session, boxes: Path) -> None:
+    """Other models are opened while it runs: an image of theirs would be shown on these."""
+    image = Output(boxes / "else_from_b.png", "texture")
+    with opened._lock:
+        models, *others = opened.state.map_inputs
+        opened._finish_inputs = ((boxes / "else.obj", *models[1:]), *others)
+        opened._on_output(image)
+        assert opened.state.outputs == ()
+        assert image.path.name in opened.state.messages[-1].text
+        opened._finish_inputs = opened.state.map_inputs
+        opened._on_output(image)
+        assert opened.state.outputs == (image,)

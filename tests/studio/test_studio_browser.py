@@ -39,6 +39,13 @@ CLOSE = 0.01
 # Mean difference of two pictures, of 255: turned or painted otherwise it is more than 6.
 OTHER = 2.5
 SERIOUS = {"serious", "critical"}
+# Whether a press at a landmark's place on a model grips it.
+GRIPPED = """
+const [name, number] = arguments, {views} = window.studio, side = views.sides[name];
+const mark = side.marks.find(one => one.number === number), box = side.pane.getBoundingClientRect();
+const at = new THREE.Vector3(...mark.at.slice(0, 3)).project(side.camera);
+return views.markAt(side, {clientX: box.left + (at.x + 1) / 2 * box.width,
+    clientY: box.top + (1 - at.y) / 2 * box.height}) === mark"""
 # The ray through a point of a side's half.
 RAY = """
 const [side, x, y] = arguments, camera = window.studio.views.sides[side].camera, ray = new THREE.Raycaster();
@@ -76,9 +83,9 @@ def other(now: np.ndarray, before: np.ndarray) -> bool:
 def back_to(page: Page, count: int) -> None:
     """Undo until so many landmarks are left, and none waits for its other place."""
     while page.landmarks() != count or page.state("asks"):
-        before = page.rows()
+        before = page.state("undo")
         page.press("undo")
-        page.until(lambda before=before: page.rows() != before, "one step back")
+        page.until(lambda before=before: page.state("undo") < before, "one step back")
 
 
 def save(page: Page, files: Files, count: int) -> None:
@@ -88,6 +95,7 @@ def save(page: Page, files: Files, count: int) -> None:
 
 def test_views_change_what_is_shown(page: Page) -> None:
     page.keys("f")
+    page.drawn()
     first = {side: page.look(side) for side in ("target", "source")}
     seen = first["target"]
     for mode in ("colours", "checker", "plain"):
@@ -171,21 +179,23 @@ def test_clicks_and_drags_place_landmarks_where_they_end(page: Page, files: File
     half_a_landmark(page)
     page.click("source", FLANK)
     page.until(lambda: page.landmarks() == count + 1, "the landmark in the list")
-    page.until(lambda: page.revision() == revision + 1, "the map after it")
+    page.until(lambda: page.revision() > revision, "the map after it")
     save(page, files, count + 1)
     for side in ("target", "source"):
         assert misses(page, files, saved(files)[-1], side, FLANK) < CLOSE
 
     # Dragged elsewhere, it is there; undo puts it back, and away, redo and Delete do what they say.
+    revision = page.revision()
     page.drag("target", page.at("target", count + 1), DRAGGED)
-    page.until(lambda: page.revision() == revision + 2, "the map after the drag")
+    page.until(lambda: page.revision() > revision, "the map after the drag")
     page.press("save")
     page.until(lambda: misses(page, files, saved(files)[-1], "target", DRAGGED) < CLOSE, "the dragged landmark")
     assert misses(page, files, saved(files)[-1], "source", FLANK) < CLOSE
     page.drag("target", page.at("target", count + 1), (0.9, 0.9))  # let go beside the model, it returns
     page.until(lambda: np.hypot(*np.subtract(page.at("target", count + 1), DRAGGED)) < 0.05, "the landmark back")
+    again = page.revision()
     page.keys("\ue009", "z")
-    page.until(lambda: page.revision() == revision + 3, "the map as before the drag")
+    page.until(lambda: page.revision() > again, "the map as before the drag")
     page.keys("\ue009", "z")
     page.until(lambda: page.landmarks() == count, "one landmark fewer")
     page.keys("\ue009", "\ue008", "z")
@@ -200,10 +210,36 @@ def test_clicks_and_drags_place_landmarks_where_they_end(page: Page, files: File
     page.set("symmetric", True)
 
 
+def test_a_drag_that_the_system_ends_moves_no_landmark(page: Page) -> None:
+    page.press("frame")
+    page.drawn()
+    count, steps = page.landmarks(), page.state("undo")
+    # The pointer is lost over the flank, for example to a dialog of the system; then it moves on without a button.
+    script = """
+        const side = window.studio.views.sides.target, box = side.pane.getBoundingClientRect();
+        side.pane.setPointerCapture = () => {};
+        const at = ([x, y]) => ({
+            clientX: box.left + (x + 1) / 2 * box.width, clientY: box.top + (1 - y) / 2 * box.height});
+        const [mark, flank, kind] = arguments, told = (kind, where, buttons) =>
+            side.pane.dispatchEvent(new PointerEvent(kind, {...at(where), button: 0, buttons, pointerId: 1}));
+        told('pointerdown', mark, 1);
+        const held = !!side.dragged;
+        told('pointermove', flank, 1);
+        told(kind, flank, 0);
+        delete side.pane.setPointerCapture;
+        return [held, !!side.dragged, side.controls.enabled]"""
+    number = next(one["number"] for one in page.state("landmarks") if page.run(GRIPPED, "target", one["number"]))
+    for kind in ("pointercancel", "pointermove"):
+        assert page.run(script, page.at("target", number), FLANK, kind) == [True, False, True]
+    page.click("target", page.clear_point("target", FLANK))
+    page.until(lambda: page.state("undo") == steps + 1, "a new landmark by the next click")
+    assert page.state("asks")
+    back_to(page, count)
+
+
 def test_a_landmark_beside_the_mirror_plane_brings_its_counterpart(page: Page) -> None:
     count = page.landmarks()
     assert page.state("symmetric")
-    page.until(lambda: page.state("view")["symmetric"], "symmetric placing, as at first")
     half_a_landmark(page)
     page.keys("\ue007")
     page.until(lambda: page.landmarks() == count + 2, "the landmark and its counterpart")
@@ -227,15 +263,15 @@ def test_a_wrong_landmark_is_marked(page: Page) -> None:
     page.set("symmetric", False)
     count = page.landmarks()
     half_a_landmark(page)
-    # The flank of one is no hoof of the other; left of the landmark, which is a few pixels from the leg's outline.
-    page.click("source", np.add(page.at("source", 19), (-0.05, 0.05)))
+    # The flank of one is no hoof of the other.
+    page.click("source", page.clear_point("source", page.at("source", 19)))
     page.until(lambda: page.landmarks() == count + 1, "the landmark in the list")
     page.press("again")
     page.until(lambda: any("\u26a0" in row for row in page.rows()), "the mark")
     assert "contradict" in page.text("verdict")
+    page.drawn()
     first = page.look("target")
     page.set("doubts", False)
-    page.until(lambda: not page.state("view")["doubts"], "doubtful places not marked")
     page.until(lambda: np.abs(page.look("target") - first).max() > 20, "none of them red")
     page.set("doubts", True)
     back_to(page, count)
@@ -258,13 +294,13 @@ def test_the_name_of_a_landmark_is_shown_under_the_pointer_and_the_theme_is_kept
 
 def test_models_are_turned_together_alone_and_by_keys(page: Page) -> None:
     page.keys("f")
+    page.drawn()
     first = {side: page.look(side) for side in ("target", "source")}
     page.drag("target", BESIDE, (0.5, -0.93))
     page.until(lambda: other(page.look("source"), first["source"]), "the source turned with the target")
     page.press("frame")
     page.until(lambda: not any(other(page.look(side), first[side]) for side in first), "both as at first")
     page.set("linked", False)
-    page.until(lambda: not page.state("view")["linked"], "each alone")
     page.drag("target", BESIDE, (0.5, -0.93))
     page.until(lambda: other(page.look("target"), first["target"]), "the target turned")
     assert not other(page.look("source"), first["source"])
@@ -347,6 +383,17 @@ def test_two_tabs_and_a_reconnect_show_one_state(page: Page) -> None:
     again.until(lambda: again.landmarks() == count + 1, "the same after closing and opening")
     back_to(again, count)
     again.set("symmetric", True)
+
+
+def test_a_number_that_is_none_is_refused(page: Page) -> None:
+    field = page.browser.find_element("css selector", '[data-key="match.vertices"] input')
+    page.press("tab-bake")
+    field.send_keys("e")
+    page.press("start")
+    page.until(lambda: page.said("Vertices: expected a whole number or nothing"), "what is wrong")
+    assert not page.state("baking")
+    page.option("", "Vertices", str(VERTICES))
+    page.press("tab-landmarks")
 
 
 def test_an_error_is_named_and_the_bake_goes_on_after_it(page: Page, files: Files) -> None:

@@ -23,10 +23,6 @@ from browser_page import Page, studio
 from example_character import bare_body, character, write_character
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
-# Whether the models are drawn as the state has them.
-DRAWN = """
-const {state, views} = window.studio;
-return Object.entries(views.sides).every(([name, side]) => side.parts.model?.key === state.drawn[`${name}/skin`])"""
 
 
 def models(folder: Path) -> None:
@@ -81,6 +77,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
     with studio(*asked, "--vertices", "800") as (_, address):
         page = Page(browser, address)
         page.until(lambda: page.revision() == 1, "the first map, of the largest part of one")
+        page.drawn()
         shown = page.look("target")
         page.set("rest", False)
         page.until(lambda: not np.array_equal(page.look("target"), shown), "the eye away")
@@ -116,7 +113,7 @@ def test_an_animated_source_poses_both_models(tmp_path: Path, browser: Any) -> N
     with studio(*asked) as (_, address):
         page = Page(browser, address)
         page.until(lambda: page.revision() == 1, "the first map")
-        page.until(lambda: page.run(DRAWN), "both models under it")
+        page.drawn()
         rest = [page.look(side) for side in ("target", "source")]
         page.set("pose", "nod, 0.75 s")
         page.until(lambda: page.state("view")["pose"] == "nod, 0.75 s", "the pose")
@@ -130,6 +127,18 @@ def test_an_animated_source_poses_both_models(tmp_path: Path, browser: Any) -> N
             page.until(lambda side=side, still=still: np.abs(page.look(side) - still).mean() < 0.1, f"{side} at rest")
         assert page.landmarks() == 0
         assert not page.state("asks")
+
+
+def test_files_of_another_folder_are_listed_with_its_name(tmp_path: Path, browser: Any) -> None:
+    listed = "return [...document.querySelector('#models [name=target]').options].map(one => [one.value, one.text])"
+    for name in ("studio", "scans"):
+        (tmp_path / name).mkdir()
+        write_mesh(tmp_path / name / "box.obj", cube())
+    folders = [word for name in ("studio", "scans") for word in ("--folder", str(tmp_path / name))]
+    with studio(*folders) as (_, address):
+        page = Page(browser, address)
+        page.until(lambda: len(page.run(listed)) > 1, "the files")
+        assert page.run(listed)[1:] == [["box.obj", "box.obj"], ["../scans/box.obj", "box.obj (folder scans)"]]
 
 
 def test_another_machine_needs_the_token(tmp_path: Path, browser: Any) -> None:

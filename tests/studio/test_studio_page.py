@@ -177,6 +177,23 @@ def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, bo
         path.unlink()
 
 
+def test_another_image_of_the_open_models_keeps_their_landmarks(opened: Session, boxes: Path) -> None:
+    begun: list[Any] = []
+    own = {"landmarks": boxes / "own.json", "result": boxes / "own", "schemes": ("bilinear", None), "ups": ("z", None)}
+    files = replace(opened.state.files, **own)
+    session = MagicMock(wraps=opened, workspace=opened.workspace, state=replace(opened.state, files=files))
+    session.open.side_effect = begun.append
+    image = json.dumps({"name": "other.png", "role": "target"}).encode() + b"\n" + (boxes / "b.png").read_bytes()
+    Actions(session).handle(image)
+    assert begun.pop() == replace(files, texture=boxes / "other.png")
+    names = {"target": "a.obj", "source": "b.obj", "texture": ""}
+    sent(session, do="open", **names, schemes=["none", ""], ups=["", ""])
+    assert begun.pop() == replace(files, texture=None, schemes=("none", None), ups=(None, None))
+    sent(session, do="open", **names | {"source": "a.obj"}, schemes=["", ""], ups=["", ""])
+    assert begun.pop().landmarks.name == "a__a.json"
+    (boxes / "other.png").unlink()
+
+
 def test_models_dropped_one_after_the_other_are_opened_together(tmp_path: Path, boxes: Path) -> None:
     begun: list[Any] = []
     session = MagicMock(wraps=session_of(tmp_path))

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import http.client
 import socket
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -128,6 +129,22 @@ def test_web_sockets_of_other_machines_need_the_token() -> None:
         return found
 
     assert asyncio.run(all_of_them()) == [["hello", "said"], 403, 403, 403, 404]
+
+
+def test_a_change_while_a_page_connects_reaches_it() -> None:
+    async def all_of_them() -> None:
+        def first() -> Iterator[str]:
+            yield "constants"
+            served.send("change")
+            yield "state" * 2_000_000  # longer than one write: what comes meanwhile is sent in between or after
+
+        served = await asyncio.to_thread(server, first_messages=first)
+        async with websockets.asyncio.client.connect(f"ws://127.0.0.1:{served.port}/socket", max_size=None) as page:
+            received = [await asyncio.wait_for(page.recv(), 10) for _ in range(3)]
+        assert [message[:9] for message in received] == ["constants", "statestat", "change"]
+        await asyncio.to_thread(served.close)
+
+    asyncio.run(all_of_them())
 
 
 def test_every_page_is_told_and_a_fault_ends_one_page_alone(caplog: pytest.LogCaptureFixture) -> None:

@@ -302,6 +302,18 @@ def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) 
     click(opened, "target", 2)
     click(opened, "source", 2)
     assert len(opened.state.history.present.complete_landmarks) == 2  # the counterpart is there already
+    opened.mirror(opened.state.history.present.items[0].number)
+    assert len(opened.state.history.present) == 2  # also for Mirror, pressed twice
+    assert "none at its mirror image yet" in opened.state.messages[-1].text
+    # Next landmark takes the place of one that waits, and its own is selected.
+    placed, image = opened.state.history.present.items
+    opened.remove(image.number)
+    click(opened, "target", 5)
+    waiting = opened.state.history.present.open_landmark
+    opened.mirror(placed.number)
+    opened.next_landmark()
+    assert opened.state.history.present.get(waiting.number) is None
+    assert opened.state.selected == opened.state.history.present.open_landmark.number
     opened._scene = replace(opened.scene, mirrors=(None, None))
 
 

@@ -29,6 +29,7 @@ FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid po
 SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
 MIN_NORMAL_AGREEMENT = 0.97  # cosine below which the sky's light is not interpolated between pixels
 MIN_REFINED_CONTRAST = 0.06  # pixels with more contrast get several rays
+UV_TOLERANCE = 1e-6  # beyond 0..1, where rounding does not repeat a texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +301,7 @@ def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
     As in bakes, the texture repeats outside the unit square, but texels at its edges do not mix.
     """
     height, width = texture.shape[:2]
-    uv = np.where((uv < 0.0) | (uv > 1.0), uv - np.floor(uv), uv)
+    uv = np.where((uv < -UV_TOLERANCE) | (uv > 1.0 + UV_TOLERANCE), uv % 1.0, uv)
     x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
     y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
     column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)

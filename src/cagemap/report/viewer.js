@@ -129,7 +129,10 @@
     }
 
   function lookFrom(azimuth, elevation, at = [0, 0, 0], distance = fit) {
-    const [a, e] = [azimuth * Math.PI / 180, elevation * Math.PI / 180];
+    const [a, e] = [azimuth * Math.PI / 180, elevation * Math.PI / 180], damped = controls.enableDamping;
+    controls.enableDamping = false;
+    controls.update();  // ends the motion that a drag has left: it would turn the new view
+    controls.enableDamping = damped;
     controls.target.set(...at);
     camera.position.set(
       at[0] + distance * Math.sin(a) * Math.cos(e), at[1] + distance * Math.sin(e),

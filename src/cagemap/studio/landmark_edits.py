@@ -11,7 +11,7 @@ from cagemap.studio.autosave import FileTracker
 from cagemap.studio.landmark_files import to_file_numbers
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
 from cagemap.studio.places import hit_place, vertex_place
-from cagemap.studio.scene import add_counterpart, mirror_place, propose_place
+from cagemap.studio.scene import add_counterpart, add_mirror_image, propose_place
 from cagemap.studio.shape import pick
 from cagemap.studio.shared_state import SharedState
 
@@ -73,11 +73,11 @@ class LandmarkEdits(SharedState):
         with self.report_errors(), self._lock:
             _, scene = self._require_open()
             before = self._state.history.present
-            after = edit.mirror(before, number, lambda side, place: mirror_place(scene, side, place))
+            after = add_mirror_image(scene, before, number)
             if after == before:
                 raise ParameterError(
-                    "Mirror: expected a complete landmark of two symmetric models that is not on the mirror plane. "
-                    "Place the mirrored landmark by hand."
+                    "Mirror: expected a complete landmark of two symmetric models that is not on the mirror plane, and "
+                    "none at its mirror image yet. Place the mirrored landmark by hand."
                 )
             self._edit(lambda _: after)
 
@@ -103,7 +103,7 @@ class LandmarkEdits(SharedState):
                 landmarks = add_counterpart(self._scene, before, landmarks)
             self._set_history(self._state.history.advance(landmarks))
             if select and landmarks.items:
-                self._change(selected=(before.open_landmark or landmarks.open_landmark or landmarks.items[-1]).number)
+                self._change(selected=(landmarks.open_landmark or before.open_landmark or landmarks.items[-1]).number)
 
     def _set_history(self, history: History) -> None:
         before, after = self._state.history.present, history.present

@@ -152,14 +152,19 @@ def mirror_place(scene: Scene, side: Side, place: Place) -> Place | None:
 
 def add_counterpart(scene: Scene, before: LandmarkList, after: LandmarkList) -> LandmarkList:
     """Add the mirror image of the landmark that an edit completed, unless one is there."""
+    landmark = before.open_landmark
+    if landmark is None or after.open_landmark is not None or len(after) != len(before):
+        return after
+    return add_mirror_image(scene, after, landmark.number)
+
+
+def add_mirror_image(scene: Scene, landmarks: LandmarkList, number: int) -> LandmarkList:
+    """Add the mirror image of a landmark, unless one is there."""
 
     def is_same_place(side: Side, first: Place, second: Place) -> bool:
         return _distance(first, second) < _SAME_PLACE_DISTANCE * scene.shape(side).radius
 
-    landmark = before.open_landmark
-    if landmark is None or after.open_landmark is not None or len(after) != len(before):
-        return after
-    return mirror(after, landmark.number, lambda side, place: mirror_place(scene, side, place), is_same_place)
+    return mirror(landmarks, number, lambda side, place: mirror_place(scene, side, place), is_same_place)
 
 
 def _distance(first: Place, second: Place) -> float:

@@ -51,7 +51,7 @@ class Session(LandmarkEdits):
         self._cancelled = False
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
-        self._finish_inputs: object = None
+        self._finish_inputs: tuple[object, ...] = ()
         self._last_map = LastMap()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
         self._preview = Preview(
@@ -232,7 +232,9 @@ class Session(LandmarkEdits):
     def _on_output(self, output: Output) -> None:
         with self._lock:
             self._last_map.record(output)
-            if output.path not in [other.path for other in self._state.outputs]:
+            if self._finish_inputs[:1] != self._state.map_inputs[:1]:
+                self._say("note", f"{output.path.name} was made of the models that were open before")
+            elif output.path not in [other.path for other in self._state.outputs]:
                 self._change(outputs=(*self._state.outputs, output))
 
     def _on_message(self, message: Message) -> None:

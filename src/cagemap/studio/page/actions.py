@@ -19,6 +19,7 @@ from cagemap.studio.landmarks import SIDES, Side
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.form import read_form
 from cagemap.studio.session import Session
+from cagemap.studio.state import Files
 from cagemap.studio.workspace import LANDMARK_SUFFIXES
 
 _FILES = ("target", "source", "texture")
@@ -78,8 +79,7 @@ class Actions:
         (target_scheme, source_scheme), (target_up, source_up) = (
             (name or None for name in sent[key]) for key in ("schemes", "ups")
         )
-        folder = self._session.workspace.folders[0]
-        files = default_files(folder, paths["target"], paths["source"], paths.get("texture"))
+        files = self._pair_files(paths["target"], paths["source"], paths.get("texture"))
         schemes, ups = (target_scheme, source_scheme), (target_up, source_up)
         self._session.open(replace(files, schemes=schemes, ups=ups))
 
@@ -103,8 +103,7 @@ class Actions:
         target, source = chosen.get("target"), chosen.get("source")
         if target is not None and source is not None:
             self._dropped = {}
-            folder = self._session.workspace.folders[0]
-            self._session.open(default_files(folder, target, source, chosen.get("texture")))
+            self._session.open(self._pair_files(target, source, chosen.get("texture")))
             return
         self._dropped = chosen
         missing = [
@@ -113,6 +112,13 @@ class Actions:
             if model is None
         ]
         self._session.note(f"{path.name} was added. Drop {' and '.join(missing)}.")
+
+    def _pair_files(self, target: Path, source: Path, texture: Path | None) -> Files:
+        """Files of a pair; those of the open models with another texture, if they are the same."""
+        opened = self._session.state.files
+        if opened is not None and (opened.target, opened.source) == (target, source):
+            return replace(opened, texture=texture)
+        return default_files(self._session.workspace.folders[0], target, source, texture)
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images

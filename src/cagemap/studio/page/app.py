@@ -7,7 +7,7 @@ import json
 import logging
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -137,9 +137,10 @@ class StudioApp:
             return textured_model(state), "model/gltf-binary"
         return output_content(state.outputs, name)
 
-    def _first_messages(self) -> tuple[str, ...]:
+    def _first_messages(self) -> Iterator[str]:
         workspace, options = self.session.workspace, self.session.options
-        return json.dumps(constant_entries() | listing_entries(workspace) | form_fields(options)), self._state()
+        yield json.dumps(constant_entries() | listing_entries(workspace) | form_fields(options))
+        yield self._state()
 
     def _on_message(self, message: str | bytes, reply: Callable[[str], None]) -> None:
         self._actions.handle(message)

@@ -21,10 +21,18 @@ export function matching(listing, suffixes) {
   return listing.filter(name => suffixes.some(end => end === '/' ? !/\.[^/.]+$/.test(name) : name.toLowerCase().endsWith(end)));
 }
 
+// A file as an option: its name, and its folder if that is not the studio's.
+export function fileOption(name) {
+  const folders = name.split(/[\\/]/), file = folders.pop(), named = folders.filter(one => one !== '..').join('/');
+  if (folders[0] !== '..') return [name, name];
+  return [name, `${file} (${named ? `folder ${named}` : 'folder above'})`];
+}
+
 export function showFiles(listing) {
   for (const {select, suffixes} of fileFields) {
     const value = select.value, found = matching(listing, suffixes);
-    fill(select, [['', select.dataset.empty], ...new Set(value ? [...found, value] : found)], value);
+    const names = [...new Set(value ? [...found, value] : found)];
+    fill(select, [['', select.dataset.empty], ...names.map(fileOption)], value);
   }
 }
 
@@ -56,7 +64,7 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
       }
       const number = element('input', {type: 'number', value, min: least ?? '', max: most ?? '', step: 'any'});
       number.title = step;
-      return [number, () => number.value];
+      return [number, () => number.validity.badInput ? 'no number' : number.value];  // its value would be empty: the default
     }
     case 'several': {
       const boxes = choices.map(one => [one, element('input', {type: 'checkbox'})]);

@@ -72,7 +72,7 @@ def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> Finish
         If a value is of the wrong kind, or a file lies outside the workspace.
     """
     labels = {field.key: field.label for section in sections(options) for field in section.fields}
-    labels |= {VERTICES_KEY: "Vertices", SIZE_KEY: "Texels"}
+    labels |= {VERTICES_KEY: "Vertices", SIZE_KEY: "Image size"}
     option_values: dict[Key, Value] = {VERTICES_KEY: DEFAULT_VERTICES}
     finish_values: dict[str, Any] = {}
     for name, sent_value in sent.items():

@@ -1,5 +1,5 @@
 // The page: shows the state that the server tells, and sends what the user does. See actions.py for the messages.
-import {buildForm, element, fill, matching, showFiles} from './form.js';
+import {buildForm, element, fileOption, fill, matching, showFiles} from './form.js';
 import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
@@ -172,9 +172,9 @@ function showModels() {
   if (opened) shownFiles = JSON.stringify(files);
   for (const [name, suffixes] of [['target', meshes], ['source', meshes], ['texture', images]]) {
     const known = opened ? files?.[name] ?? '' : fields[name].value, found = matching(listing, suffixes);
-    fill(fields[name], [...none, ...new Set(known ? [known, ...found] : found)], known);
+    fill(fields[name], [...none, ...[...new Set(known ? [known, ...found] : found)].map(fileOption)], known);
   }
-  for (const id of ['pairs', 'points']) fill($(id), [...none, ...matching(listing, landmarks)], $(id).value);
+  for (const id of ['pairs', 'points']) fill($(id), [...none, ...matching(listing, landmarks).map(fileOption)], $(id).value);
   if (!opened) return;
   SIDES.forEach((side, i) => {
     fill($(`scheme-${side}`), [...AS_FILED, ...fixed.schemes], files?.schemes[i] ?? '');

@@ -81,7 +81,7 @@ class Server:
     draw : callable
         Binary glTF of a drawing by its key; None for an unknown or old key.
     first_messages : callable
-        Messages for a page that connects.
+        Messages for a page that connects, the second of them made after the first is sent.
     on_message : callable
         Called in a thread with a page's message and a function that replies to that page.
     """
@@ -189,10 +189,10 @@ class Server:
             asyncio.run_coroutine_threadsafe(page.send(message), self._loop)
 
         try:
-            for message in self._first_messages():
-                await page.send(message)
-            self._pages.add(page)
             try:
+                for message in self._first_messages():
+                    await page.send(message)
+                    self._pages.add(page)  # before the next message, the state: none of its changes may be missed
                 async for received in page:
                     await asyncio.to_thread(self._on_message, received, reply)
             finally:

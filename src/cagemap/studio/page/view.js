@@ -42,6 +42,7 @@ export class Views {
     pane.addEventListener('pointerdown', event => this.pressed(side, event), {capture: true});
     pane.addEventListener('pointermove', event => this.moved(side, event));
     pane.addEventListener('pointerup', event => this.released(side, event));
+    pane.addEventListener('pointercancel', () => this.cancelled(side));
     pane.addEventListener('pointerleave', () => { this.tip.hidden = true; });
     pane.addEventListener('keydown', event => this.key(side, event));
     return side;
@@ -337,6 +338,7 @@ export class Views {
   }
 
   moved(side, event) {
+    if (side.dragged && !event.buttons) this.cancelled(side);  // it was released where the page does not see it
     if (side.dragged) {
       const hit = this.hit(side, this.ray(side, event));
       if (hit) this.place(side, side.dragged, hit.point.toArray());
@@ -356,6 +358,14 @@ export class Views {
     positions.setXYZ(side.marks.indexOf(mark), at[0], at[1], at[2]);
     positions.needsUpdate = true;
     this.changed();
+  }
+
+  // A drag that has no end, as when a dialog of the system takes the pointer, moves nothing.
+  cancelled(side) {
+    const mark = side.dragged;
+    side.start = side.dragged = null;
+    side.controls.enabled = true;
+    if (mark) this.place(side, mark, mark.at);
   }
 
   released(side, event) {
