@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -15,19 +15,19 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import judge_answers, prolong_answers
+from cagemap.maps.hypotheses.confidence import Confidence, answer_confidence, prolong_answers
 from cagemap.maps.hypotheses.search import distinct_answers, search, search_directions
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
-    MIRRORED_NOTE,
     LandmarkCheck,
     check_on_map,
     checked_changes,
     confirmed_pairs,
     landmark_outliers,
+    landmarks_mirrored,
 )
-from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limbs
-from cagemap.maps.pair import Pair, Progress, point_pairs
+from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limb_answers
+from cagemap.maps.pair import Pair, PointPairs, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import judge, unshared_warnings
@@ -177,54 +177,55 @@ def match_pair(
             "cagemap.match runs all methods"
         )
     prepared.require_same(config.start, config.elastic, config.masks)
-    target, source = prepared.target, prepared.source
     landmarks = Landmarks.none() if landmarks is None else landmarks
-    check_landmarks(landmarks, target.control, source.control)
-    check, confidence, timings = LandmarkCheck(), None, {} if timings is None else timings
+    check_landmarks(landmarks, prepared.target.control, prepared.source.control)
     problem = Problem.of_landmarks(prepared, landmarks)
+    check, timings = LandmarkCheck(), {} if timings is None else timings
+    confidence: Confidence | None = None
+    placements: Sequence[Placement]
 
-    def show(rough: Placement) -> None:
+    def show(coarse: Placement) -> None:
         if preview is not None:
-            places = rough.on(prepared.rest.graph, prepared.elastic.graph)
+            places = coarse.on(prepared.rest.graph, prepared.elastic.graph)
             preview(map_of_places(prepared, places, problem.landmarks))
 
-    def map_without(left_out: Collection[int]) -> tuple[PointMap, Sequence[Placement]]:
-        """Map by the other landmarks, and the placements of its search, the map's first."""
-        trusted = problem.without(left_out)
-        fits = search(trusted, progress)
+    def project(placement: Placement, pairs: PointPairs) -> PointMap:
         progress("closest points")
-        return map_of_places(prepared, fits[0].answer, trusted.landmarks), fits
+        return map_of_places(prepared, placement.answer, pairs)
 
     with one_blas_thread():
         with _timed(timings, "map"):
-            map_and_confidence = coincident_map(problem)
-            if map_and_confidence is not None:
-                point_map, confidence = map_and_confidence
-                placements: Sequence[Placement] = confidence.answers
+            coincident = coincident_map(problem)
+            if coincident is not None:
+                point_map, confidence = coincident
+                placements = confidence.answers
             elif len(landmarks) < FEWEST_LANDMARKS:
-                answers = distinct_answers(prepared, search_directions(problem, progress, show=show))
-                progress("closest points")
-                point_map = map_of_places(prepared, answers[0].answer, problem.landmarks)
-                confidence, placements = judge_answers(problem, point_map, answers), answers
+                placements = distinct_answers(prepared, search_directions(problem, progress, show=show))
+                point_map = project(placements[0], problem.landmarks)
+                confidence = answer_confidence(problem, point_map, placements)
             else:
                 outliers, notes = dict[int, str](), list[str]()
                 if config.check_landmarks:
                     outliers, notes = landmark_outliers(problem, landmarks.names, progress)
-                point_map, placements = map_without(outliers)
+                trusted = problem.without(outliers)
+                placements = search(trusted, progress)
+                point_map = project(placements[0], trusted.landmarks)
                 confirmed = confirmed_pairs(problem, point_map, outliers)
                 if confirmed:
                     outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
-                    point_map, placements = map_without(outliers)
+                    trusted = problem.without(outliers)
+                    placements = search(trusted, progress)
+                    point_map = project(placements[0], trusted.landmarks)
                 if config.check_landmarks:
                     progress("test landmarks on the map")
                     check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
-                    confidence = turned_limbs(placements, prepared)
-                if MIRRORED_NOTE in check.notes:
-                    mirrored, check = mirrored_answers(problem, placements[0], check, progress)
-                    confidence = mirrored or confidence
+                    confidence = turned_limb_answers(placements, prepared)
+                    if landmarks_mirrored(problem, outliers):
+                        mirrored, check = mirrored_answers(problem, placements[0], check, progress)
+                        confidence = mirrored or confidence
         shared = SharedArea.of_fit(prepared, placements[0].answer)
-        judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
-    result = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
+        confidence = None if confidence is None else prolong_answers(confidence, prepared)
+        result = _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
@@ -270,15 +271,15 @@ def update_match(
                 all_given = Problem.of_landmarks(prepared, landmarks)
                 check = checked_changes(all_given, landmarks.names, changed, check, point_map)
             problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
-            map_and_confidence = coincident_map(problem)
-            if map_and_confidence is not None:
-                point_map = map_and_confidence[0]
+            coincident = coincident_map(problem)
+            if coincident is not None:
+                point_map, _ = coincident
             else:
                 progress("elastic update")
                 places = linear_update(problem, point_map)
                 progress("closest points")
                 point_map = map_of_places(prepared, places, problem.landmarks)
-        return _judged(prepared, point_map, landmarks, check, timings, progress, before.shared)
+        return _assemble_result(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 
 def other_answer(
@@ -313,8 +314,8 @@ def other_answer(
             places = answers[index].positions[prepared.vertices]
             point_map = map_of_places(prepared, places, pairs)
         shared = SharedArea.of_fit(prepared, answers[index].positions)
-        judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress, shared)
-    return replace(judged, confidence=before.confidence)
+        check, confidence = before.landmark_check, before.confidence
+        return _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
 
 
 @arrays_accepted
@@ -333,7 +334,7 @@ def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: 
     return replace(pair, symmetries=symmetries)
 
 
-def _judged(
+def _assemble_result(
     prepared: PreparedPair,
     point_map: PointMap,
     landmarks: Landmarks,
@@ -341,8 +342,9 @@ def _judged(
     timings: dict[str, float],
     progress: Progress,
     shared: SharedArea | None,
+    confidence: Confidence | None = None,
 ) -> MatchResult:
-    """Result of an elastic match with its quality; area without a counterpart is not counted."""
+    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
@@ -361,6 +363,7 @@ def _judged(
         quality,
         timings,
         check,
+        confidence=confidence,
         prepared=prepared,
         masks=masks,
         shared=shared,

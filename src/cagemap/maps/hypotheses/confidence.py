@@ -110,8 +110,8 @@ class Confidence:
         }
 
 
-def judge_answers(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
-    """Confidence in the map of the first of several answers."""
+def answer_confidence(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
+    """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map."""
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
     shared, counts = SharedArea.of_fit(prepared, answers[0].positions), None
     if shared is not None:  # area without a counterpart tells nothing about the map

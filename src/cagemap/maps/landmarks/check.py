@@ -44,11 +44,6 @@ CONTRADICTION = (
 FOREIGN_FOLDED = 0.05, 0.5
 FOREIGN = "are these landmarks of these meshes? "
 
-MIRRORED_NOTE = (
-    "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
-    "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
-)
-
 # Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
 OFFSETS = (0.0, 0.25, 0.5, 0.75)
 
@@ -177,7 +172,7 @@ def check_on_map(
         if typical <= config.dissimilar:
             strain_notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
     suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
-    return LandmarkCheck(suspects, (*notes, *strain_notes, *orientation_notes(trusted)), strains)
+    return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
 
 def accused_pairs(problem: Problem) -> dict[int, str] | None:
@@ -295,10 +290,15 @@ def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatA
     return energy, problem.landmarks.source.positions
 
 
-def orientation_notes(problem: Problem) -> tuple[str, ...]:
-    """A note if the landmarks as a whole are mirrored; distances and strain cannot show this."""
+def landmarks_mirrored(problem: Problem, left_out: Collection[int]) -> bool:
+    """Whether the landmarks that are not left out surround each other in opposite senses on the two surfaces.
+
+    Distances and strain cannot show this. False if too few landmarks are given.
+    """
     config = problem.prepared.elastic.landmarks
-    return () if orientation_agreement(*_marks(problem), config) > config.mirrored else (MIRRORED_NOTE,)
+    if len(problem.landmarks) < config.fewest_judged:
+        return False
+    return orientation_agreement(*_marks(problem.without(left_out)), config) <= config.mirrored
 
 
 def _marks(problem: Problem) -> tuple[Marks, Marks]:
