@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
-from cagemap.deform.placement import Placement
+from cagemap.deform.placement import Placement, rank_placements
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import Confidence, answer_confidence, prolong_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search, search_directions
+from cagemap.maps.hypotheses.search import distinct_answers, inverse_placement, search
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
@@ -191,7 +191,7 @@ def match_pair(
 
     def project(placement: Placement, pairs: PointPairs) -> PointMap:
         progress("closest points")
-        return map_of_places(prepared, placement.answer, pairs)
+        return map_of_places(prepared, placement.map_positions, pairs)
 
     with one_blas_thread():
         with _timed(timings, "map"):
@@ -200,7 +200,12 @@ def match_pair(
                 point_map, confidence = coincident
                 placements = confidence.answers
             elif len(landmarks) < FEWEST_LANDMARKS:
-                placements = distinct_answers(prepared, search_directions(problem, progress, show=show))
+                found = search(problem, progress, show=show)
+                if prepared.mesh.is_open != prepared.source_surface.is_open:
+                    # A part and a whole: often only one direction finds the place (docs/lab/parts.md).
+                    reverse = search(problem.reverse_problem, progress)
+                    found = rank_placements([*found, *(inverse_placement(problem, placed) for placed in reverse)])
+                placements = distinct_answers(prepared, found)
                 point_map = project(placements[0], problem.landmarks)
                 confidence = answer_confidence(problem, point_map, placements)
             else:
@@ -223,7 +228,7 @@ def match_pair(
                     if landmarks_mirrored(problem, outliers):
                         mirrored, check = mirrored_answers(problem, placements[0], check, progress)
                         confidence = mirrored or confidence
-        shared = SharedArea.of_fit(prepared, placements[0].answer)
+        shared = SharedArea.of_fit(prepared, placements[0].map_positions)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
         result = _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result

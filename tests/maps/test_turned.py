@@ -43,7 +43,7 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
     assert turned_limb_answers((best,), prepared) is None
     assert turned_limb_answers((best, dear, slid), prepared) is None
     # What the first placement was moved on to says nothing about another one that was not.
-    moved = Placement(places, 1e-4, final=turned)
+    moved = Placement(places, 1e-4, finished_positions=turned)
     assert turned_limb_answers((moved, slid), prepared) is None
     known = turned_limb_answers((moved, cheap), prepared)
     np.testing.assert_array_equal(known.answers[0].positions, turned)

@@ -124,41 +124,39 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Several starts, where joints are in doubt, and alignments with few landmarks; lengths are of sqrt(area).
+    """Search over several starts (`maps.hypotheses.search`); lengths are of sqrt(area), costs relative.
 
     Measured in docs/lab/elastic.md and docs/lab/poses.md.
     """
 
-    # Starts from landmarks
-    #: more starts are tried if the placements from landmarks and from the functional map are farther apart, on average
-    doubtful: float = 0.004
-    limb_rotation: float = 0.48  #: more starts are tried if a limb is rotated by more, in radians
+    # Two starts from landmarks, and more if their fits disagree
+    #: the fits disagree if their coarse placements are farther apart, on average
+    max_start_distance: float = 0.004
+    max_limb_rotation: float = 0.48  #: or if a limb is rotated by more, in radians
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
-    min_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
+    min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined
     max_cost: float = 1.5  #: a coarse placement that costs more times the cheapest one is not refined
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
-    as_cheap: float = (
-        1.15  #: a refit with held tips, or in the source's pose, may cost this many times what it replaces
-    )
+    #: a refit with constrained tips, or in the source's pose, may cost this many times what it replaces
+    max_refit_cost: float = 1.15
     part_rings: int = 3  #: rings of edges around a part over which its cost fades
-    # Alignments without landmarks
-    rough_vertices: int = 400  #: vertices of the graph on which all starts are tried
-    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: its stage: first nearly rigid, then soft
-    alike: float = 0.03  #: starts at a smaller mean distance are one
-    different: float = 0.08  #: fits at a larger mean distance are two answers
+    # Starts from limbs and rotations, on a small graph
+    small_graph_vertices: int = 400  #: vertices of the graph on which all starts are tried
+    small_graph_stage: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: its stage: first nearly rigid, then soft
+    min_start_distance: float = 0.03  #: starts at a smaller mean distance are one
+    min_answer_distance: float = 0.08  #: placements at a larger mean distance are two answers
     max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
     max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment
-    hopeless: float = 2.5  #: a candidate that costs more times the best one is not finished
-    unlikely: float = (
-        1.5  #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
-    )
+    max_finish_cost: float = 2.5  #: a candidate that costs more times the best one is not finished
+    #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
+    max_limb_cost: float = 1.5
     mirrored_starts: int = 4  #: starts on the mirror image that are fitted; the nearest ones
     #: factor on the cost of a start rotated about the vertical; files mostly agree on the front
-    turned_doubt: float = 1.1
-    other_doubt: float = 1.3  #: factor on the cost of other rotated starts; files nearly always agree on up
+    turned_penalty: float = 1.1
+    tilted_penalty: float = 1.3  #: the same of other rotations; files nearly always agree on up
     max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
     # Limbs and their tips
     #: least height of a limb's tip over its pass; fingers and ears reach 0.07, feet start at 0.12
@@ -170,13 +168,13 @@ class SearchConfig:
     girth_weight: float = 0.5  #: weight of log ratios of girths, against those of lengths
     girth_part: float = 0.7  #: share of a limb's length, from its tip, over which its girth is measured
     tip_height: float = 0.01  #: least height of a tip over its pass; ears have 0.01 to 0.05, feet 0.1 to 0.3
-    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
-    tips_met: float = 0.02  #: a fit that leaves all of them nearer is not led to tips
-    tip_taken: float = 0.05  #: a tip nearer to a landmark is not used
-    #: coarse stage that holds tips; as stiff as for bodies in one pose
-    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    led_samples: int = 4000  #: source samples of that stage
-    of_one_kind: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
+    max_tip_distance: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
+    min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
+    min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
+    #: coarse stage with constrained tips; as stiff as for bodies in one pose
+    tip_stage: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
+    tip_samples: int = 4000  #: source samples of that stage
+    same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
 
 
 @dataclass(frozen=True)

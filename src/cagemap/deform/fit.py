@@ -122,7 +122,7 @@ def coarse_fit(
     ParameterError
         If the start has not one position for every vertex of the coarse graph.
     """
-    shape = problem.shape if shape is None else shape
+    shape = problem.coarse_shape if shape is None else shape
     rest, source, config = shape.rest, problem.prepared.source_surface, problem.prepared.elastic
     graph, energy = rest.graph, rest.energy
     expected = graph.positions.shape

@@ -158,14 +158,14 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
     bodies seem mirrored.
     """
-    rough, source = problem.rough, problem.prepared.source_surface
-    graph, constraints = rough.shape.rest.graph, rough.shape.constraints
+    rough, source = problem.small_graph_problem, problem.prepared.source_surface
+    graph, constraints = rough.coarse_shape.rest.graph, rough.coarse_shape.constraints
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
     def least(side: TriangleSurface, held: PlacementConstraints, *known: FloatArray) -> float:
         onto = replace(rough, prepared=replace(rough.prepared, source_surface=side))
-        shape = replace(rough.shape, constraints=held)
+        shape = replace(rough.coarse_shape, constraints=held)
 
         def away(start: Placement) -> float:
             return float(graph.areas @ closest_points(side.tree, start.positions)[2] ** 2)
@@ -175,10 +175,10 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
                 return coarse_fit(onto, start, shape).cost
 
         nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
-        tried = distinct_placements(nearest, graph.areas, config.alike)[: config.mirrored_starts]
+        tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    given = least(source, constraints, positions[rough.shape.vertices])
+    given = least(source, constraints, positions[rough.coarse_shape.vertices])
     curves = (
         replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
         for curve in constraints.curves

@@ -33,7 +33,7 @@ def turned_limb_answers(ends: Sequence[Placement], prepared: PreparedPair) -> Co
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
             answers = (
-                Placement(best.answer, best.cost, name=AS_GIVEN),
+                Placement(best.map_positions, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name=TURNED),
             )
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
@@ -56,12 +56,12 @@ def mirrored_answers(
     if given.cost < config.mirrored_cost * best.cost:
         return None, check
     check = replace(check, notes=(*check.notes, MIRRORED_NOTE))
-    exchange = exchanged_pairs(prepared.mesh, landmarks, best.answer, config.exchange_distance)
+    exchange = exchanged_pairs(prepared.mesh, landmarks, best.map_positions, config.exchange_distance)
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     answers = (
-        Placement(given.answer, given.cost, name=AS_GIVEN),
-        Placement(best.answer, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
+        Placement(given.map_positions, given.cost, name=AS_GIVEN),
+        Placement(best.map_positions, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
     )
     return Confidence(TWO, answers, cost_signs(answers)), check
 
