@@ -27,7 +27,7 @@ from cagemap.maps.landmarks.check import (
     landmarks_mirrored,
 )
 from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limb_answers
-from cagemap.maps.pair import Pair, PointPairs, Progress, point_pairs
+from cagemap.maps.pair import Pair, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import judge, unshared_warnings
@@ -119,7 +119,7 @@ def match(
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
-        return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
+        return _match_elastic(prepared, landmarks, config, progress, timings)
     needed = target.finest, source.finest
     if config.method == "hfm":
         needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
@@ -179,19 +179,29 @@ def match_pair(
     prepared.require_same(config.start, config.elastic, config.masks)
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, prepared.target.control, prepared.source.control)
+    return _match_elastic(prepared, landmarks, config, progress, {} if timings is None else timings, preview)
+
+
+def _match_elastic(
+    prepared: PreparedPair,
+    landmarks: Landmarks,
+    config: MatchConfig,
+    progress: Progress,
+    timings: dict[str, float],
+    preview: Callable[[PointMap], None] | None = None,
+) -> MatchResult:
+    """Result of an elastic match: the steps of the default method, for landmarks that fit the control meshes."""
     problem = Problem.of_landmarks(prepared, landmarks)
-    check, timings = LandmarkCheck(), {} if timings is None else timings
-    confidence: Confidence | None = None
+    check, confidence = LandmarkCheck(), None
     placements: Sequence[Placement]
 
     def show(coarse: Placement) -> None:
         if preview is not None:
-            places = coarse.on(prepared.rest.graph, prepared.elastic.graph)
-            preview(map_of_places(prepared, places, problem.landmarks))
+            preview(map_of_places(problem, coarse.on(prepared.rest.graph, prepared.elastic.graph)))
 
-    def project(placement: Placement, pairs: PointPairs) -> PointMap:
+    def project(trusted: Problem, placement: Placement) -> PointMap:
         progress("closest points")
-        return map_of_places(prepared, placement.map_positions, pairs)
+        return map_of_places(trusted, placement.map_positions)
 
     with one_blas_thread():
         with _timed(timings, "map"):
@@ -206,7 +216,7 @@ def match_pair(
                     reverse = search(problem.reverse_problem, progress)
                     found = rank_placements([*found, *(inverse_placement(problem, placed) for placed in reverse)])
                 placements = distinct_answers(prepared, found)
-                point_map = project(placements[0], problem.landmarks)
+                point_map = project(problem, placements[0])
                 confidence = answer_confidence(problem, point_map, placements)
             else:
                 outliers, notes = dict[int, str](), list[str]()
@@ -214,13 +224,13 @@ def match_pair(
                     outliers, notes = landmark_outliers(problem, landmarks.names, progress)
                 trusted = problem.without(outliers)
                 placements = search(trusted, progress)
-                point_map = project(placements[0], trusted.landmarks)
+                point_map = project(trusted, placements[0])
                 confirmed = confirmed_pairs(problem, point_map, outliers)
                 if confirmed:
                     outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
                     trusted = problem.without(outliers)
                     placements = search(trusted, progress)
-                    point_map = project(placements[0], trusted.landmarks)
+                    point_map = project(trusted, placements[0])
                 if config.check_landmarks:
                     progress("test landmarks on the map")
                     check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
@@ -283,7 +293,7 @@ def update_match(
                 progress("elastic update")
                 places = linear_update(problem, point_map)
                 progress("closest points")
-                point_map = map_of_places(prepared, places, problem.landmarks)
+                point_map = map_of_places(problem, places)
         return _assemble_result(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 
@@ -311,13 +321,11 @@ def other_answer(
         raise ParameterError(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
-    target, source = prepared.target, prepared.source
-    pairs = point_pairs(target, source, landmarks)
+    problem = Problem.of_landmarks(prepared, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            places = answers[index].positions[prepared.vertices]
-            point_map = map_of_places(prepared, places, pairs)
+            point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
         shared = SharedArea.of_fit(prepared, answers[index].positions)
         check, confidence = before.landmark_check, before.confidence
         return _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)

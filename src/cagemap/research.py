@@ -230,7 +230,7 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     places = None
     if start is not None:
         places = image_positions(pair, start, problem.prepared.vertices[problem.coarse_shape.vertices])
-    return map_of_places(problem.prepared, search(problem, start=places)[0].map_positions, pair.landmarks)
+    return map_of_places(problem, search(problem, start=places)[0].map_positions)
 
 
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:

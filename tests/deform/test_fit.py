@@ -225,7 +225,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     prepared = prepared_at(pair.target, pair.source, 2, config)
     problem = Problem(prepared, pair.landmarks)
     fitted = fine_fit(problem, coarse_fit(problem, None))
-    found = map_of_places(prepared, fitted, pair.landmarks)
+    found = map_of_places(problem, fitted)
     assert measure_quality(found).flipped_area < 1e-4
 
 

@@ -43,4 +43,4 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     assert small.prepared.elastic.coarse is stage
     assert small.prepared.rest is problem.prepared.rest
     assert 90 < small.coarse_shape.rest.graph.n < 110 < problem.coarse_shape.rest.graph.n
-    assert problem.with_coarse_stage(stage).shape.rest.graph.n == problem.coarse_shape.rest.graph.n
+    assert problem.with_coarse_stage(stage).coarse_shape.rest.graph.n == problem.coarse_shape.rest.graph.n
