@@ -20,8 +20,8 @@ from cagemap.maps.hypotheses.search import distinct_answers, inverse_placement, 
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
+    check_changes,
     check_on_map,
-    checked_changes,
     confirmed_pairs,
     landmark_outliers,
     landmarks_mirrored,
@@ -197,7 +197,7 @@ def _match_elastic(
 
     def show(coarse: Placement) -> None:
         if preview is not None:
-            preview(map_of_places(problem, coarse.on(prepared.rest.graph, prepared.elastic.graph)))
+            preview(map_of_places(problem, coarse.extrapolate_to(prepared.rest.graph, prepared.elastic.graph)))
 
     def project(trusted: Problem, placement: Placement) -> PointMap:
         progress("closest points")
@@ -277,14 +277,14 @@ def update_match(
     check_landmarks(landmarks, target.control, source.control)
     prepared = before.prepared or prepare_pair(target, source, replace(config, masks=before.masks))
     point_map = before.point_map
-    check = before.landmark_check.still(before.landmarks, landmarks)
+    check = before.landmark_check.for_changed(before.landmarks, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.check_landmarks:
                 changed = landmarks.new_since(before.landmarks)
                 all_given = Problem.of_landmarks(prepared, landmarks)
-                check = checked_changes(all_given, landmarks.names, changed, check, point_map)
+                check = check_changes(all_given, landmarks.names, changed, check, point_map)
             problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
             coincident = coincident_map(problem)
             if coincident is not None:

@@ -32,7 +32,7 @@ from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
-LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.max_limb_rotation, RefitConfig.difference
+LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.max_limb_rotation, RefitConfig.min_pose_difference
 
 
 @pytest.fixture(scope="module")

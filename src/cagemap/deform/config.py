@@ -181,7 +181,7 @@ class SearchConfig:
 class RefitConfig:
     """Refit in the source's pose, and the average with the inverse (docs/lab/elastic.md); lengths are of sqrt(area)."""
 
-    difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
+    min_pose_difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
     stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: stage of the rotations: stiffness of the limbs against the placement
     joint_rounds: int = 2  #: rounds in which joints are found
     joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
@@ -218,7 +218,7 @@ class LandmarkConfig:
     # Distances between landmarks
     fewest_judged: int = 6  #: fewer pairs are not judged; they cannot outvote one
     distance_vertices: int = 1500  #: vertices of the graphs on which distances are measured; their spacing is 0.026
-    short: float = 0.1  #: added to both distances of a ratio, since strain and sampling change short ones
+    added_distance: float = 0.1  #: added to both distances of a ratio, since strain and sampling change short ones
     max_misfit: float = 0.7  #: larger |log ratios| count as this; a factor of two
     min_gain: float = 0.12  #: a given place is wrong if the best place has a misfit smaller by this
     gain_of_typical: float = 2.2  #: the same difference in units of the typical misfit
@@ -230,33 +230,35 @@ class LandmarkConfig:
     tip_slack: float = 0.03  #: slack in this comparison
     #: a given place and the best one are on one limb if paths through the best one are longer by at most this
     detour: float = 0.2
-    #: with a larger share of accused pairs it is unknown which are right, and none is left out
+    #: with a larger share of suspected pairs it is unknown which are right, and none is left out
     max_suspects: float = 1 / 3
     one_of: int = 100  #: of so many pairs one is left out before the others are judged again
     #: with a larger typical misfit nothing is judged; shuffled pairs have 0.36 to 0.53, animals up to 0.26
-    unrelated: float = 0.32
-    # What a fit says of accused pairs
+    max_typical_misfit: float = 0.32
+    # What a fit says of suspected pairs
     slip_by_distances: float = 1.14  #: pairs are wrong if they raise the cost by this factor; correct ones reach 1.09
-    slip_by_sides: float = 1.05  #: the same for pairs accused by orientation; exchanged ears have 1.04 to 1.19
-    confirmed: float = 0.03  #: a left-out pair that the map misses by less is taken back
+    slip_by_sides: float = 1.05  #: the same for pairs suspected by orientation; exchanged ears have 1.04 to 1.19
+    max_confirmed_miss: float = 0.03  #: a left-out pair that the map misses by less is taken back
     # Orientation of landmark triples
     #: rise of the agreement around two exchanged pairs when they are exchanged back; 0.3 or more
-    side_rise: float = 0.2
-    side_agreed: float = 0.8  #: least agreement after that
-    side_disagreed: float = 0.1  #: largest agreement before; it accuses 14 of 1200 correct sets, without it 95
-    side_min_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
+    min_side_rise: float = 0.2
+    min_side_agreement: float = 0.8  #: least agreement after that
+    max_side_agreement: float = 0.1  #: largest agreement before; it suspects 14 of 1200 correct sets, without it 95
+    min_side_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
     #: nearer landmarks are not used; their orientation depends on how exactly they were placed
-    side_apart: float = 0.05
-    posed: float = 0.5  #: a triple with a larger log ratio of distances says little about the orientation of all
+    min_side_distance: float = 0.05
+    max_triple_change: float = (
+        0.5  #: a triple with a larger log ratio of distances says little about the orientation of all
+    )
     #: landmarks with a smaller mean product of orientations are too flat to judge; others have 0.03 to 0.2
-    flat: float = 0.02
+    min_orientation: float = 0.02
     #: landmarks with a smaller agreement are mirrored as a whole; correct ones have 0.45 or more
-    mirrored: float = -0.2
-    mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
+    mirrored_agreement: float = -0.2
+    min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
     #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
     exchange_distance: float = 0.08
     #: a placement that costs up to this many times the best one is as good; rotated limbs have 1.06 or more
-    as_good: float = 1.15
+    max_answer_cost: float = 1.15
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
@@ -264,9 +266,9 @@ class LandmarkConfig:
     #: weight that holds every vertex tangentially, so that the solution is unique without landmarks
     strain_ridge: float = 1e-7
     fewest_strained: int = 10  #: fewer pairs are not judged by strain
-    strained: float = 0.05  #: a pair that moves farther when it is released strains the map
-    strained_of_next: float = 1.5  #: and this many times as far as any other; unlike shapes strain many pairs
-    dissimilar: float = 0.12  #: with a larger typical misfit the strain of one pair says nothing
+    min_strain: float = 0.05  #: a pair that moves farther when it is released strains the map
+    min_strain_of_next: float = 1.5  #: and this many times as far as any other; unlike shapes strain many pairs
+    max_strain_misfit: float = 0.12  #: with a larger typical misfit the strain of one pair says nothing
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def fit_from_two_starts(
     """
     elastic, stiff = problem.prepared.elastic, problem.stiff_problem
     # The smoothing of a stage also decides its start from the constrained points.
-    stages = (problem, shape), (stiff, shape.smoothed(elastic.stiff_coarse.smoothing))
+    stages = (problem, shape), (stiff, shape.with_smoothing(elastic.stiff_coarse.smoothing))
 
     def both_stages(positions: FloatArray | None) -> list[Placement]:
         """Placements of the soft and of the stiff coarse stage."""

@@ -44,7 +44,7 @@ class Placement:
         """The placement with the name and the penalty of another one, from which it was fitted."""
         return replace(self, name=other.name, penalty=other.penalty)
 
-    def on(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
+    def extrapolate_to(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
         """(n, 3) positions of another graph of the same shape, extrapolated from this placement."""
         assert self.graph is not None
         return extrapolate(self.graph, self.positions, self.maps, graph, config)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, points_on_level, with_clusters
+from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters, points_on_level
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
@@ -56,7 +56,7 @@ class RestShape:
         """Graph of the energy."""
         return self.energy.graph
 
-    def at(self, positions: FloatArray, smoothing: float) -> RestShape:
+    def moved_to(self, positions: FloatArray, smoothing: float) -> RestShape:
         """The rest shape moved to positions (n, 3), with its edge weights and areas unchanged."""
         assert self.mesh is not None
         normals = vertex_normals(positions, self.mesh.triangles)
@@ -76,7 +76,7 @@ class CoarseShape:
     # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
     constrained_vertices: tuple[IndexArray, IndexArray]
 
-    def smoothed(self, smoothing: float) -> CoarseShape:
+    def with_smoothing(self, smoothing: float) -> CoarseShape:
         """The clusters with another smoothing of differentials."""
         energy = ElasticEnergy.build(self.rest.graph, smoothing, self.rest.energy.admissible)
         return replace(self, rest=replace(self.rest, energy=energy))
@@ -250,7 +250,9 @@ class Problem:
         config, (on_target, on_source) = prepared.elastic, self.landmark_vertices
         constrained = np.concatenate([on_target, target_tips]), np.concatenate([on_source, source_tips])
         places = prepared.source.triangles(prepared.levels[1]).positions[source_tips]
-        every, curves = with_clusters(prepared.curves(landmarks), constrained[0], config.coarse_vertices, config.data)
+        every, curves = constrained_clusters(
+            prepared.curves(landmarks), constrained[0], config.coarse_vertices, config.data
+        )
         coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
         anchors = CagePoints.of_vertices(np.arange(len(constrained[0])))

@@ -34,7 +34,7 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     prepared, posed, config = problem.prepared, placed, problem.prepared.elastic
     if prepared.rest.masks.any:
         return placed
-    if pose_difference(prepared.rest, placed.positions) > config.refit.difference:
+    if pose_difference(prepared.rest, placed.positions) > config.refit.min_pose_difference:
         posed = evaluate_placement(prepared, fit_in_pose(problem, placed.positions))
     both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
     cheap = both_ways.cost <= config.search.max_refit_cost * posed.cost
@@ -45,7 +45,7 @@ def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = Non
     """(n, 3) positions after refitting the target from the pose of a placement, ``times`` times."""
     stiff, rest, config = problem.stiff_problem, problem.prepared.rest, problem.prepared.elastic
     for _ in range(config.refit.rounds if times is None else times):
-        posed = rest.at(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
+        posed = rest.moved_to(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
         alike = replace(stiff, prepared=replace(stiff.prepared, rest=posed))
         positions = fine_fit(alike, coarse_fit(alike, posed.graph.positions[alike.coarse_shape.vertices]))
     return positions
@@ -112,7 +112,7 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     prepared, back = problem.prepared, problem.prepared.reverse_pair
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
-    posed = pose_difference(back.rest, start) > config.difference
+    posed = pose_difference(back.rest, start) > config.min_pose_difference
     returned = (
         fit_in_pose(problem.reverse_problem, start, times=1) if posed else fine_fit(problem.reverse_problem, start)
     )

@@ -114,7 +114,7 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
 
     def fit_coarse(small_fit: Placement) -> list[Placement]:
         with thread_limit(1):
-            first = coarse_fit(problem, small_fit.on(graph, problem.prepared.elastic.graph))
+            first = coarse_fit(problem, small_fit.extrapolate_to(graph, problem.prepared.elastic.graph))
             coarse = sort_by_cost([first, *(coarse_fit(problem, start) for start in starts(first))])
         return [placed.with_start_of(small_fit) for placed in coarse]
 

@@ -31,7 +31,7 @@ def turned_limb_answers(ends: Sequence[Placement], prepared: PreparedPair) -> Co
     best = ends[0]
     for other in ends[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
+        if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
             answers = (
                 Placement(best.map_positions, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name=TURNED),
@@ -53,7 +53,7 @@ def mirrored_answers(
     prepared, landmarks = problem.prepared, problem.landmarks
     best = search(problem.without(range(len(landmarks))), progress)[0]
     config = prepared.elastic.landmarks
-    if given.cost < config.mirrored_cost * best.cost:
+    if given.cost < config.min_mirrored_cost * best.cost:
         return None, check
     check = replace(check, notes=(*check.notes, MIRRORED_NOTE))
     exchange = exchanged_pairs(prepared.mesh, landmarks, best.map_positions, config.exchange_distance)
