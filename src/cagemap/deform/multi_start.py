@@ -117,9 +117,9 @@ def fit_from_two_starts(
     limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
     points, the start is the only one.
     """
-    elastic, stiff = problem.prepared.elastic, problem.stiff_problem
+    elastic = problem.prepared.elastic
     # The smoothing of a stage also decides its start from the constrained points.
-    stages = (problem, shape), (stiff, shape.with_smoothing(elastic.stiff_coarse.smoothing))
+    stages = (problem, shape), (problem.stiff_problem, shape.with_smoothing(elastic.stiff_coarse.smoothing))
 
     def both_stages(positions: FloatArray | None) -> list[Placement]:
         """Placements of the soft and of the stiff coarse stage."""
@@ -130,9 +130,9 @@ def fit_from_two_starts(
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
         from_points = pool.submit(both_stages, None)
         first = both_stages(start_map(problem, shape) if start is None else start)
-        soft, stiff_ones = zip(first, from_points.result(), strict=True)
+        soft, stiff = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
-    fine = refine_placements(problem, stiff_ones)
+    fine = refine_placements(problem, stiff)
     rotation = largest_limb_rotation(problem.prepared.rest, fine[0].positions, elastic.search.limb_area)
     distance = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
     agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
@@ -153,10 +153,11 @@ def refine_cheapest(
 ) -> list[Placement]:
     """Fine placements, cheapest first: from the cheapest distinct coarse ones, given ones, and `best_parts` of all."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
-    ranked, areas = sort_by_cost(coarse), problem.coarse_shape.rest.graph.areas
-    areas = areas if ranked[0].graph is None else ranked[0].graph.areas
+    ranked = sort_by_cost(coarse)
+    graph = ranked[0].graph
+    assert graph is not None
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct_placements(cheap, areas, config.min_coarse_distance)[: most or config.max_refined]
+    kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: most or config.max_refined]
     fine = sort_by_cost([*refine_placements(problem, kept), *fine])
     mixed = best_parts(prepared.rest.graph, fine, config)
     if mixed is None:

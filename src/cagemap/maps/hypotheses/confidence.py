@@ -49,7 +49,7 @@ class Confidence:
     def of(
         cls, answers: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
     ) -> Confidence:
-        """Judge distinct answers, best first, by the costs and further signs of the best."""
+        """Confidence in the first of distinct answers, best first, by their costs and further signs of the first."""
         signs = cost_signs(answers) | dict(signs or {})
         deciding = None
         if len(answers) > 1:

@@ -26,10 +26,10 @@ MIRRORED_NOTE = (
 )
 
 
-def turned_limb_answers(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
+def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
-    best = ends[0]
-    for other in ends[1:]:
+    best = ranked[0]
+    for other in ranked[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
             answers = (

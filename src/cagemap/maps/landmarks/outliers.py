@@ -35,8 +35,9 @@ def place_by_distances(
     """Place every trusted landmark on the source by its distances to the other trusted landmarks.
 
     The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, m)``, weights
-    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the `added_distance` and
-    `max_misfit` of `LandmarkConfig`. Near landmarks count most. The cap m limits the influence of a second wrong pair.
+    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the
+    `added_distance` and `max_misfit` of `LandmarkConfig`. Near landmarks count most. The cap m limits the influence of
+    a second wrong pair.
 
     Returns
     -------
