@@ -1,4 +1,9 @@
-"""Search for the cheapest placement: from landmarks, from assigned limbs, from the files' places, from rotations."""
+"""Search for the cheapest placement: from landmarks, assigned limbs, the files' positions and rotations.
+
+A start gives positions to fit from. Fits have three sizes: a small graph (400 clusters) for many starts, the coarse
+stage (1500 clusters, soft or stiff) and the fine stage (the mesh). Constraints are landmarks, curves, and tips of limbs
+that are assigned to each other. Fits are ranked by cost times penalty; starts that turn the files' axes have one.
+"""
 
 from __future__ import annotations
 
