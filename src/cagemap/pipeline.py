@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
-from cagemap.deform.placement import Placement
+from cagemap.deform.placement import Placement, rank_placements
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import judge_answers, prolong_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search, search_directions
+from cagemap.maps.hypotheses.confidence import Confidence, answer_confidence, prolong_answers
+from cagemap.maps.hypotheses.search import distinct_answers, inverse_placement, search
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
-    MIRRORED_NOTE,
     LandmarkCheck,
+    check_changes,
     check_on_map,
-    checked_changes,
     confirmed_pairs,
     landmark_outliers,
+    landmarks_mirrored,
 )
-from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limbs
+from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limb_answers
 from cagemap.maps.pair import Pair, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
@@ -119,7 +119,7 @@ def match(
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
-        return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
+        return _match_elastic(prepared, landmarks, config, progress, timings)
     needed = target.finest, source.finest
     if config.method == "hfm":
         needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
@@ -177,54 +177,70 @@ def match_pair(
             "cagemap.match runs all methods"
         )
     prepared.require_same(config.start, config.elastic, config.masks)
-    target, source = prepared.target, prepared.source
     landmarks = Landmarks.none() if landmarks is None else landmarks
-    check_landmarks(landmarks, target.control, source.control)
-    check, confidence, timings = LandmarkCheck(), None, {} if timings is None else timings
+    check_landmarks(landmarks, prepared.target.control, prepared.source.control)
+    return _match_elastic(prepared, landmarks, config, progress, {} if timings is None else timings, preview)
+
+
+def _match_elastic(
+    prepared: PreparedPair,
+    landmarks: Landmarks,
+    config: MatchConfig,
+    progress: Progress,
+    timings: dict[str, float],
+    preview: Callable[[PointMap], None] | None = None,
+) -> MatchResult:
+    """Result of an elastic match: the steps of the default method, for landmarks that fit the control meshes."""
     problem = Problem.of_landmarks(prepared, landmarks)
+    check, confidence = LandmarkCheck(), None
+    placements: Sequence[Placement]
 
-    def show(rough: Placement) -> None:
+    def show(coarse: Placement) -> None:
         if preview is not None:
-            places = rough.on(prepared.rest.graph, prepared.elastic.graph)
-            preview(map_of_places(prepared, places, problem.landmarks))
+            preview(map_of_places(problem, coarse.extrapolate_to(prepared.rest.graph, prepared.elastic.graph)))
 
-    def map_without(left_out: Collection[int]) -> tuple[PointMap, Sequence[Placement]]:
-        """Map by the other landmarks, and the placements of its search, the map's first."""
-        trusted = problem.without(left_out)
-        fits = search(trusted, progress)
+    def project(trusted: Problem, placement: Placement) -> PointMap:
         progress("closest points")
-        return map_of_places(prepared, fits[0].answer, trusted.landmarks), fits
+        return map_of_places(trusted, placement.map_positions)
 
     with one_blas_thread():
         with _timed(timings, "map"):
-            map_and_confidence = coincident_map(problem)
-            if map_and_confidence is not None:
-                point_map, confidence = map_and_confidence
-                placements: Sequence[Placement] = confidence.answers
+            coincident = coincident_map(problem)
+            if coincident is not None:
+                point_map, confidence = coincident
+                placements = confidence.answers
             elif len(landmarks) < FEWEST_LANDMARKS:
-                answers = distinct_answers(prepared, search_directions(problem, progress, show=show))
-                progress("closest points")
-                point_map = map_of_places(prepared, answers[0].answer, problem.landmarks)
-                confidence, placements = judge_answers(problem, point_map, answers), answers
+                found = search(problem, progress, show=show)
+                if prepared.mesh.is_open != prepared.source_surface.is_open:
+                    # A part and a whole: often only one direction finds the place (docs/lab/parts.md).
+                    reverse = search(problem.reverse_problem, progress)
+                    found = rank_placements([*found, *(inverse_placement(problem, placed) for placed in reverse)])
+                placements = distinct_answers(prepared, found)
+                point_map = project(problem, placements[0])
+                confidence = answer_confidence(problem, point_map, placements)
             else:
                 outliers, notes = dict[int, str](), list[str]()
                 if config.check_landmarks:
                     outliers, notes = landmark_outliers(problem, landmarks.names, progress)
-                point_map, placements = map_without(outliers)
+                trusted = problem.without(outliers)
+                placements = search(trusted, progress)
+                point_map = project(trusted, placements[0])
                 confirmed = confirmed_pairs(problem, point_map, outliers)
                 if confirmed:
                     outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
-                    point_map, placements = map_without(outliers)
+                    trusted = problem.without(outliers)
+                    placements = search(trusted, progress)
+                    point_map = project(trusted, placements[0])
                 if config.check_landmarks:
                     progress("test landmarks on the map")
                     check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
-                    confidence = turned_limbs(placements, prepared)
-                if MIRRORED_NOTE in check.notes:
-                    mirrored, check = mirrored_answers(problem, placements[0], check, progress)
-                    confidence = mirrored or confidence
-        shared = SharedArea.of_fit(prepared, placements[0].answer)
-        judged = _judged(prepared, point_map, landmarks, check, timings, progress, shared)
-    result = replace(judged, confidence=None if confidence is None else prolong_answers(confidence, prepared))
+                    confidence = turned_limb_answers(placements, prepared)
+                    if landmarks_mirrored(problem, outliers):
+                        mirrored, check = mirrored_answers(problem, placements[0], check, progress)
+                        confidence = mirrored or confidence
+        shared = SharedArea.of_fit(prepared, placements[0].map_positions)
+        confidence = None if confidence is None else prolong_answers(confidence, prepared)
+        result = _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
@@ -261,24 +277,24 @@ def update_match(
     check_landmarks(landmarks, target.control, source.control)
     prepared = before.prepared or prepare_pair(target, source, replace(config, masks=before.masks))
     point_map = before.point_map
-    check = before.landmark_check.still(before.landmarks, landmarks)
+    check = before.landmark_check.for_changed(before.landmarks, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.check_landmarks:
                 changed = landmarks.new_since(before.landmarks)
                 all_given = Problem.of_landmarks(prepared, landmarks)
-                check = checked_changes(all_given, landmarks.names, changed, check, point_map)
+                check = check_changes(all_given, landmarks.names, changed, check, point_map)
             problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
-            map_and_confidence = coincident_map(problem)
-            if map_and_confidence is not None:
-                point_map = map_and_confidence[0]
+            coincident = coincident_map(problem)
+            if coincident is not None:
+                point_map, _ = coincident
             else:
                 progress("elastic update")
                 places = linear_update(problem, point_map)
                 progress("closest points")
-                point_map = map_of_places(prepared, places, problem.landmarks)
-        return _judged(prepared, point_map, landmarks, check, timings, progress, before.shared)
+                point_map = map_of_places(problem, places)
+        return _assemble_result(prepared, point_map, landmarks, check, timings, progress, before.shared)
 
 
 def other_answer(
@@ -305,16 +321,14 @@ def other_answer(
         raise ParameterError(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
-    target, source = prepared.target, prepared.source
-    pairs = point_pairs(target, source, landmarks)
+    problem = Problem.of_landmarks(prepared, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            places = answers[index].positions[prepared.vertices]
-            point_map = map_of_places(prepared, places, pairs)
+            point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
         shared = SharedArea.of_fit(prepared, answers[index].positions)
-        judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress, shared)
-    return replace(judged, confidence=before.confidence)
+        check, confidence = before.landmark_check, before.confidence
+        return _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
 
 
 @arrays_accepted
@@ -333,7 +347,7 @@ def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: 
     return replace(pair, symmetries=symmetries)
 
 
-def _judged(
+def _assemble_result(
     prepared: PreparedPair,
     point_map: PointMap,
     landmarks: Landmarks,
@@ -341,8 +355,9 @@ def _judged(
     timings: dict[str, float],
     progress: Progress,
     shared: SharedArea | None,
+    confidence: Confidence | None = None,
 ) -> MatchResult:
-    """Result of an elastic match with its quality; area without a counterpart is not counted."""
+    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
@@ -361,6 +376,7 @@ def _judged(
         quality,
         timings,
         check,
+        confidence=confidence,
         prepared=prepared,
         masks=masks,
         shared=shared,

@@ -229,8 +229,8 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair.landmarks)
     places = None
     if start is not None:
-        places = image_positions(pair, start, problem.prepared.vertices[problem.shape.vertices])
-    return map_of_places(problem.prepared, search(problem, start=places)[0].answer, pair.landmarks)
+        places = image_positions(pair, start, problem.prepared.vertices[problem.coarse_shape.vertices])
+    return map_of_places(problem, search(problem, start=places)[0].map_positions)
 
 
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:

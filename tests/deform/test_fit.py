@@ -41,7 +41,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
     graph, problem = prepared.rest.graph, Problem(prepared, pair.landmarks)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
-    started = [coarse_fit(problem, first) for first in (start[problem.shape.vertices], None)]
+    started = [coarse_fit(problem, first) for first in (start[problem.coarse_shape.vertices], None)]
     found = fine_fit(problem, min(started, key=lambda ended: ended.cost))
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
@@ -225,7 +225,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     prepared = prepared_at(pair.target, pair.source, 2, config)
     problem = Problem(prepared, pair.landmarks)
     fitted = fine_fit(problem, coarse_fit(problem, None))
-    found = map_of_places(prepared, fitted, pair.landmarks)
+    found = map_of_places(problem, fitted)
     assert measure_quality(found).flipped_area < 1e-4
 
 

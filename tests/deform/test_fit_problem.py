@@ -22,11 +22,11 @@ def problem() -> Problem:
 
 def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
     places = problem.prepared.source.finest_triangles.positions
-    shape = problem.holding(np.array([60, 9]), np.array([61, 8]))
+    shape = problem.coarse_shape_with(np.array([60, 9]), np.array([61, 8]))
     np.testing.assert_array_equal(shape.vertices[:5], [*TARGET, 60, 9])
     np.testing.assert_array_equal(shape.constraints.anchors.corners[:, 0], np.arange(5))
     np.testing.assert_array_equal(shape.constraints.places, places[[*SOURCE, 61, 8]])
-    np.testing.assert_array_equal(problem.shape.vertices[:3], TARGET)
+    np.testing.assert_array_equal(problem.coarse_shape.vertices[:3], TARGET)
     np.testing.assert_array_equal(problem.constraints.anchors.corners[:, 0], TARGET)
     np.testing.assert_array_equal(problem.constraints.places, places[SOURCE])
 
@@ -35,12 +35,12 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     few = problem.without([1])
     assert few.prepared is problem.prepared
     np.testing.assert_array_equal(few.landmark_vertices, (TARGET[[0, 2]], SOURCE[[0, 2]]))
-    back = problem.reversed
-    assert back.prepared is problem.prepared.reversed
+    back = problem.reverse_problem
+    assert back.prepared is problem.prepared.reverse_pair
     np.testing.assert_array_equal(back.landmark_vertices, (SOURCE, TARGET))
     stage = Stage(3, (1.0, 1e-2), 1e-2)
-    small = problem.staged(stage, 100)
+    small = problem.with_coarse_stage(stage, 100)
     assert small.prepared.elastic.coarse is stage
     assert small.prepared.rest is problem.prepared.rest
-    assert 90 < small.shape.rest.graph.n < 110 < problem.shape.rest.graph.n
-    assert problem.staged(stage).shape.rest.graph.n == problem.shape.rest.graph.n
+    assert 90 < small.coarse_shape.rest.graph.n < 110 < problem.coarse_shape.rest.graph.n
+    assert problem.with_coarse_stage(stage).coarse_shape.rest.graph.n == problem.coarse_shape.rest.graph.n

@@ -85,7 +85,7 @@ def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None
     source = Surface.of(other, operators, basis)
     masks = Masks(np.linspace(0, 1, other.finest.n_vertices), None)
     pair = PreparedPair.build(prepared.target, source, StartConfig(search_vertices=1000), masks=masks)
-    back = pair.reversed
+    back = pair.reverse_pair
     assert (back.target, back.source) == (pair.source, pair.target)
     assert back.levels == pair.levels[::-1]
     assert back.mesh.n == back.rest.graph.n == source.triangles(back.levels[0]).n
@@ -142,8 +142,8 @@ def test_a_whole_body_is_averaged_where_a_part_of_it_is(on_part: Problem) -> Non
 
 def test_a_part_on_a_whole_places_the_whole_on_the_part(on_part: Problem) -> None:
     home, gaps = at_home(on_part)
-    back = on_part.prepared.reversed
-    reverse = Placement(back.mesh.positions * back.source_surface.scale / back.mesh.scale, 2.5, doubt=1.1)
+    back = on_part.prepared.reverse_pair
+    reverse = Placement(back.mesh.positions * back.source_surface.scale / back.mesh.scale, 2.5, penalty=1.1)
     placed = inverse_placement(on_part, reverse)
-    assert (placed.cost, placed.doubt, placed.name) == (2.5, 1.1, AS_FILED)
+    assert (placed.cost, placed.penalty, placed.name) == (2.5, 1.1, AS_FILED)
     assert np.linalg.norm(placed.positions - home, axis=1)[gaps < 1e-3].mean() < 5e-3

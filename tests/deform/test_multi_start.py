@@ -76,9 +76,9 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(
     monkeypatch.setattr(multi_start, "evaluate_placement", with_cost)
     rest = SimpleNamespace(graph=graph)
     prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())
-    problem: Any = SimpleNamespace(prepared=prepared, shape=SimpleNamespace(rest=rest))
-    coarse, hopeless = Placement(front, 1.0), Placement(behind, 9.0)
-    found = multi_start.refine_cheapest(problem, [coarse], refined=[with_cost(prepared, behind)])
+    problem: Any = SimpleNamespace(prepared=prepared)
+    coarse, hopeless = Placement(front, 1.0, graph=graph), Placement(behind, 9.0, graph=graph)
+    found = multi_start.refine_cheapest(problem, [coarse], fine=[with_cost(prepared, behind)])
     assert len(found) == 3
     assert [one.cost for one in found] == sorted(one.cost for one in found)
     np.testing.assert_allclose(found[0].positions, graph.positions, atol=1e-12)

@@ -12,7 +12,7 @@ from cagemap.deform import multi_start, refit
 from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
 from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
-from cagemap.deform.multi_start import fit_held
+from cagemap.deform.multi_start import fit_from_two_starts
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem, RestShape
 from cagemap.deform.refit import (
@@ -32,7 +32,7 @@ from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 
-LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.limb_rotation, RefitConfig.difference
+LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.max_limb_rotation, RefitConfig.min_pose_difference
 
 
 @pytest.fixture(scope="module")
@@ -99,12 +99,12 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
     problem = problem_of(bent)
-    at_rest = Placement(problem.shape.rest.graph.positions, 1.0)
+    at_rest = Placement(problem.coarse_shape.rest.graph.positions, 1.0)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
     monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
-    assert (not fit_held(problem, problem.shape)[1]) == (angle < LIMB_POSED)
+    assert (not fit_from_two_starts(problem, problem.coarse_shape)[1]) == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: RestShape) -> None:
@@ -191,9 +191,9 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     landmarks = problem.landmarks
     first = finish_placement(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
-    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reversed, back, 1)])
+    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reverse_pair, back, 1)])
     assert first.positions is ended.positions
-    assert first.answer is first.final
+    assert first.map_positions is first.finished_positions
 
 
 def test_nearest_rotations_are_rotations_and_nearest() -> None:

@@ -14,7 +14,7 @@ from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
-from cagemap.maps.hypotheses.search import least_cost
+from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear, ControlMesh
 from cagemap.mesh.landmarks import Landmarks
@@ -106,13 +106,13 @@ def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alik
 
 def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_side() -> None:
     surface = prepare_surface(creature(), 1)
-    whole = least_cost(prepare_pair(surface, surface))
+    whole = cost_floor(prepare_pair(surface, surface))
     part = np.where(np.arange(len(surface.vertices)) % 4 == 0, 1.0, 0.0)
     prepared = prepare_pair(surface, surface, MatchConfig(masks=Masks(part)))
     areas = prepared.rest.graph.areas
-    assert least_cost(prepared) == pytest.approx(whole * areas[part[: len(areas)] > 0].sum())
+    assert cost_floor(prepared) == pytest.approx(whole * areas[part[: len(areas)] > 0].sum())
     back = prepare_pair(surface, surface, MatchConfig(masks=Masks(None, part)))
-    assert 0.1 * whole < least_cost(back) < 0.5 * whole
+    assert 0.1 * whole < cost_floor(back) < 0.5 * whole
 
 
 @pytest.mark.slow
@@ -139,6 +139,6 @@ def test_verdicts_follow_the_costs_of_all_answers() -> None:
     alone = Confidence.of((best,), 3)
     assert (alone.verdict, alone.signs["runner_up"], alone.deciding) == (SURE, 0.0, None)
     assert Confidence.of((replace(best, cost=1.0),), 3).verdict == LOOK
-    turned = replace(best, cost=3e-4, doubt=1.1)
+    turned = replace(best, cost=3e-4, penalty=1.1)
     assert Confidence.of((turned,), 3).verdict == LOOK
-    assert Confidence.of((replace(turned, doubt=1.0),), 3).verdict == SURE
+    assert Confidence.of((replace(turned, penalty=1.0),), 3).verdict == SURE

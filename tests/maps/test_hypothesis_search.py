@@ -28,21 +28,21 @@ def prepared() -> PreparedPair:
 def found(
     prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch, agree: bool, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[bool]]:
-    """What `search` finds where limbs lead to the truth and landmarks beside it; of rough fits whether rigid starts."""
+    """What `search` finds where limbs lead to the truth and landmarks beside it; whether rotations were tried."""
     vertices, asked = np.array([0, 40, 80]), list[bool]()
     problem = Problem.of_landmarks(prepared, Landmarks(("a", "b", "c"), vertices, vertices))
     places = prepared.rest.graph.positions
     beside = evaluate_placement(prepared, places + np.array([0.05, 0.0, 0.0]))
 
-    def rough_fits(problem: Problem, rigid: bool, show: object) -> tuple[list[object], list[object]]:
-        asked.append(rigid)
+    def fit_small_graph(problem: Problem, with_rotations: bool, show: object) -> tuple[list[object], list[object]]:
+        asked.append(with_rotations)
         return [], []
 
-    monkeypatch.setattr(search, "fit_held", lambda *given: ([beside], [] if agree else [beside]))
-    monkeypatch.setattr(search, "refine_more_starts", lambda problem, shape, refined, soft: refined)
-    monkeypatch.setattr(search, "rough_fits", rough_fits)
-    monkeypatch.setattr(search, "fit_released", lambda problem, rough: [evaluate_placement(prepared, places)])
-    monkeypatch.setattr(search, "refit_to_tips", lambda problem, tips, placed: placed)
+    monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], [] if agree else [beside]))
+    monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, soft: fine)
+    monkeypatch.setattr(search, "fit_small_graph", fit_small_graph)
+    monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])
+    monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
     monkeypatch.setattr(search, "finish_placement", lambda problem, placed: placed)
     return search.search(problem, start=start), asked
 
@@ -53,7 +53,7 @@ def test_other_starts_compete_with_landmarks_whose_fits_disagree(
     placements, asked = found(prepared, monkeypatch, agree=False)
     np.testing.assert_array_equal(placements[0].positions, prepared.rest.graph.positions)
     assert len(placements) == 2
-    assert asked == [False]  # landmarks need no rigid starts
+    assert asked == [False]  # landmarks need no rotations
 
 
 def test_landmarks_whose_fits_agree_and_starts_that_are_given_decide_alone(

@@ -17,7 +17,7 @@ from cagemap.example import example_pair
 from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check, other_answers
-from cagemap.maps.landmarks.check import DISTANCES, MIRRORED_NOTE, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
+from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.outliers import (
     exchanged_sides,
     misplaced_pairs,
@@ -247,15 +247,16 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     near = np.asarray(followed.point_map.images.positions[: prepared.mesh.n])
     other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
     monkeypatch.setattr(other_answers, "search", lambda problem, progress: (other,))
-    known = LandmarkCheck(notes=(MIRRORED_NOTE, "another note"))
+    known = LandmarkCheck(notes=("another note",))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
     doubt, kept = other_answers.mirrored_answers(Problem(prepared, points.landmarks), dear, known)
-    assert (doubt.verdict, kept) == (TWO, known)
+    assert doubt.verdict == TWO
+    assert kept.notes == ("another note", other_answers.MIRRORED_NOTE)
     assert [reading.cost for reading in doubt.answers] == [dear.cost, other.cost]
     assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
     none, kept = other_answers.mirrored_answers(Problem(prepared, points.landmarks), cheap, known)
     assert none is None
-    assert kept.notes == ("another note",)
+    assert kept is known
 
 
 def test_a_pair_that_strains_is_kept_and_named(pair):
@@ -277,7 +278,7 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
 def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):
     target, source, landmarks = pair
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
-    costs = iter((1.1e-4, 1e-4))  # with all, without the accused: correct ears of a walking fox had this ratio
+    costs = iter((1.1e-4, 1e-4))  # with all, without the suspected: correct ears of a walking fox had this ratio
     monkeypatch.setattr(check, "coarse_map_cost", lambda problem: next(costs))
     found = match(target, source, wrong, QUICK)
     assert found.suspects == ()
@@ -381,11 +382,11 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     suspect = LandmarkSuspect("b", 1, 0.2, nearest_vertex=7, source_vertex=2, evidence=DISTANCES)
     judged = LandmarkCheck((suspect,), strains=np.array([0.3, 0.0, 0.1]))
     moved_up = Landmarks(("b", "d", "c"), np.array([5, 3, 9]), np.array([2, 1, 6]), "t.obj", "s.obj")
-    assert [s.pair for s in judged.still(before, moved_up).suspects] == [0]
+    assert [s.pair for s in judged.for_changed(before, moved_up).suspects] == [0]
     # Strains go with their pairs, whatever these are called; what moved has none.
-    np.testing.assert_array_equal(judged.still(before, moved_up).strains, [0.0, 0.3, 0.0])
+    np.testing.assert_array_equal(judged.for_changed(before, moved_up).strains, [0.0, 0.3, 0.0])
     corrected = Landmarks(names, np.array([3, 5, 9]), np.array([1, 7, 4]), "t.obj", "s.obj")
-    assert judged.still(before, corrected).suspects == ()
+    assert judged.for_changed(before, corrected).suspects == ()
 
 
 def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair, followed):

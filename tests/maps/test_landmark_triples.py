@@ -20,7 +20,7 @@ from cagemap.maps.landmarks.outliers import (
 )
 
 CONFIG = LandmarkConfig()
-SHORT, MIRRORED = CONFIG.short, CONFIG.mirrored
+SHORT, MIRRORED = CONFIG.added_distance, CONFIG.mirrored_agreement
 
 
 def distances_of(points: np.ndarray, others: np.ndarray) -> Distances:
@@ -85,14 +85,16 @@ def test_orientation_is_that_of_all_triples() -> None:
     ratios -= np.median(ratios)
     alike = np.zeros((7, 7, 7))
     for i, j, k in np.ndindex(7, 7, 7):
-        alike[i, j, k] = np.exp(-(ratios[i, j] ** 2 + ratios[i, k] ** 2 + ratios[j, k] ** 2) / CONFIG.posed**2)
-    least = CONFIG.flat * 7 * 6 * 5
+        alike[i, j, k] = np.exp(
+            -(ratios[i, j] ** 2 + ratios[i, k] ** 2 + ratios[j, k] ** 2) / CONFIG.max_triple_change**2
+        )
+    least = CONFIG.min_orientation * 7 * 6 * 5
     agreed = [(one * product).sum() / max(np.abs(one * product).sum(), least) for one in (np.ones((7, 7, 7)), alike)]
     np.testing.assert_allclose(orientation_agreement(*sides), max(agreed), rtol=1e-10)
     near = rng.random((7, 7))
     weighted = product * near[:, :, None] * near[:, None, :]
     around = np.concatenate([part for i in (2, 5) for part in (weighted[i], weighted[:, i])])
-    found = agreement_around((2, 5), *sides, near, CONFIG.flat)
+    found = agreement_around((2, 5), *sides, near, CONFIG.min_orientation)
     np.testing.assert_allclose(found, around.sum() / np.abs(around).sum(), rtol=1e-10)
 
 

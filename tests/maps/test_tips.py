@@ -120,16 +120,16 @@ def test_a_fit_is_led_to_tips_that_it_missed(
     there = Placement(rest, 1e-4)
     assert refit_to_tips(problem, found, there) is there  # nothing is missed
     tail = np.linalg.norm(rest - ends[ends_of(surface, ends) == TAIL], axis=1) < 0.12
-    assert 3 * CONFIG.tips_met < 0.15 < CONFIG.tips_near
+    assert 3 * CONFIG.min_tip_miss < 0.15 < CONFIG.max_tip_distance
     bent = rest + tail[:, None] * np.array([0.15, 0.0, 0.0])
     pairs = pair_tips(bent[found[0]], ends, CONFIG)
     assert np.array_equal(ends_of(surface, rest[found[0][pairs[:, 0]]]), ends_of(surface, ends[pairs[:, 1]]))
     led = refit_to_tips(problem, found, Placement(bent, 1e-2))
-    assert np.linalg.norm(led.positions - rest, axis=1)[found[0]].max() < CONFIG.tips_met
+    assert np.linalg.norm(led.positions - rest, axis=1)[found[0]].max() < CONFIG.min_tip_miss
     ((tips, places),) = held  # the same shape, so that every tip is held at its own place
     assert len(tips) == len(ENDS)
-    assert np.linalg.norm(tips - places, axis=1).max() < CONFIG.tips_met
-    cheap = Placement(bent, 0.5 * led.cost / SearchConfig.as_cheap)
+    assert np.linalg.norm(tips - places, axis=1).max() < CONFIG.min_tip_miss
+    cheap = Placement(bent, 0.5 * led.cost / SearchConfig.max_refit_cost)
     assert refit_to_tips(problem, found, cheap) is cheap
 
 
@@ -137,11 +137,11 @@ def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface,
     pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
     problem = Problem(prepared, pair.landmarks)
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
-    moved = finish_placement(problem, Placement(bent, 1.0)).answer
+    moved = finish_placement(problem, Placement(bent, 1.0)).map_positions
     assert 0.0 < np.abs(moved - bent).max() < 0.1
-    assert finish_placement(problem, Placement(bent, 1.1e-4)).answer is bent  # it costs more
+    assert finish_placement(problem, Placement(bent, 1.1e-4)).map_positions is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
-    assert finish_placement(Problem(masked, pair.landmarks), Placement(bent, 1.0)).answer is bent
+    assert finish_placement(Problem(masked, pair.landmarks), Placement(bent, 1.0)).map_positions is bent
 
 
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
@@ -150,8 +150,8 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     height = cage.positions[:, 1:2]
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
-    problem = Problem.of_landmarks(prepared, Landmarks.none()).staged(CONFIG.led)
-    sheet, shape = prepared.source_surface, problem.shape
+    problem = Problem.of_landmarks(prepared, Landmarks.none()).with_coarse_stage(CONFIG.tip_stage)
+    sheet, shape = prepared.source_surface, problem.coarse_shape
     start = shape.rest.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
@@ -162,7 +162,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
         return float((ended.positions[feet, 1] - ground).mean())
 
     assert above_ground(None) > 0.2
-    assert above_ground(SourceSamples.choose(sheet, CONFIG.led_samples)) < 0.05
+    assert above_ground(SourceSamples.choose(sheet, CONFIG.tip_samples)) < 0.05
 
 
 def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> None:
@@ -172,7 +172,7 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     ball = TriangleSurface.from_faces(round_, finest.faces)
     graph = cluster_graph(mesh_graph(ball, finest.faces), 100, np.zeros(0, dtype=np.int64))[0]
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
-    around = SourceSamples.choose(ball, CONFIG.led_samples)
+    around = SourceSamples.choose(ball, CONFIG.tip_samples)
     pull = source_to_clusters(around, graph.positions, outward, closest=graph.positions, normal_weight=0.03)
     forces = pull.right - np.einsum("kab,kb->ka", pull.blocks, graph.positions)
     radial = np.einsum("ka,ka->k", forces, outward)

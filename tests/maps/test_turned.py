@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.placement import Placement
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, LOOK
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
-from cagemap.maps.landmarks.other_answers import turned_limbs
+from cagemap.maps.landmarks.other_answers import turned_limb_answers
 from cagemap.pipeline import prepare_pair, prepare_surface
 
 
@@ -29,7 +29,7 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
     bound = SIGNS["limb_turned"].bound
     assert turned_share(prepared.mesh, places, turned) > bound
     best, cheap, dear = Placement(places, 1e-4), Placement(turned, 1.1e-4), Placement(turned, 1.3e-4)
-    doubt = turned_limbs((best, cheap), prepared)
+    doubt = turned_limb_answers((best, cheap), prepared)
     assert (doubt.verdict, doubt.answers[0].name) == (LOOK, AS_GIVEN)
     control = slice(prepared.target.control.n_vertices)
     assert doubt.deciding == np.linalg.norm(turned - places, axis=1)[control].argmax()
@@ -37,13 +37,13 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
     assert "`answer=1`" in doubt.message
     # A fingertip that is turned is no limb, and a limb that is turned a little is in the same place.
     for little in (rotated(0.01, 90.0), rotated(0.2, 10.0)):
-        assert turned_limbs((best, Placement(little, 1.01e-4)), prepared) is None
+        assert turned_limb_answers((best, Placement(little, 1.01e-4)), prepared) is None
     # One placement, a dear one, or one that only slides along the surface leave nothing open.
     slid = Placement(places + np.array([0.06, 0, 0]), 1.01e-4)
-    assert turned_limbs((best,), prepared) is None
-    assert turned_limbs((best, dear, slid), prepared) is None
+    assert turned_limb_answers((best,), prepared) is None
+    assert turned_limb_answers((best, dear, slid), prepared) is None
     # What the first placement was moved on to says nothing about another one that was not.
-    moved = Placement(places, 1e-4, final=turned)
-    assert turned_limbs((moved, slid), prepared) is None
-    known = turned_limbs((moved, cheap), prepared)
+    moved = Placement(places, 1e-4, finished_positions=turned)
+    assert turned_limb_answers((moved, slid), prepared) is None
+    known = turned_limb_answers((moved, cheap), prepared)
     np.testing.assert_array_equal(known.answers[0].positions, turned)

@@ -124,41 +124,39 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Several starts, where joints are in doubt, and alignments with few landmarks; lengths are of sqrt(area).
+    """Search over several starts (`maps.hypotheses.search`); lengths are of sqrt(area), costs relative.
 
     Measured in docs/lab/elastic.md and docs/lab/poses.md.
     """
 
-    # Starts from landmarks
-    #: more starts are tried if the placements from landmarks and from the functional map are farther apart, on average
-    doubtful: float = 0.004
-    limb_rotation: float = 0.48  #: more starts are tried if a limb is rotated by more, in radians
+    # Two starts from landmarks, and more if their fits disagree
+    #: the fits disagree if their coarse placements are farther apart, on average
+    max_start_distance: float = 0.004
+    max_limb_rotation: float = 0.48  #: or if a limb is rotated by more, in radians
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
-    min_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
+    min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined
     max_cost: float = 1.5  #: a coarse placement that costs more times the cheapest one is not refined
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
-    as_cheap: float = (
-        1.15  #: a refit with held tips, or in the source's pose, may cost this many times what it replaces
-    )
+    #: a refit with constrained tips, or in the source's pose, may cost this many times what it replaces
+    max_refit_cost: float = 1.15
     part_rings: int = 3  #: rings of edges around a part over which its cost fades
-    # Alignments without landmarks
-    rough_vertices: int = 400  #: vertices of the graph on which all starts are tried
-    rough: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: its stage: first nearly rigid, then soft
-    alike: float = 0.03  #: starts at a smaller mean distance are one
-    different: float = 0.08  #: fits at a larger mean distance are two answers
+    # Starts from limbs and rotations, on a small graph
+    small_graph_vertices: int = 400  #: vertices of the graph on which all starts are tried
+    small_graph_stage: Stage = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)  #: its stage: first nearly rigid, then soft
+    min_start_distance: float = 0.03  #: starts at a smaller mean distance are one
+    min_answer_distance: float = 0.08  #: placements at a larger mean distance are two answers
     max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
     max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment
-    hopeless: float = 2.5  #: a candidate that costs more times the best one is not finished
-    unlikely: float = (
-        1.5  #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
-    )
+    max_finish_cost: float = 2.5  #: a candidate that costs more times the best one is not finished
+    #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
+    max_limb_cost: float = 1.5
     mirrored_starts: int = 4  #: starts on the mirror image that are fitted; the nearest ones
     #: factor on the cost of a start rotated about the vertical; files mostly agree on the front
-    turned_doubt: float = 1.1
-    other_doubt: float = 1.3  #: factor on the cost of other rotated starts; files nearly always agree on up
+    turned_penalty: float = 1.1
+    tilted_penalty: float = 1.3  #: the same of other rotations; files nearly always agree on up
     max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
     # Limbs and their tips
     #: least height of a limb's tip over its pass; fingers and ears reach 0.07, feet start at 0.12
@@ -170,20 +168,20 @@ class SearchConfig:
     girth_weight: float = 0.5  #: weight of log ratios of girths, against those of lengths
     girth_part: float = 0.7  #: share of a limb's length, from its tip, over which its girth is measured
     tip_height: float = 0.01  #: least height of a tip over its pass; ears have 0.01 to 0.05, feet 0.1 to 0.3
-    tips_near: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
-    tips_met: float = 0.02  #: a fit that leaves all of them nearer is not led to tips
-    tip_taken: float = 0.05  #: a tip nearer to a landmark is not used
-    #: coarse stage that holds tips; as stiff as for bodies in one pose
-    led: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    led_samples: int = 4000  #: source samples of that stage
-    of_one_kind: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
+    max_tip_distance: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
+    min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
+    min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
+    #: coarse stage with constrained tips; as stiff as for bodies in one pose
+    tip_stage: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
+    tip_samples: int = 4000  #: source samples of that stage
+    same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
 
 
 @dataclass(frozen=True)
 class RefitConfig:
     """Refit in the source's pose, and the average with the inverse (docs/lab/elastic.md); lengths are of sqrt(area)."""
 
-    difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
+    min_pose_difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
     stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: stage of the rotations: stiffness of the limbs against the placement
     joint_rounds: int = 2  #: rounds in which joints are found
     joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
@@ -220,7 +218,7 @@ class LandmarkConfig:
     # Distances between landmarks
     fewest_judged: int = 6  #: fewer pairs are not judged; they cannot outvote one
     distance_vertices: int = 1500  #: vertices of the graphs on which distances are measured; their spacing is 0.026
-    short: float = 0.1  #: added to both distances of a ratio, since strain and sampling change short ones
+    added_distance: float = 0.1  #: added to both distances of a ratio, since strain and sampling change short ones
     max_misfit: float = 0.7  #: larger |log ratios| count as this; a factor of two
     min_gain: float = 0.12  #: a given place is wrong if the best place has a misfit smaller by this
     gain_of_typical: float = 2.2  #: the same difference in units of the typical misfit
@@ -232,33 +230,35 @@ class LandmarkConfig:
     tip_slack: float = 0.03  #: slack in this comparison
     #: a given place and the best one are on one limb if paths through the best one are longer by at most this
     detour: float = 0.2
-    #: with a larger share of accused pairs it is unknown which are right, and none is left out
+    #: with a larger share of suspected pairs it is unknown which are right, and none is left out
     max_suspects: float = 1 / 3
     one_of: int = 100  #: of so many pairs one is left out before the others are judged again
     #: with a larger typical misfit nothing is judged; shuffled pairs have 0.36 to 0.53, animals up to 0.26
-    unrelated: float = 0.32
-    # What a fit says of accused pairs
+    max_typical_misfit: float = 0.32
+    # What a fit says of suspected pairs
     slip_by_distances: float = 1.14  #: pairs are wrong if they raise the cost by this factor; correct ones reach 1.09
-    slip_by_sides: float = 1.05  #: the same for pairs accused by orientation; exchanged ears have 1.04 to 1.19
-    confirmed: float = 0.03  #: a left-out pair that the map misses by less is taken back
+    slip_by_sides: float = 1.05  #: the same for pairs suspected by orientation; exchanged ears have 1.04 to 1.19
+    max_confirmed_miss: float = 0.03  #: a left-out pair that the map misses by less is taken back
     # Orientation of landmark triples
     #: rise of the agreement around two exchanged pairs when they are exchanged back; 0.3 or more
-    side_rise: float = 0.2
-    side_agreed: float = 0.8  #: least agreement after that
-    side_disagreed: float = 0.1  #: largest agreement before; it accuses 14 of 1200 correct sets, without it 95
-    side_min_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
+    min_side_rise: float = 0.2
+    min_side_agreement: float = 0.8  #: least agreement after that
+    max_side_agreement: float = 0.1  #: largest agreement before; it suspects 14 of 1200 correct sets, without it 95
+    min_side_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
     #: nearer landmarks are not used; their orientation depends on how exactly they were placed
-    side_apart: float = 0.05
-    posed: float = 0.5  #: a triple with a larger log ratio of distances says little about the orientation of all
+    min_side_distance: float = 0.05
+    max_triple_change: float = (
+        0.5  #: a triple with a larger log ratio of distances says little about the orientation of all
+    )
     #: landmarks with a smaller mean product of orientations are too flat to judge; others have 0.03 to 0.2
-    flat: float = 0.02
+    min_orientation: float = 0.02
     #: landmarks with a smaller agreement are mirrored as a whole; correct ones have 0.45 or more
-    mirrored: float = -0.2
-    mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
+    mirrored_agreement: float = -0.2
+    min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
     #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
     exchange_distance: float = 0.08
     #: a placement that costs up to this many times the best one is as good; rotated limbs have 1.06 or more
-    as_good: float = 1.15
+    max_answer_cost: float = 1.15
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
@@ -266,9 +266,9 @@ class LandmarkConfig:
     #: weight that holds every vertex tangentially, so that the solution is unique without landmarks
     strain_ridge: float = 1e-7
     fewest_strained: int = 10  #: fewer pairs are not judged by strain
-    strained: float = 0.05  #: a pair that moves farther when it is released strains the map
-    strained_of_next: float = 1.5  #: and this many times as far as any other; unlike shapes strain many pairs
-    dissimilar: float = 0.12  #: with a larger typical misfit the strain of one pair says nothing
+    min_strain: float = 0.05  #: a pair that moves farther when it is released strains the map
+    min_strain_of_next: float = 1.5  #: and this many times as far as any other; unlike shapes strain many pairs
+    max_strain_misfit: float = 0.12  #: with a larger typical misfit the strain of one pair says nothing
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Constraints of a placement: landmarks held at positions, and curves held on curves."""
+"""Constraints of a placement: points at given positions, and curves on curves."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def points_on_level(
     return on_level
 
 
-def hold_points(
+def constrain_points(
     points: CagePoints,
     places: FloatArray,
     blocks: FloatArray,
@@ -38,15 +38,15 @@ def hold_points(
     positions: FloatArray,
     weight: float,
 ) -> None:
-    """Put the term ``weight |sum_k b_k x_k - y|^2`` of points at places y into a data term (n, 3, 3), (n, 3).
+    """Add the term ``weight |sum_k b_k x_k - y|^2`` of points to be at places y to a data term (n, 3, 3), (n, 3).
 
-    At a vertex it replaces the terms that are there. Between vertices every corner gets the residual with weight b_k,
+    At a vertex it replaces other terms. Between vertices every corner gets the residual with weight b_k,
     as in `source_to_target`.
     """
     at_vertex = points.weights[:, 0] == 1.0
-    held = points.corners[at_vertex, 0]
-    blocks[held] = weight * np.eye(3)
-    right[held] = weight * places[at_vertex]
+    vertices = points.corners[at_vertex, 0]
+    blocks[vertices] = weight * np.eye(3)
+    right[vertices] = weight * places[at_vertex]
     between = points.at(np.flatnonzero(~at_vertex))
     moved = places[~at_vertex] - between.of(positions)
     terms = np.tile(weight * np.eye(3), (len(moved), 1, 1))
@@ -72,7 +72,7 @@ def add_to_corners(
 
 @dataclass(frozen=True, eq=False)
 class CurveConstraint:
-    """A curve of a graph, held on its source curve, along which it may slide."""
+    """A curve of a graph, constrained to its source curve, along which it may slide."""
 
     anchors: CagePoints  # (m,) points of the graph's mesh along the curve
     rest: Polyline  # their positions in the rest shape
@@ -115,13 +115,13 @@ def add_curves(
         add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
 
 
-def with_clusters(
-    curves: Sequence[CurveConstraint], held: IndexArray, vertices: int, config: DataConfig
+def constrained_clusters(
+    curves: Sequence[CurveConstraint], constrained: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
-    """Vertices (p + c,) that a coarse graph keeps, held ones (p,) first, and the curves on it."""
+    """Vertices (p + c,) that need clusters of their own, constrained ones (p,) first; and curves on these."""
     each = max(vertices // config.curve_share // max(len(curves), 1), config.min_curve_points)
     thinned = [curve.thinned(each) for curve in curves]
-    listed = np.concatenate([held, *(curve.anchors.corners[:, 0] for curve in thinned)])
+    listed = np.concatenate([constrained, *(curve.anchors.corners[:, 0] for curve in thinned)])
     values, first = np.unique(listed, return_index=True)
     place = np.argsort(np.argsort(first))  # position of every value among the vertices
     numbered = (
@@ -135,11 +135,11 @@ def with_clusters(
 class PlacementConstraints:
     """Points and curves of a graph with their counterparts on the source."""
 
-    anchors: CagePoints  # (p,) points of the graph's mesh that are held
-    places: FloatArray  # (p, 3) positions at which the points are held
+    anchors: CagePoints  # (p,) points of the graph's mesh
+    places: FloatArray  # (p, 3) positions of these points on the source
     curves: tuple[CurveConstraint, ...] = ()
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
         """Add the constraints' terms to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
         add_curves(self.curves, blocks, right, positions, config.curve_weight)
-        hold_points(self.anchors, self.places, blocks, right, positions, config.landmark_weight)
+        constrain_points(self.anchors, self.places, blocks, right, positions, config.landmark_weight)

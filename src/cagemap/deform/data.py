@@ -113,14 +113,14 @@ def source_to_target(
     """
     points, planes = samples.points, samples.planes
     tree = build_tree(positions, target.triangles)
-    held_by, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
-    corners = target.triangles[held_by]
+    triangles, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
+    corners = target.triangles[triangles]
     own_closest = curved_points(positions[corners], normals[corners], barycentric)
     residual = np.einsum("nd,nd->n", planes, points - own_closest)
-    facing = tree.normals_of(held_by)
+    facing = tree.normals_of(triangles)
     shares = samples.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     trips = np.einsum("mk,mkd->md", barycentric, closest[corners]) - points
-    shares *= round_trip_weights(trips, residual, alpha, config) * ~target.at_boundary(held_by, barycentric)
+    shares *= round_trip_weights(trips, residual, alpha, config) * ~target.at_boundary(triangles, barycentric)
     if masks.target is not None:
         shares *= np.einsum("mk,mk->m", barycentric, masks.target[corners])
     # Column j gives the term of source vertex j to the three corners around its closest point.
@@ -131,7 +131,7 @@ def source_to_target(
     gathered = gather @ np.hstack([samples.outer, residual[:, None] * planes, np.ones((len(points), 1))])
     blocks = gathered[:, :9].reshape(-1, 3, 3)
     right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
-    return DataTerm(blocks, right, gathered[:, 12], held_by, own_closest)
+    return DataTerm(blocks, right, gathered[:, 12], triangles, own_closest)
 
 
 def source_to_clusters(

@@ -1,7 +1,7 @@
 """Fit the target to the source: a coarse stage for whole limbs, then a fine stage for a level's mesh.
 
 The target's mesh is deformed as affinely as possible (`cagemap.deform.graph`) until it is on the source. Data terms are
-point-to-plane, so that only the energy resists tangential motion. Landmarks are held.
+point-to-plane, so that only the energy resists tangential motion. Landmarks and curves are constraints.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import PlacementConstraints, hold_points
+from cagemap.deform.constraints import PlacementConstraints, constrain_points
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
 from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
 from cagemap.deform.minimise import Differentials, Terms, minimise
@@ -36,10 +36,10 @@ def cluster_terms(
     weight = config.normal_weight
 
     def terms(
-        positions: FloatArray, found: Future[Differentials], alpha: float, before: VertexTerms | None
+        positions: FloatArray, differentials: Future[Differentials], alpha: float, before: VertexTerms | None
     ) -> VertexTerms:
         guess = None if before is None else before.guesses[0]
-        normals = deformed_normals(rest.graph.normals, found.result()[0])
+        normals = deformed_normals(rest.graph.normals, differentials.result()[0])
         nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
         term = target_to_source(rest.graph.areas, nearest, normals, rest.masks, beyond=True)
         blocks, right = term.blocks, term.right
@@ -77,7 +77,7 @@ def mesh_terms(
     of_parts = mesh.is_open or source.is_open
 
     def terms(
-        positions: FloatArray, found: Future[Differentials], alpha: float, before: VertexTerms | None
+        positions: FloatArray, differentials: Future[Differentials], alpha: float, before: VertexTerms | None
     ) -> VertexTerms:
         guesses = (None, None) if before is None else before.guesses
         normals = vertex_normals(positions, mesh.triangles)
@@ -122,7 +122,7 @@ def coarse_fit(
     ParameterError
         If the start has not one position for every vertex of the coarse graph.
     """
-    shape = problem.shape if shape is None else shape
+    shape = problem.coarse_shape if shape is None else shape
     rest, source, config = shape.rest, problem.prepared.source_surface, problem.prepared.elastic
     graph, energy = rest.graph, rest.energy
     expected = graph.positions.shape
@@ -140,17 +140,18 @@ def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
     """(n, 3) positions of the target's mesh by the fine stage, from a coarse placement or from positions (n, 3)."""
     prepared, rest, elastic = problem.prepared, problem.prepared.rest, problem.prepared.elastic
     terms = mesh_terms(rest, prepared.source_surface, problem.constraints, elastic, prepared.source_samples)
-    first = start.on(rest.graph, elastic.graph) if isinstance(start, Placement) else start
+    first = start.extrapolate_to(rest.graph, elastic.graph) if isinstance(start, Placement) else start
     return minimise(rest.graph, rest.energy.differentials, terms, first, elastic.fine)
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
-    """(k, 3) clusters placed by held ones alone: a similarity, then the energy, which resolves twisted limbs."""
-    graph, places, held = shape.rest.graph, shape.constraints.places, shape.constraints.anchors.corners[:, 0]
-    rotation, scale, shift = fit_similarity(graph.positions[held], places)
+    """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which untwists limbs."""
+    graph, constraints = shape.rest.graph, shape.constraints
+    places, constrained = constraints.places, constraints.anchors.corners[:, 0]
+    rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
-    hold_points(shape.constraints.anchors, places, blocks, right, start, config.landmark_weight)
+    constrain_points(constraints.anchors, places, blocks, right, start, config.landmark_weight)
     return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
 
 

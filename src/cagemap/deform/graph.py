@@ -182,15 +182,18 @@ def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = G
 
 
 def cluster_graph(
-    fine: ElasticGraph, count: int, held: IndexArray, config: GraphConfig = GraphConfig()
+    fine: ElasticGraph, count: int, required: IndexArray, config: GraphConfig = GraphConfig()
 ) -> tuple[ElasticGraph, IndexArray]:
     """Coarser graph on the most central vertices of grid cells in position and normal.
 
-    Returns the fine numbers of its vertices as well. An edge between two cells gets the sum of the fine edges' weights,
-    scaled by squared lengths so that a linear function keeps its energy.
+    Required vertices (q,) have cells of their own and come first. Returns the fine numbers of all its vertices too. An
+    edge between two cells gets the sum of the fine edges' weights, scaled by squared lengths so that a linear function
+    keeps its energy.
     """
     cell = _cells(fine, min(count, fine.n), config)
-    cell[held] = -1 - np.arange(len(held))[::-1]  # smallest numbers, so that np.unique puts them first, in order
+    cell[required] = (
+        -1 - np.arange(len(required))[::-1]
+    )  # smallest numbers, so that np.unique puts them first, in order
     _, cell = np.unique(cell, return_inverse=True)
     k = int(cell.max()) + 1
     areas = np.bincount(cell, fine.areas, minlength=k)

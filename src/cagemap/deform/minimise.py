@@ -71,12 +71,12 @@ def minimise(
             softer, alpha = alpha, float(ramped)
             if quadratic is not None and quadratic.distance <= stage.on_surface:
                 alpha = float(max(ramped, min(stage.stiffening * softer, stage.max_stiffness)))
-            found = pool.submit(differentials, positions)
-            last, quadratic = quadratic, terms(positions, found, alpha, quadratic)
+            pending = pool.submit(differentials, positions)
+            last, quadratic = quadratic, terms(positions, pending, alpha, quadratic)
             if system is None or quadratic is not last or alpha != softer:
                 anew = (iteration - 1) % stage.factored == 0
                 system = quadratic.system(alpha, stage, None if anew else system)
-            maps, bounded = found.result()
+            maps, bounded = pending.result()
             right = quadratic.right + alpha * graph.divergence(maps)
             after = adjust(system.solve(right, positions))
             if iteration >= stage.iterations and len(bounded) <= stage.max_bounded * graph.n:

@@ -6,7 +6,7 @@ the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from cagemap.deform.config import SearchConfig
 from cagemap.deform.energy import deformed_normals
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement, distinct_placements, mean_distance
+from cagemap.deform.placement import Placement, distinct_placements, mean_distance, sort_by_cost
 from cagemap.deform.problem import CoarseShape, Problem
 from cagemap.deform.refit import largest_limb_rotation
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
@@ -30,13 +30,13 @@ FEWEST_LANDMARKS = 3
 
 
 def start_map(problem: Problem, shape: CoarseShape | None = None) -> FloatArray:
-    """(k, 3) places on the source of a coarse shape's vertices: nearest coordinates of held points, then ZoomOut."""
-    prepared, shape = problem.prepared, shape or problem.shape
-    vertices, held = shape.vertices, shape.held
+    """(k, 3) places on the source of a coarse shape's vertices, by ZoomOut from the constrained points' coordinates."""
+    prepared, shape = problem.prepared, shape or problem.coarse_shape
+    vertices, constrained = shape.vertices, shape.constrained_vertices
     levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
-    candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), held[1])
+    candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), constrained[1])
     of_curves = curve_vertices(problem)
 
     def sampled(side: int, chosen: IndexArray) -> tuple[FloatArray, FloatArray]:
@@ -44,7 +44,7 @@ def start_map(problem: Problem, shape: CoarseShape | None = None) -> FloatArray:
         surface, level = (prepared.target, prepared.source)[side], levels[side]
         operators = surface.operators
         coordinates = landmark_coordinates(
-            operators.stiffness[level], operators.mass[level], held[side], of_curves[side]
+            operators.stiffness[level], operators.mass[level], constrained[side], of_curves[side]
         )
         return basis_rows(surface, level, chosen), coordinates[chosen]
 
@@ -80,7 +80,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Calla
 
     They find limbs in other poses. One start for each number of functions that the fit is trusted to determine.
     """
-    prepared, shape = problem.prepared, shape or problem.shape
+    prepared, shape = problem.prepared, shape or problem.coarse_shape
     config, surface = prepared.start, prepared.source_surface
     level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
     vertices = evenly_spaced_vertices(surface.n, config.places)
@@ -106,56 +106,59 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
     return surface.basis.rows(fine, surface.hierarchy.vertices_on(fine, level)[vertices])
 
 
-def fit_held(
+def fit_from_two_starts(
     problem: Problem, shape: CoarseShape, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[Placement]]:
-    """Refined placements from the functional map and from the held points, and the soft coarse ones of both.
+    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
 
-    `refine_more_starts` takes the soft ones. There are none if both starts end in one placement and no limb is in
-    another pose: then the stiff stage is enough, and it spreads the strain more evenly. A start (k, 3) replaces the
-    functional map; it is the only start where too few points are held.
+    The starts are ZoomOut from landmark coordinates (`start_map`), or positions ``start`` (k, 3), and the constrained
+    points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse stage. The stiff
+    one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are far apart or a
+    limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
+    points, the start is the only one.
     """
-    elastic, stiff = problem.prepared.elastic, problem.stiff
-    # The smoothing of a stage also decides its start from the held points.
-    stages = (problem, shape), (stiff, shape.smoothed(elastic.stiff_coarse.smoothing))
+    elastic = problem.prepared.elastic
+    # The smoothing of a stage also decides its start from the constrained points.
+    stages = (problem, shape), (problem.stiff_problem, shape.with_smoothing(elastic.stiff_coarse.smoothing))
 
-    def both_stages(rough: FloatArray | None) -> list[Placement]:
+    def both_stages(positions: FloatArray | None) -> list[Placement]:
         """Placements of the soft and of the stiff coarse stage."""
-        return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), stages)
+        return in_threads(lambda stage: coarse_fit(stage[0], positions, stage[1]), stages)
 
-    if start is not None and len(shape.held[0]) < FEWEST_LANDMARKS:
+    if start is not None and len(shape.constrained_vertices[0]) < FEWEST_LANDMARKS:
         return refine_placements(problem, both_stages(start)), []
-    with ThreadPool(1) as pool:  # at the same time as the functional map
+    with ThreadPool(1) as pool:  # at the same time as ZoomOut
         from_points = pool.submit(both_stages, None)
         first = both_stages(start_map(problem, shape) if start is None else start)
-        soft, stiff_ones = zip(first, from_points.result(), strict=True)
+        soft, stiff = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
-    refined = refine_placements(problem, stiff_ones)
-    rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, elastic.search.limb_area)
+    fine = refine_placements(problem, stiff)
+    rotation = largest_limb_rotation(problem.prepared.rest, fine[0].positions, elastic.search.limb_area)
     distance = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
-    agree = distance <= elastic.search.doubtful and rotation <= elastic.search.limb_rotation
-    return refined, [] if agree else list(soft)
+    agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
+    return fine, [] if agree else list(soft)
 
 
-def refine_more_starts(
-    problem: Problem, shape: CoarseShape, refined: Sequence[Placement], soft: Sequence[Placement]
+def fit_from_spectral_starts(
+    problem: Problem, shape: CoarseShape, fine: Sequence[Placement], soft: Sequence[Placement]
 ) -> list[Placement]:
-    """Refined placements of `fit_held` and more: from spectral starts of the first soft one, and best parts of all."""
+    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first soft one."""
     starts = spectral_starts(problem, shape)(soft[0])
-    more = in_threads(lambda rough: coarse_fit(problem, rough, shape), starts)
-    return [one.named_like(refined[0]) for one in refine_cheapest(problem, [*soft, *more], refined=refined)]
+    more = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
+    return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, [*soft, *more], fine=fine)]
 
 
 def refine_cheapest(
-    problem: Problem, coarse: Sequence[Placement], most: int | None = None, refined: Sequence[Placement] = ()
+    problem: Problem, coarse: Sequence[Placement], most: int | None = None, fine: Sequence[Placement] = ()
 ) -> list[Placement]:
-    """Fine placements from the cheapest different coarse ones, those already refined, and their `best_parts`."""
+    """Fine placements, cheapest first: from the cheapest distinct coarse ones, given ones, and `best_parts` of all."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
-    ranked, areas = sort_by_cost(coarse), problem.shape.rest.graph.areas
-    areas = areas if ranked[0].graph is None else ranked[0].graph.areas
+    ranked = sort_by_cost(coarse)
+    graph = ranked[0].graph
+    assert graph is not None
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct_placements(cheap, areas, config.min_distance)[: most or config.max_refined]
-    fine = sort_by_cost([*refine_placements(problem, kept), *refined])
+    kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: most or config.max_refined]
+    fine = sort_by_cost([*refine_placements(problem, kept), *fine])
     mixed = best_parts(prepared.rest.graph, fine, config)
     if mixed is None:
         return fine
@@ -164,12 +167,9 @@ def refine_cheapest(
 
 def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
     """Fine placements from coarse ones, cheapest first."""
-    return sort_by_cost(in_threads(lambda one: evaluate_placement(problem.prepared, fine_fit(problem, one)), coarse))
-
-
-def sort_by_cost(placements: Iterable[Placement]) -> list[Placement]:
-    """Placements sorted by cost, ascending."""
-    return sorted(placements, key=lambda placed: placed.cost)
+    return sort_by_cost(
+        in_threads(lambda start: evaluate_placement(problem.prepared, fine_fit(problem, start)), coarse)
+    )
 
 
 def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,33 +21,43 @@ class Placement:
     #: (n,) squared distances both ways and elastic energy by vertex; empty if not computed
     costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     name: str = ""  #: the start in words, such as "turned 180 degrees about y"
-    doubt: float = 1.0  #: factor on the cost when placements are ranked: above 1 where the files' axes are turned
+    penalty: float = 1.0  #: factor on the cost in a ranking: above 1 if the files' axes are turned, which is rare
     #: (n, 3, 3) differentials; empty if not needed for extrapolation
     maps: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)), repr=False)
     graph: ElasticGraph | None = field(default=None, repr=False)  #: graph of the positions, for clusters
     #: (n, 3) positions after `refit.finish_placement`; placements are compared by ``positions``
-    final: FloatArray | None = field(default=None, repr=False)
+    finished_positions: FloatArray | None = field(default=None, repr=False)
     #: pairs of landmarks whose source points are exchanged in this placement
     exchange: tuple[tuple[int, int], ...] = ()
 
     @property
-    def answer(self) -> FloatArray:
-        """(n, 3) positions for the map: ``final``, else ``positions``."""
-        return self.positions if self.final is None else self.final
+    def map_positions(self) -> FloatArray:
+        """(n, 3) positions for the map: ``finished_positions``, else ``positions``."""
+        return self.positions if self.finished_positions is None else self.finished_positions
 
     @property
-    def rank(self) -> float:
-        """Cost times doubt, by which placements are ranked."""
-        return self.doubt * self.cost
+    def penalised_cost(self) -> float:
+        """Cost times penalty."""
+        return self.penalty * self.cost
 
-    def named_like(self, other: Placement) -> Placement:
-        """The placement with the name and the doubt of another one, from which it was refined."""
-        return replace(self, name=other.name, doubt=other.doubt)
+    def with_start_of(self, other: Placement) -> Placement:
+        """The placement with the name and the penalty of another one, from which it was fitted."""
+        return replace(self, name=other.name, penalty=other.penalty)
 
-    def on(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
+    def extrapolate_to(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
         """(n, 3) positions of another graph of the same shape, extrapolated from this placement."""
         assert self.graph is not None
         return extrapolate(self.graph, self.positions, self.maps, graph, config)
+
+
+def sort_by_cost(placements: Iterable[Placement]) -> list[Placement]:
+    """Placements sorted by cost, ascending."""
+    return sorted(placements, key=lambda placed: placed.cost)
+
+
+def rank_placements(placements: Iterable[Placement], floor: float = 0.0) -> list[Placement]:
+    """Placements sorted by cost times penalty, ascending; costs below a floor are ties."""
+    return sorted(placements, key=lambda placed: placed.penalty * max(placed.cost, floor))
 
 
 def distinct_placements(ranked: Sequence[Placement], areas: FloatArray, least: float) -> list[Placement]:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, points_on_level, with_clusters
+from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters, points_on_level
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
@@ -56,7 +56,7 @@ class RestShape:
         """Graph of the energy."""
         return self.energy.graph
 
-    def at(self, positions: FloatArray, smoothing: float) -> RestShape:
+    def moved_to(self, positions: FloatArray, smoothing: float) -> RestShape:
         """The rest shape moved to positions (n, 3), with its edge weights and areas unchanged."""
         assert self.mesh is not None
         normals = vertex_normals(positions, self.mesh.triangles)
@@ -71,12 +71,12 @@ class CoarseShape:
     rest: RestShape  # of the k clusters
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
-    # Held points are the first clusters, vertices of curves the next ones
+    # Constrained vertices are the first clusters, vertices of curves the next ones
     constraints: PlacementConstraints
     # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
-    held: tuple[IndexArray, IndexArray]
+    constrained_vertices: tuple[IndexArray, IndexArray]
 
-    def smoothed(self, smoothing: float) -> CoarseShape:
+    def with_smoothing(self, smoothing: float) -> CoarseShape:
         """The clusters with another smoothing of differentials."""
         energy = ElasticEnergy.build(self.rest.graph, smoothing, self.rest.energy.admissible)
         return replace(self, rest=replace(self.rest, energy=energy))
@@ -203,7 +203,7 @@ class PreparedPair:
         return Coincidence.find(self.target, self.source, self.masks, self.elastic.coincidence)
 
     @kept
-    def reversed(self) -> PreparedPair:
+    def reverse_pair(self) -> PreparedPair:
         """The pair with target and source exchanged, on the same levels; built on first access."""
         masks, levels = self.masks.reversed(), self.levels[::-1]
         return self._of_graph(self.graphs[1], self.source, self.target, self.start, self.elastic, levels, masks)
@@ -239,26 +239,25 @@ class Problem:
         return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
-    def shape(self) -> CoarseShape:
+    def coarse_shape(self) -> CoarseShape:
         """Clusters of the target's mesh, with a cluster for every landmark."""
         none = np.zeros(0, dtype=np.int64)
-        return self.holding(none, none)
+        return self.coarse_shape_with(none, none)
 
-    def holding(self, target: IndexArray, source: IndexArray) -> CoarseShape:
-        """Clusters with vertices (q,) of the target held at vertices (q,) of the source, besides the landmarks.
-
-        Both are numbers of the searched levels.
-        """
+    def coarse_shape_with(self, target_tips: IndexArray, source_tips: IndexArray) -> CoarseShape:
+        """Clusters with tips of limbs (q,) as constraints, besides the landmarks: vertices of the searched levels."""
         prepared, rest, landmarks = self.prepared, self.prepared.rest, self.landmarks
         config, (on_target, on_source) = prepared.elastic, self.landmark_vertices
-        held = np.concatenate([on_target, target]), np.concatenate([on_source, source])
-        places = prepared.source.triangles(prepared.levels[1]).positions[source]
-        every, curves = with_clusters(prepared.curves(landmarks), held[0], config.coarse_vertices, config.data)
+        constrained = np.concatenate([on_target, target_tips]), np.concatenate([on_source, source_tips])
+        places = prepared.source.triangles(prepared.levels[1]).positions[source_tips]
+        every, curves = constrained_clusters(
+            prepared.curves(landmarks), constrained[0], config.coarse_vertices, config.data
+        )
         coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
         clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
-        anchors = CagePoints.of_vertices(np.arange(len(held[0])))
+        anchors = CagePoints.of_vertices(np.arange(len(constrained[0])))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        return CoarseShape(clusters, chosen, constraints, held)
+        return CoarseShape(clusters, chosen, constraints, constrained)
 
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
@@ -280,26 +279,26 @@ class Problem:
         return PlacementConstraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept
-    def reversed(self) -> Problem:
+    def reverse_problem(self) -> Problem:
         """The reverse problem: the source is deformed onto the target."""
-        return Problem(self.prepared.reversed, self.landmarks.reversed())
+        return Problem(self.prepared.reverse_pair, self.landmarks.reversed())
 
     def without(self, left_out: Collection[int]) -> Problem:
         """The problem without some of the landmarks; itself if none is left out."""
         return replace(self, landmarks=self.landmarks.without(left_out)) if left_out else self
 
     @kept
-    def stiff(self) -> Problem:
+    def stiff_problem(self) -> Problem:
         """The problem with the stiff coarse stage."""
-        return self.staged(self.prepared.elastic.stiff_coarse)
+        return self.with_coarse_stage(self.prepared.elastic.stiff_coarse)
 
     @kept
-    def rough(self) -> Problem:
+    def small_graph_problem(self) -> Problem:
         """The problem on the small graph on which many starts are tried."""
         config = self.prepared.elastic.search
-        return self.staged(config.rough, config.rough_vertices)
+        return self.with_coarse_stage(config.small_graph_stage, config.small_graph_vertices)
 
-    def staged(self, coarse: Stage, vertices: int | None = None) -> Problem:
+    def with_coarse_stage(self, coarse: Stage, vertices: int | None = None) -> Problem:
         """The problem with another coarse stage, and about ``vertices`` clusters for it."""
         elastic = self.prepared.elastic
         elastic = replace(elastic, coarse=coarse, coarse_vertices=vertices or elastic.coarse_vertices)

@@ -34,20 +34,20 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     prepared, posed, config = problem.prepared, placed, problem.prepared.elastic
     if prepared.rest.masks.any:
         return placed
-    if pose_difference(prepared.rest, placed.positions) > config.refit.difference:
+    if pose_difference(prepared.rest, placed.positions) > config.refit.min_pose_difference:
         posed = evaluate_placement(prepared, fit_in_pose(problem, placed.positions))
     both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
-    cheap = both_ways.cost <= config.search.as_cheap * posed.cost
-    return replace(placed, final=(both_ways if cheap else posed).positions)
+    cheap = both_ways.cost <= config.search.max_refit_cost * posed.cost
+    return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
 
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
     """(n, 3) positions after refitting the target from the pose of a placement, ``times`` times."""
-    stiff, rest, config = problem.stiff, problem.prepared.rest, problem.prepared.elastic
+    stiff, rest, config = problem.stiff_problem, problem.prepared.rest, problem.prepared.elastic
     for _ in range(config.refit.rounds if times is None else times):
-        posed = rest.at(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
+        posed = rest.moved_to(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
         alike = replace(stiff, prepared=replace(stiff.prepared, rest=posed))
-        positions = fine_fit(alike, coarse_fit(alike, posed.graph.positions[alike.shape.vertices]))
+        positions = fine_fit(alike, coarse_fit(alike, posed.graph.positions[alike.coarse_shape.vertices]))
     return positions
 
 
@@ -109,11 +109,13 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
 
     Vertices far from the reverse fit have no inverse; they move with their neighbours.
     """
-    prepared, back = problem.prepared, problem.prepared.reversed
+    prepared, back = problem.prepared, problem.prepared.reverse_pair
     mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
-    posed = pose_difference(back.rest, start) > config.difference
-    returned = fit_in_pose(problem.reversed, start, times=1) if posed else fine_fit(problem.reversed, start)
+    posed = pose_difference(back.rest, start) > config.min_pose_difference
+    returned = (
+        fit_in_pose(problem.reverse_problem, start, times=1) if posed else fine_fit(problem.reverse_problem, start)
+    )
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
     trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
     return positions + smooth_shifts(graph, 0.5 * (places - positions), trust, config.smoothing)

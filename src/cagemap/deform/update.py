@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import add_curves, with_clusters
+from cagemap.deform.constraints import add_curves, constrained_clusters
 from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
 from cagemap.deform.graph import ElasticGraph, cluster_graph, extrapolate
 from cagemap.deform.problem import Problem
@@ -25,14 +25,14 @@ from cagemap.surface.triangles import vertex_normals
 def displacement_response(
     graph: ElasticGraph,
     normals: FloatArray,
-    held: IndexArray,
+    vertices: IndexArray,
     offsets: FloatArray,
     config: ElasticConfig = ElasticConfig(),
     terms: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Displacements (n, 3) of a graph's vertices and their differentials (n, 3, 3), for given offsets of some.
 
-    The held vertices (p,) move by offsets (p, 3), the others in the tangent planes of normals (n, 3). Other terms are
+    The given vertices (p,) move by offsets (p, 3), the others in the tangent planes of normals (n, 3). Other terms are
     blocks B (n, 3, 3) and B y (n, 3) of ``(d - y)^T B (d - y)`` for displacements d.
     """
     stage, landmark_weight = config.response, config.landmark_weight
@@ -41,8 +41,8 @@ def displacement_response(
     right = np.zeros((graph.n, 3))
     if terms is not None:
         blocks, right = blocks + terms[0], right + terms[1]
-    blocks[held] = landmark_weight * np.eye(3)
-    right[held] = landmark_weight * offsets
+    blocks[vertices] = landmark_weight * np.eye(3)
+    right[vertices] = landmark_weight * offsets
     constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))
     displacements = minimise_constant(energy, blocks, right, np.zeros((graph.n, 3)), constant)
     return displacements, energy.maps(displacements)
@@ -50,10 +50,10 @@ def displacement_response(
 
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
-    prepared, landmarks, held = problem.prepared, problem.landmarks, problem.landmark_vertices[0]
+    prepared, landmarks, constrained = problem.prepared, problem.landmarks, problem.landmark_vertices[0]
     graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)
-    every, curves = with_clusters(prepared.curves(landmarks), held, size, config.data)
+    every, curves = constrained_clusters(prepared.curves(landmarks), constrained, size, config.data)
     coarse, vertices = cluster_graph(graph, size, every, config.graph)
     positions = before.images.at(prepared.vertices).positions
     normals = vertex_normals(positions, mesh.triangles)[vertices]
@@ -61,5 +61,5 @@ def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
     add_curves(curves, blocks, right, positions[vertices], config.curve_weight)
     terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
-    response = displacement_response(coarse, normals, np.arange(len(held)), offsets, config, terms)
+    response = displacement_response(coarse, normals, np.arange(len(constrained)), offsets, config, terms)
     return positions + extrapolate(coarse, *response, graph, config.graph)

@@ -38,7 +38,7 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
         return None
     point_map = PointMap(target, coincidence.images(source))
     missed = _largest_miss(point_map, landmarks)
-    if missed > prepared.elastic.landmarks.confirmed or not _joint(point_map, masks):
+    if missed > prepared.elastic.landmarks.max_confirmed_miss or not _joint(point_map, masks):
         return None
     if missed > SAME:
         moved = linear_update(problem, point_map)

@@ -35,7 +35,7 @@ def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tu
     if len(images) < n:
         return ()
     difference = np.linalg.norm(images[:n] - match.source.scale * preview_images, axis=1).mean()
-    if difference < SearchConfig.different:  # as for two answers of one search
+    if difference < SearchConfig.min_answer_distance:  # as for two answers of one search
         return ()
     return (
         f"the baked map differs from the map on the page by {100 * difference:.0f} % of the source's size on average. "

@@ -49,7 +49,7 @@ class Confidence:
     def of(
         cls, answers: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
     ) -> Confidence:
-        """Judge distinct answers, best first, by the costs and further signs of the best."""
+        """Confidence in the first of distinct answers, best first, by their costs and further signs of the first."""
         signs = cost_signs(answers) | dict(signs or {})
         deciding = None
         if len(answers) > 1:
@@ -110,8 +110,8 @@ class Confidence:
         }
 
 
-def judge_answers(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
-    """Confidence in the map of the first of several answers."""
+def answer_confidence(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
+    """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map."""
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
     shared, counts = SharedArea.of_fit(prepared, answers[0].positions), None
     if shared is not None:  # area without a counterpart tells nothing about the map
@@ -135,7 +135,7 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     best, *different = answers
     cost = 1e4 * best.cost
     runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
-    return {"cost": cost, "turned": cost if best.doubt > 1.0 else 0.0, "runner_up": runner_up}
+    return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
 
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:

@@ -1,12 +1,13 @@
-"""Limbs: find their tips, assign limbs of two surfaces, and refit with tips held.
+"""Limbs: find their tips, assign limbs of two surfaces, and refit with tips as constraints.
 
-Between species a fit can leave an ear or a hoof beside its counterpart, or a short leg inside a long one. So nearby
-tips are held in a refit, whose coarse stage has source-to-target data terms too. Limbs assigned by intrinsic measures
-give starts that do not depend on the pose.
+Between species a fit can leave an ear or a hoof beside its counterpart, or a short leg inside a long one. So tips near
+each other are constraints of a refit, whose coarse stage has source-to-target data terms too. Limbs assigned by
+intrinsic measures give starts that do not depend on the pose.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
@@ -16,14 +17,16 @@ from cagemap.deform.config import SearchConfig
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement
+from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.rigid_starts import units_of_larger
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import thread_limit
+from cagemap.numerics.threads import in_threads, thread_limit
 
 # Least length of a limb, of sqrt(area).
 LEAST_LENGTH = 0.01
+# Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
+Tips = tuple[IndexArray, IndexArray]
 # Measures of e limbs and p landmarks, in sqrt(area): geodesic distances (p + e, p + e) between the roots of limbs,
 # landmarks first (they count as limbs); and girths (e,), area divided by length.
 LimbMeasures = tuple[FloatArray, FloatArray]
@@ -48,15 +51,15 @@ def find_tips(
     ):
         vertices = tip_vertices(graph, least / unit)
         away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
-        kept = (counts[vertices] > 0) & (away > config.tip_taken) & ~mesh.boundary_vertices[vertices]
+        kept = (counts[vertices] > 0) & (away > config.min_landmark_distance) & ~mesh.boundary_vertices[vertices]
         tips.append(vertices[kept])
     return tips[0], tips[1]
 
 
 def pair_tips(images: FloatArray, places: FloatArray, config: SearchConfig) -> IndexArray:
     """(q, 2) tips that are mutually nearest, the target's by their images (e, 3), the source's by places (e2, 3)."""
-    pairs, distances = mutually_nearest(images, places, config.tips_near)
-    return pairs if np.any(distances > config.tips_met) else pairs[:0]
+    pairs, distances = mutually_nearest(images, places, config.max_tip_distance)
+    return pairs if np.any(distances > config.min_tip_miss) else pairs[:0]
 
 
 def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> tuple[IndexArray, FloatArray]:
@@ -69,22 +72,34 @@ def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> t
     return np.column_stack([rows, nearest[rows]]).astype(np.int64), distance[rows]
 
 
-def refit_to_tips(problem: Problem, tips: tuple[IndexArray, IndexArray], placed: Placement) -> Placement:
-    """Refit a placement with tips held in the coarse stage; unchanged if that costs much more.
+def refit_distinct_to_tips(problem: Problem, ranked: Sequence[Placement]) -> list[Placement]:
+    """Placements, those that are cheap and different from all better ones refitted by `refit_to_tips`."""
+    tips, config = find_tips(problem), problem.prepared.elastic.search
+    distinct = distinct_placements(ranked, problem.prepared.rest.graph.areas, config.min_answer_distance)
+    max_cost = config.max_cost * min(placed.cost for placed in ranked)
 
-    The fine stage holds landmarks only, so that tips that do not correspond can separate.
+    def refit(placed: Placement) -> Placement:
+        return refit_to_tips(problem, tips, placed) if placed in distinct and placed.cost <= max_cost else placed
+
+    return in_threads(refit, ranked)
+
+
+def refit_to_tips(problem: Problem, tips: tuple[IndexArray, IndexArray], placed: Placement) -> Placement:
+    """Refit a placement with mutually nearest tips as constraints of the coarse stage; unchanged if much costlier.
+
+    Only landmarks are constraints of the fine stage, so that tips that do not correspond can separate.
     """
     prepared, config = problem.prepared, problem.prepared.elastic.search
     pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
     if not len(pairs):
         return placed
-    stiff = problem.staged(config.led)
-    shape = stiff.holding(tips[0][pairs[:, 0]], tips[1][pairs[:, 1]])
-    samples = SourceSamples.choose(prepared.source_surface, config.led_samples, prepared.rest.masks)
+    staged = problem.with_coarse_stage(config.tip_stage)
+    shape = staged.coarse_shape_with(tips[0][pairs[:, 0]], tips[1][pairs[:, 1]])
+    samples = SourceSamples.choose(prepared.source_surface, config.tip_samples, prepared.rest.masks)
     with thread_limit(1):
-        coarse = coarse_fit(stiff, placed.positions[shape.vertices], shape, samples)
-    refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).named_like(placed)
-    return refitted if refitted.cost <= config.as_cheap * placed.cost else placed
+        coarse = coarse_fit(staged, placed.positions[shape.vertices], shape, samples)
+    refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).with_start_of(placed)
+    return refitted if refitted.cost <= config.max_refit_cost * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
@@ -181,7 +196,7 @@ def rank_assignments(
     return [(np.arange(count), to[row]) for row in ranked[: config.max_assignments]]
 
 
-def assigned_limbs(problem: Problem) -> list[tuple[IndexArray, IndexArray]]:
+def assigned_limbs(problem: Problem) -> list[Tips]:
     """Corresponding tips (k,) of limbs of target and source, most likely first; none if a surface has too few."""
     units, config = units_of_larger(problem.prepared), problem.prepared.elastic.search
     landmarks, tips = problem.landmark_vertices, find_tips(problem, config.limb_height, units)

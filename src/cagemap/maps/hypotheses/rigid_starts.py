@@ -50,14 +50,14 @@ def rotation_name(matrix: FloatArray) -> str:
 
 def nearest_axis_rotation(matrix: FloatArray) -> FloatArray:
     """The one of `axis_rotations` nearest to a rotation (3, 3)."""
-    return max(axis_rotations(), key=lambda one: float((one * matrix).sum()))
+    return max(axis_rotations(), key=lambda rotation: float((rotation * matrix).sum()))
 
 
-def rotation_doubt(matrix: FloatArray, config: SearchConfig) -> float:
-    """Factor on the cost of a placement that is turned by one of `axis_rotations`."""
+def rotation_penalty(matrix: FloatArray, config: SearchConfig) -> float:
+    """Factor on the cost of a placement that is rotated by one of `axis_rotations`: files seldom differ in axes."""
     if matrix[1, 1] < 0.5:
-        return config.other_doubt
-    return 1.0 if matrix[0, 0] > 0.5 else config.turned_doubt
+        return config.tilted_penalty
+    return 1.0 if matrix[0, 0] > 0.5 else config.turned_penalty
 
 
 def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
@@ -111,7 +111,7 @@ def units_of_larger(prepared: PreparedPair) -> tuple[float, float]:
     return min(ratio, 1.0), min(1.0 / ratio, 1.0)
 
 
-def in_place(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
-    """Placement of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
+def unmoved_start(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
+    """Start of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
     ratio = file_ratio(prepared)
     return [] if ratio == 1.0 else [Placement(np.asarray(ratio * points))]

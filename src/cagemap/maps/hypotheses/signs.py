@@ -158,29 +158,31 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
     bodies seem mirrored.
     """
-    rough, source = problem.rough, problem.prepared.source_surface
-    graph, constraints = rough.shape.rest.graph, rough.shape.constraints
+    small, source = problem.small_graph_problem, problem.prepared.source_surface
+    graph, constraints = small.coarse_shape.rest.graph, small.coarse_shape.constraints
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
-    def least(side: TriangleSurface, held: PlacementConstraints, *known: FloatArray) -> float:
-        onto = replace(rough, prepared=replace(rough.prepared, source_surface=side))
-        shape = replace(rough.shape, constraints=held)
+    def least_cost(surface: TriangleSurface, constraints: PlacementConstraints, *known: FloatArray) -> float:
+        """Least cost of fits to a surface from the nearest rigid starts, and from known ones."""
+        onto = replace(small, prepared=replace(small.prepared, source_surface=surface))
+        shape = replace(small.coarse_shape, constraints=constraints)
 
-        def away(start: Placement) -> float:
-            return float(graph.areas @ closest_points(side.tree, start.positions)[2] ** 2)
+        def squared_distance(start: Placement) -> float:
+            return float(graph.areas @ closest_points(surface.tree, start.positions)[2] ** 2)
 
         def cost(start: FloatArray) -> float:
             with thread_limit(1):
                 return coarse_fit(onto, start, shape).cost
 
-        nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
-        tried = distinct_placements(nearest, graph.areas, config.alike)[: config.mirrored_starts]
+        nearest = sorted(rigid_starts(graph.positions, surface.positions), key=squared_distance)
+        tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    given = least(source, constraints, positions[rough.shape.vertices])
+    cost = least_cost(source, constraints, positions[small.coarse_shape.vertices])
     curves = (
         replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
         for curve in constraints.curves
     )
-    return given / least(mirrored, replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves)))
+    mirrored_constraints = replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves))
+    return cost / least_cost(mirrored, mirrored_constraints)

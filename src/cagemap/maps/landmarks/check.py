@@ -44,15 +44,10 @@ CONTRADICTION = (
 FOREIGN_FOLDED = 0.05, 0.5
 FOREIGN = "are these landmarks of these meshes? "
 
-MIRRORED_NOTE = (
-    "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
-    "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
-)
-
 # Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
 OFFSETS = (0.0, 0.25, 0.5, 0.75)
 
-# Why accused pairs are kept.
+# Why suspected pairs are kept.
 NO_BETTER = "the map is hardly better without"
 GROWN = "one surface has handles that the other lacks, as if parts that touch had grown together"
 
@@ -99,7 +94,7 @@ class LandmarkCheck:
         """The landmarks without the suspects."""
         return landmarks.without([suspect.pair for suspect in self.suspects])
 
-    def still(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
+    def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
         """The check for changed landmarks: keeps what is known of unchanged pairs."""
         places = {pair: i for i, pair in enumerate(now.places)}
         placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
@@ -140,23 +135,23 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
         note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
         return {}, [note]
     progress("compare landmarks")
-    accused = accused_pairs(problem)
-    if accused is None:
+    suspected = suspected_pairs(problem)
+    if suspected is None:
         return {}, [CONTRADICTION]
-    if accused and has_merged_parts(problem):
-        return {}, [kept_note(accused, names, GROWN)]
-    if accused:
+    if suspected and has_merged_parts(problem):
+        return {}, [kept_note(suspected, names, GROWN)]
+    if suspected:
         progress("map without doubtful landmarks")
-        costs = coarse_map_cost(problem), coarse_map_cost(problem.without(accused))
+        costs = coarse_map_cost(problem), coarse_map_cost(problem.without(suspected))
         slip = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
-        if costs[0] < max(slip[evidence] for evidence in accused.values()) * costs[1]:
-            return {}, [kept_note(accused, names, NO_BETTER)]
-    return accused, []
+        if costs[0] < max(slip[evidence] for evidence in suspected.values()) * costs[1]:
+            return {}, [kept_note(suspected, names, NO_BETTER)]
+    return suspected, []
 
 
 def confirmed_pairs(problem: Problem, point_map: PointMap, left_out: Collection[int]) -> set[int]:
     """Indices of pairs that were left out of a map and that the map confirms."""
-    confirmed = problem.prepared.elastic.landmarks.confirmed
+    confirmed = problem.prepared.elastic.landmarks.max_confirmed_miss
     return {i for i in left_out if landmark_miss(problem, point_map, i)[0] < confirmed}
 
 
@@ -168,23 +163,23 @@ def check_on_map(
     if count < config.fewest_judged:
         return LandmarkCheck(notes=tuple(notes))
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
-    energy, places = strain(trusted, point_map)
+    energy, places = landmark_energy(trusted, point_map)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained, strain_notes = strained_pair(energy, places, config), list[str]()
     if strained is not None:
         typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
-        if typical <= config.dissimilar:
+        if typical <= config.max_strain_misfit:
             strain_notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
     suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
-    return LandmarkCheck(suspects, (*notes, *strain_notes, *orientation_notes(trusted)), strains)
+    return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
 
-def accused_pairs(problem: Problem) -> dict[int, str] | None:
+def suspected_pairs(problem: Problem) -> dict[int, str] | None:
     """Indices of suspected pairs with the evidence; None if too many pairs contradict each other."""
     every, config = np.arange(len(problem.landmarks)), problem.prepared.elastic.landmarks
     distances = problem.landmark_distances
-    if typical_misfit(*distances, every, config) > config.unrelated:
+    if typical_misfit(*distances, every, config) > config.max_typical_misfit:
         return None
     wrong = misplaced_pairs(*distances, config).tolist()
     if len(wrong) > config.max_suspects * len(every):
@@ -217,11 +212,11 @@ def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
     return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
 
 
-def kept_note(accused: dict[int, str], names: Sequence[str], why: str) -> str:
+def kept_note(suspected: dict[int, str], names: Sequence[str], why: str) -> str:
     """Note about suspected pairs that were kept, and why."""
-    listed = ", ".join(f"'{names[i]}'" for i in sorted(accused))
+    listed = ", ".join(f"'{names[i]}'" for i in sorted(suspected))
     kept = f"{why}, so all were kept"
-    if SIDES in accused.values():
+    if SIDES in suspected.values():
         return (
             f"landmarks {listed} seem to be exchanged on one of the surfaces: the others lie around them in the "
             f"opposite sense. Look at them; {kept}"
@@ -240,7 +235,7 @@ def strain_note(name: str, distance: float) -> str:
     )
 
 
-def checked_changes(
+def check_changes(
     problem: Problem,
     names: Sequence[str],
     changed: IndexArray,
@@ -257,13 +252,13 @@ def checked_changes(
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(landmarks)), out)
     remaining = problem.without(out)
-    accused = accused_pairs(remaining)
-    if accused is None:
+    suspected = suspected_pairs(remaining)
+    if suspected is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
-    wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
+    wrong = {int(kept[i]): evidence for i, evidence in suspected.items() if kept[i] in changed}
     if wrong and has_merged_parts(problem):
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
-    contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.confirmed]
+    contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.max_confirmed_miss]
     new = tuple(_suspect(problem, before, names, i, wrong[i]) for i in contradicted)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
@@ -286,7 +281,7 @@ def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple
     return float(landmark_errors(point_map, only)[0]), int(np.linalg.norm(control - place, axis=1).argmin())
 
 
-def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
+def landmark_energy(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
     """Reduced energy of the landmarks at a map that meets them, and their positions."""
     graph = problem.prepared.rest.graph
     images = point_map.images.at(problem.prepared.vertices)
@@ -295,10 +290,15 @@ def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatA
     return energy, problem.landmarks.source.positions
 
 
-def orientation_notes(problem: Problem) -> tuple[str, ...]:
-    """A note if the landmarks as a whole are mirrored; distances and strain cannot show this."""
+def landmarks_mirrored(problem: Problem, left_out: Collection[int]) -> bool:
+    """Whether the landmarks that are not left out surround each other in opposite senses on the two surfaces.
+
+    Distances and strain cannot show this. False if too few landmarks are given.
+    """
     config = problem.prepared.elastic.landmarks
-    return () if orientation_agreement(*_marks(problem), config) > config.mirrored else (MIRRORED_NOTE,)
+    if len(problem.landmarks) < config.fewest_judged:
+        return False
+    return orientation_agreement(*_marks(problem.without(left_out)), config) <= config.mirrored_agreement
 
 
 def _marks(problem: Problem) -> tuple[Marks, Marks]:

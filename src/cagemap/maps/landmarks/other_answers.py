@@ -15,20 +15,25 @@ from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED
 from cagemap.maps.hypotheses.limbs import mutually_nearest
 from cagemap.maps.hypotheses.search import search
 from cagemap.maps.hypotheses.signs import SIGNS, turned_share
-from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck
+from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.pair import PointPairs, Progress, no_progress
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
 
+MIRRORED_NOTE = (
+    "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
+    "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
+)
 
-def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
+
+def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
-    best = ends[0]
-    for other in ends[1:]:
+    best = ranked[0]
+    for other in ranked[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.landmarks.as_good * best.cost and share > SIGNS["limb_turned"].bound:
+        if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
             answers = (
-                Placement(best.answer, best.cost, name=AS_GIVEN),
+                Placement(best.map_positions, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name=TURNED),
             )
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
@@ -40,22 +45,23 @@ def turned_limbs(ends: Sequence[Placement], prepared: PreparedPair) -> Confidenc
 def mirrored_answers(
     problem: Problem, given: Placement, check: LandmarkCheck, progress: Progress = no_progress
 ) -> tuple[Confidence | None, LandmarkCheck]:
-    """Two answers for landmarks that seem mirrored: as given, and exchanged as the shapes suggest.
+    """Two answers for landmarks that are mirrored (`landmarks_mirrored`): as given, and exchanged; and the check.
 
-    None if the shapes suggest too few exchanges, or if the landmarks cost hardly more than the shapes alone. In the
-    second case the note is removed from the check.
+    The exchange is that of the best map without landmarks. None if this map exchanges too few, or if the landmarks
+    cost hardly more than it. Unless they do, the check gets a note.
     """
     prepared, landmarks = problem.prepared, problem.landmarks
     best = search(problem.without(range(len(landmarks))), progress)[0]
     config = prepared.elastic.landmarks
-    if given.cost < config.mirrored_cost * best.cost:
-        return None, replace(check, notes=tuple(note for note in check.notes if note != MIRRORED_NOTE))
-    exchange = exchanged_pairs(prepared.mesh, landmarks, best.answer, config.exchange_distance)
+    if given.cost < config.min_mirrored_cost * best.cost:
+        return None, check
+    check = replace(check, notes=(*check.notes, MIRRORED_NOTE))
+    exchange = exchanged_pairs(prepared.mesh, landmarks, best.map_positions, config.exchange_distance)
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     answers = (
-        Placement(given.answer, given.cost, name=AS_GIVEN),
-        Placement(best.answer, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
+        Placement(given.map_positions, given.cost, name=AS_GIVEN),
+        Placement(best.map_positions, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
     )
     return Confidence(TWO, answers, cost_signs(answers)), check
 

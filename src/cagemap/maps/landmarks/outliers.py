@@ -8,7 +8,7 @@ outliers, found one after the other.
 Distances hardly distinguish the left fore foot from the right one. The orientation of landmarks around each other does:
 for all of them, and for two that were exchanged.
 
-This only accuses pairs; `maps.landmarks.check` decides which are left out. Bounds: `LandmarkConfig` of `deform.config`.
+This only finds suspects; `maps.landmarks.check` decides which are left out. Bounds: `deform.config.LandmarkConfig`.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ def place_by_distances(
     """Place every trusted landmark on the source by its distances to the other trusted landmarks.
 
     The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, m)``, weights
-    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the `short` and
-    `max_misfit` of `LandmarkConfig`. Near landmarks count most. The cap m limits the influence of a second wrong pair.
+    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the
+    `added_distance` and `max_misfit` of `LandmarkConfig`. Near landmarks count most. The cap m limits the influence of
+    a second wrong pair.
 
     Returns
     -------
@@ -47,7 +48,7 @@ def place_by_distances(
     distance : (p,) float64
         Geodesic distance from the given vertex to that vertex.
     """
-    p, short = len(target), config.short
+    p, short = len(target), config.added_distance
     near = target[:, :p] + short
     wanted, logs = np.log(near), np.log(source + short)
     shift = float(np.median((wanted - logs[:, :p])[_pairs(trusted)]))
@@ -66,7 +67,7 @@ def typical_misfit(
     target: Distances, source: Distances, trusted: IndexArray, config: LandmarkConfig = LandmarkConfig()
 ) -> float:
     """Median |log ratio| of the distances of all trusted pairs, after removing the common scale."""
-    p, short = len(target), config.short
+    p, short = len(target), config.added_distance
     ratios = (np.log(target[:, :p] + short) - np.log(source[:, :p] + short))[_pairs(trusted)]
     return float(np.median(np.abs(ratios - np.median(ratios))))
 
@@ -158,7 +159,7 @@ def exchange_gains(target: Distances, source: Distances, trusted: IndexArray, co
     Gain: misfit of both (`place_by_distances`, without the distance to each other) minus that of both exchanged.
     """
     square = np.ix_(trusted, trusted)
-    short, most = config.short, config.max_misfit
+    short, most = config.added_distance, config.max_misfit
     near = target[square] + short
     wanted, given = np.log(near), np.log(source[square] + short)
     different = ~np.eye(len(trusted), dtype=bool)
@@ -202,15 +203,15 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     and k. In a second vote, triples whose distances in space differ count less, as where arms are crossed. The larger
     result counts.
     """
-    p, changed = len(target[0]), _changed_squared(target[0], source[0], config.short)
+    p, changed = len(target[0]), _changed_squared(target[0], source[0], config.added_distance)
     agreed, counted = np.zeros(2), np.zeros(2)
     for i in range(p):
         votes = _turns(i, *target) * _turns(i, *source)
-        alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.posed**2)
+        alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.max_triple_change**2)
         both = np.stack([votes, alike * votes])
         agreed += both.sum(axis=(1, 2))
         counted += np.abs(both).sum(axis=(1, 2))
-    return float((agreed / np.maximum(counted, max(config.flat * p * (p - 1) * (p - 2), 1e-12))).max())
+    return float((agreed / np.maximum(counted, max(config.min_orientation * p * (p - 1) * (p - 2), 1e-12))).max())
 
 
 def exchanged_sides(
@@ -218,17 +219,17 @@ def exchanged_sides(
 ) -> tuple[int, int] | None:
     """The two pairs whose orientations agree only with source points exchanged; None if there are none."""
     p = len(target[0])
-    apart = np.minimum(*(side[:, :p] for side in distances)) > config.side_apart
-    gain = exchange_gains(*distances, np.arange(p), config) - config.side_min_gain
+    apart = np.minimum(*(side[:, :p] for side in distances)) > config.min_side_distance
+    gain = exchange_gains(*distances, np.arange(p), config) - config.min_side_gain
     gains = np.triu(np.where(apart, gain, 0.0), 1).ravel()
     asked = np.argsort(-gains)[: max(1, MOST_TERMS // p**2)]
-    near, best, most = 1.0 / (distances[0][:, :p] + config.short), None, config.side_rise
+    near, best, most = 1.0 / (distances[0][:, :p] + config.added_distance), None, config.min_side_rise
     np.fill_diagonal(near, 0.0)
     for place in asked[gains[asked] > 0.0]:
         both = int(place) // p, int(place) % p
-        given = agreement_around(both, target, source, near, config.flat)
-        exchanged = agreement_around(both, target, _exchange_places(source, both), near, config.flat)
-        if given < config.side_disagreed and exchanged > config.side_agreed and exchanged - given > most:
+        given = agreement_around(both, target, source, near, config.min_orientation)
+        exchanged = agreement_around(both, target, _exchange_places(source, both), near, config.min_orientation)
+        if given < config.max_side_agreement and exchanged > config.min_side_agreement and exchanged - given > most:
             best, most = both, exchanged - given
     return best
 

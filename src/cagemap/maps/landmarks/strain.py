@@ -5,7 +5,7 @@ At the finished map the elastic fit is, to second order, a quadratic problem in 
     alpha E(x, A) + sum_i a_i (n_i . (x_i - y_i))^2,
 
 with n_i the source's normals at the images y_i. Everything but the p landmarks is eliminated, which leaves the energy
-``(l - l_0)^T H (l - l_0)`` of their positions l. A landmark that is released while the others are held moves by
+``(l - l_0)^T H (l - l_0)`` of their positions l. A landmark that is released while the others are fixed moves by
 ``u_i = -H_ii^-1 (H (l - l_0))_i``: the leave-one-out residual, without fitting p times.
 """
 
@@ -38,7 +38,7 @@ class ReducedEnergy:
     own: sparse.csc_array  # (3 p, 3 p) K_ll; rows are landmarks times coordinates
     coupling: sparse.csc_array  # (m, 3 p) K_fl
     others: Factorization  # of K_ff
-    load: FloatArray  # (3 p,) ``H l_0``, l_0 the positions if no landmark is held
+    load: FloatArray  # (3 p,) ``H l_0``, l_0 the positions if no landmark is fixed
 
     @classmethod
     def of(cls, matrix: sparse.csc_array, right: FloatArray, landmarks: IndexArray) -> ReducedEnergy:
@@ -66,10 +66,10 @@ class ReducedEnergy:
             blocks[part] = np.asarray(reduced).reshape(len(some), 3, len(some), 3)[some, :, some]
         return blocks
 
-    def released(self, places: FloatArray, held: IndexArray) -> FloatArray:
-        """(p, 3) displacement u_i of every held landmark (q,) released alone; 0 for free landmarks."""
+    def released(self, places: FloatArray, fixed: IndexArray) -> FloatArray:
+        """(p, 3) displacement u_i of every fixed landmark (q,) if released alone; 0 for free landmarks."""
         force, blocks = self.times(places.ravel()) - self.load, self.blocks
-        free = np.setdiff1d(np.arange(len(places)), held)
+        free = np.setdiff1d(np.arange(len(places)), fixed)
         if len(free):  # eliminate the free landmarks too
             free_rows = _rows(free)
             chosen = np.zeros((len(force), len(free_rows)))
@@ -81,7 +81,7 @@ class ReducedEnergy:
                 "gik,gij->ikj", *(m.reshape(len(free_rows), -1, 3) for m in (columns.T, weights))
             )
         moved = np.zeros_like(places)
-        moved[held] = -np.linalg.solve(blocks[held], force.reshape(-1, 3, 1)[held])[:, :, 0]
+        moved[fixed] = -np.linalg.solve(blocks[fixed], force.reshape(-1, 3, 1)[fixed])[:, :, 0]
         return moved
 
 
@@ -112,16 +112,18 @@ def reduced_energy(
 def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkConfig = LandmarkConfig()) -> int | None:
     """Index of the one landmark that would move far if released; None if there is none.
 
-    None as well if too few landmarks are held. The others are measured again without it, because a wrong landmark
+    None as well if there are too few landmarks. The others are measured again without it, because a wrong landmark
     strains its neighbours.
     """
-    held = np.arange(len(places))
-    if len(held) < config.fewest_strained:
+    every = np.arange(len(places))
+    if len(every) < config.fewest_strained:
         return None
-    moved = np.linalg.norm(energy.released(places, held), axis=1)
+    moved = np.linalg.norm(energy.released(places, every), axis=1)
     worst = int(np.argmax(moved))
-    moved_next = np.linalg.norm(energy.released(places, held[held != worst]), axis=1)
-    return worst if moved[worst] >= max(config.strained, config.strained_of_next * float(moved_next.max())) else None
+    moved_next = np.linalg.norm(energy.released(places, every[every != worst]), axis=1)
+    return (
+        worst if moved[worst] >= max(config.min_strain, config.min_strain_of_next * float(moved_next.max())) else None
+    )
 
 
 def _rows(landmarks: IndexArray) -> IndexArray:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig, ProjectionConfig
-from cagemap.deform.problem import PreparedPair
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap
@@ -93,9 +93,10 @@ def held_vertices(landmarks: PointPairs) -> IndexArray:
     return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
 
 
-def map_of_places(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
-    """Point map T12 of the finest levels: project fitted positions (n, 3), then remove folds."""
-    return unfold(project(prepared, fitted, landmarks), held_vertices(landmarks), prepared.elastic)
+def map_of_places(problem: Problem, places: FloatArray) -> PointMap:
+    """Point map T12 of the finest levels: project places (n, 3) of the deformed level, then remove folds."""
+    prepared, landmarks = problem.prepared, problem.landmarks
+    return unfold(project(prepared, places, landmarks), held_vertices(landmarks), prepared.elastic)
 
 
 @kinds_checked
