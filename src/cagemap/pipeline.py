@@ -55,6 +55,10 @@ from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
 
 logger = logging.getLogger(__name__)
 
+# Largest folded share of the area of a map that follows a motion: 0.0005 where it does, 0.007 where it lost a leg
+# (docs/lab/sequences.md).
+MAX_FOLDED_FRAME = 0.005
+
 
 @kinds_checked
 def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
@@ -293,7 +297,8 @@ def match_next(
 ) -> MatchResult:
     """Map the target to the next frame of a moving source, from the map to the last frame.
 
-    Nothing is searched, and errors add up from frame to frame (docs/lab/sequences.md).
+    Nothing is searched, and errors add up from frame to frame (docs/lab/sequences.md). A map that folds has lost the
+    motion: then the frame is matched without the last one.
 
     Parameters
     ----------
@@ -302,7 +307,7 @@ def match_next(
     source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
         The next frame, in units and axes of the last one. Its connectivity may be another.
     landmarks : Landmarks or (p, 2) array, optional
-        Of the target and this frame; they are held, without checks.
+        Of the target and this frame; they are held.
     config : MatchConfig
         Of method "elastic".
     progress : callable
@@ -329,7 +334,9 @@ def match_next(
             progress("closest points")
             point_map = map_of_places(prepared, places, problem.landmarks)
         shared = SharedArea.of_fit(prepared, places)
-        return _judged(prepared, point_map, landmarks, LandmarkCheck(), timings, progress, shared)
+        found = _judged(prepared, point_map, landmarks, LandmarkCheck(), timings, progress, shared)
+    followed = found.quality.flipped_area <= MAX_FOLDED_FRAME
+    return found if followed else match_pair(prepared, landmarks, config, progress=progress)
 
 
 def other_answer(
