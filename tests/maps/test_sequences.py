@@ -68,6 +68,15 @@ def test_landmarks_of_a_frame_are_held() -> None:
     assert result.landmark_errors.max() < 1e-6
 
 
+def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared = prepare_pair(prepare_surface(frame(0.0, 0)[0], LEVEL), prepare_surface(frame(0.1, 1)[0], LEVEL))
+    before = match_pair(prepare_pair(prepared.target, prepared.target))
+    monkeypatch.setattr("cagemap.pipeline.MAX_FOLDED_FRAME", -1.0)
+    afresh = match_next(before, prepared.source)
+    assert afresh.confidence is not None
+    np.testing.assert_allclose(afresh.image(), match_pair(prepared).image(), atol=1e-9)
+
+
 def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cagemap.tasks.method.DEFAULT_VERTICES", 1000)
     cage, output = tmp_path / "cage.obj", tmp_path / "shapes"

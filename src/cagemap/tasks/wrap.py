@@ -54,8 +54,10 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     match_inputs = (request.target, request.source, request.landmarks, request.map)
     if not any(match_inputs):
         return _with_texture(request, *_run(request, stages), stages)
-    sources = request.results if request.source is None else (request.source, *request.results)
-    if request.target is None or not sources or (request.source is not None and request.results):
+    frames = request.results
+    sources = frames if request.source is None else (request.source, *frames)
+    mixed = any(frame.is_dir() for frame in frames) or (request.source is not None and bool(frames))
+    if request.target is None or not sources or mixed:
         raise ParameterError(
             "expected RESULT folders, or --target and --source together to match first, or --target and the frames of "
             "a motion"
