@@ -55,7 +55,7 @@ from cagemap.spectral.surface import prepare_surfaces as prepare_surfaces
 
 logger = logging.getLogger(__name__)
 
-# Largest folded share of the area of a map that follows a motion: 0.0005 where it does, 0.007 where it lost a leg
+# Largest folded share of the area of a map that follows a motion: 0.001 where it does, 0.007 where it lost a leg
 # (docs/lab/sequences.md).
 MAX_FOLDED_FRAME = 0.005
 
