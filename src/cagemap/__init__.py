@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from cagemap.pipeline import choose_level as choose_level
     from cagemap.pipeline import default_basis as default_basis
     from cagemap.pipeline import match as match
+    from cagemap.pipeline import match_next as match_next
     from cagemap.pipeline import match_pair as match_pair
     from cagemap.pipeline import pair_of as pair_of
     from cagemap.pipeline import prepare_pair as prepare_pair
@@ -122,6 +123,7 @@ _PACKAGES = {
         "choose_level",
         "default_basis",
         "match",
+        "match_next",
         "match_pair",
         "pair_of",
         "prepare_pair",

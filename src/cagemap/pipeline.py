@@ -11,6 +11,7 @@ from dataclasses import replace
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement, rank_placements
 from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.refit import fit_from_shape
 from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
@@ -295,6 +296,59 @@ def update_match(
                 progress("closest points")
                 point_map = map_of_places(problem, places)
         return _assemble_result(prepared, point_map, landmarks, check, timings, progress, before.shared)
+
+
+@arrays_accepted
+def match_next(
+    before: MatchResult,
+    source: Surface | MeshLike,
+    landmarks: LandmarksLike | None = None,
+    config: MatchConfig = MatchConfig(),
+    *,
+    progress: Progress = no_progress,
+) -> MatchResult:
+    """Map the target to the next frame of a moving source, from the map to the last frame.
+
+    Nothing is searched, and errors add up from frame to frame (docs/lab/sequences.md). A map that folds has lost the
+    motion: then the frame is matched without the last one.
+
+    Parameters
+    ----------
+    before : MatchResult
+        Of the same target and the last frame.
+    source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
+        The next frame, in units and axes of the last one. Its connectivity may be another.
+    landmarks : Landmarks or (p, 2) array, optional
+        Of the target and this frame; they are held.
+    config : MatchConfig
+        Of method "elastic".
+    progress : callable
+
+    Raises
+    ------
+    InvalidMeshError
+        If the frame is not an oriented connected manifold.
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
+    """
+    landmarks = Landmarks.none() if landmarks is None else landmarks
+    if not isinstance(source, Surface):
+        source = prepare_surface(source, choose_level(source, DEFAULT_VERTICES))
+    check_landmarks(landmarks, before.target.control, source.control)
+    prepared, timings = prepare_pair(before.target, source, config), dict[str, float]()
+    problem = Problem.of_landmarks(prepared, landmarks)
+    # Positions at unit area of the last frame, whose area may differ
+    last = before.point_map.images.at(prepared.vertices).positions * (source.scale / before.source.scale)
+    with one_blas_thread():
+        with _timed(timings, "map"):
+            progress("elastic alignment")
+            places = fit_from_shape(problem, last)
+            progress("closest points")
+            point_map = map_of_places(problem, places)
+        shared = SharedArea.of_fit(prepared, places)
+        found = _assemble_result(prepared, point_map, landmarks, LandmarkCheck(), timings, progress, shared)
+    followed = found.quality.flipped_area <= config.elastic.refit.max_folded_frame
+    return found if followed else match_pair(prepared, landmarks, config, progress=progress)
 
 
 def other_answer(

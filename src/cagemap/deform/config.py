@@ -187,6 +187,8 @@ class RefitConfig:
     joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
     rounds: int = 2  #: times that the target is posed and fitted
+    #: largest folded share of the area of a map that follows a motion; 0.001 where it does, 0.007 where it lost a leg
+    max_folded_frame: float = 0.005
     smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh

@@ -43,12 +43,18 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
     """(n, 3) positions after refitting the target from the pose of a placement, ``times`` times."""
-    stiff, rest, config = problem.stiff_problem, problem.prepared.rest, problem.prepared.elastic
-    for _ in range(config.refit.rounds if times is None else times):
-        posed = rest.moved_to(rigid_pose(rest, positions, config.refit), config.fine.smoothing)
-        alike = replace(stiff, prepared=replace(stiff.prepared, rest=posed))
-        positions = fine_fit(alike, coarse_fit(alike, posed.graph.positions[alike.coarse_shape.vertices]))
+    rest, config = problem.prepared.rest, problem.prepared.elastic.refit
+    for _ in range(config.rounds if times is None else times):
+        positions = fit_from_shape(problem, rigid_pose(rest, positions, config))
     return positions
+
+
+def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
+    """(n, 3) positions after both stages, with the target in another shape (n, 3) as rest shape and start."""
+    stiff, prepared = problem.stiff_problem, problem.prepared
+    rest = prepared.rest.moved_to(shape, prepared.elastic.fine.smoothing)
+    alike = replace(stiff, prepared=replace(stiff.prepared, rest=rest))
+    return fine_fit(alike, coarse_fit(alike, shape[alike.coarse_shape.vertices]))
 
 
 def pose_difference(rest: RestShape, positions: FloatArray) -> float:

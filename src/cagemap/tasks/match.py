@@ -26,7 +26,7 @@ from cagemap.files.usd.space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.weld import Welded
-from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
+from cagemap.pipeline import MatchConfig, MatchResult, match, match_next, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
@@ -73,10 +73,14 @@ class MatchSettings:
     config: MatchConfig  # without masks, which depend on the surfaces
     cache: Path | None = None  # folder of prepared surfaces
     entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
+    before: MatchResult | None = None  # match of the source's last frame, from which the match starts
 
 
-def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
-    """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
+def run_match(request: MatchRequest, stages: Stages, before: MatchResult | None = None) -> tuple[str, list[str]]:
+    """Match two mesh files and write the RESULT folder; returns a summary and warnings.
+
+    ``before``, of the same target and the source's last frame, is the start of the match.
+    """
     require_level_or_vertices(request)
     config = match_config(request)
     side_bases(request)  # refuse invalid bases before meshes are read
@@ -114,7 +118,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         **options("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
     }
     entries = {"parameters": parameters, "inputs": stated}
-    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
+    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before), stages)
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
@@ -235,7 +239,10 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
     target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    result = match(target, source, part.landmarks, config, progress=stages)
+    if settings.before is None:
+        result = match(target, source, part.landmarks, config, progress=stages)
+    else:
+        result = match_next(replace(settings.before, target=target), source, part.landmarks, config, progress=stages)
     repairs = [pair.repairs for pair in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,22 +54,40 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     match_inputs = (request.target, request.source, request.landmarks, request.map)
     if not any(match_inputs):
         return _with_texture(request, *_run(request, stages), stages)
-    if request.results or request.target is None or request.source is None:
-        raise ParameterError("expected RESULT folders, or --target and --source together to match first")
+    frames = request.results
+    sources = frames if request.source is None else (request.source, *frames)
+    mixed = any(frame.is_dir() for frame in frames) or (request.source is not None and bool(frames))
+    if request.target is None or not sources or mixed:
+        raise ParameterError(
+            "expected RESULT folders, or --target and --source together to match first, or --target and the frames of "
+            "a motion"
+        )
     with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "result"
-        _, warnings = _found(request, request.target, request.source, result, stages)
-        request = replace(request, results=(result,))
+        results, warnings = _found(request, request.target, sources, Path(folder), stages)
+        request = replace(request, results=results)
         summary, more = _with_texture(request, *_run(request, stages), stages)
         return summary, warnings + more
 
 
-def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
-    """Write the RESULT to wrap with, from a match or the user's point map."""
+def _found(
+    request: WrapRequest, target: Path, sources: Sequence[Path], folder: Path, stages: Stages
+) -> tuple[tuple[Path, ...], list[str]]:
+    """Write a RESULT for each source, from a match or the user's point map; returns them and warnings.
+
+    Several sources are frames: the map to each one starts from the map to the last one.
+    """
+    results = tuple(folder / f"{frame}" for frame in range(len(sources)))
     if request.map is not None:
-        return run_map(MapRequest(request.map, target, source, result, **_of_both(request, "weld")), stages)
-    options = _of_both(request, "scheme", "weld")
-    return run_match(MatchRequest(target, source, request.landmarks, result, **options), stages)
+        options = _of_both(request, "weld")
+        return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
+    options, warnings = _of_both(request, "scheme", "weld"), list[str]()
+    landmarks, before = request.landmarks, None
+    for source, result in zip(sources, results, strict=True):
+        _, found = run_match(MatchRequest(target, source, landmarks, result, **options), stages, before)
+        warnings += found if len(sources) == 1 else [f"{source.name}: {message}" for message in found]
+        if source != sources[-1]:
+            landmarks, before = None, read_result(result)
+    return results, list(dict.fromkeys(warnings))
 
 
 def _of_both(request: WrapRequest, *names: str) -> dict[str, Any]:
@@ -102,6 +121,8 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError(f"{request.target}: {NO_CAGE}")
     if request.map is not None and (request.landmarks is not None or any(_of_both(request, "scheme").values())):
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
+    if request.map is not None and len(request.results) > 1:
+        raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
     bakes = wrap_bakes(request)
     bakes.check()
     images = outputs_beside(request)
@@ -109,7 +130,7 @@ def _check_request(request: WrapRequest) -> None:
     if many and not request.blend_shapes:
         raise ParameterError(
             f"expected one RESULT, got {len(request.results)}. Several need --blend-shapes and a folder as --output; "
-            "meshes are given by --target and --source."
+            "meshes are given by --target and --source, or the frames of a motion by --target alone."
         )
     if images and (many or request.blend_shapes or request.amount != 1.0):
         raise ParameterError(

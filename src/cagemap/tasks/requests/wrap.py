@@ -28,7 +28,13 @@ from cagemap.tasks.requests.options import (
 class WrapRequest:
     """Request of `cagemap wrap`."""
 
-    results: Annotated[tuple[Path, ...], Argument(metavar="[RESULT]...", help="Folder that `cagemap match` wrote.")]
+    results: Annotated[
+        tuple[Path, ...],
+        Argument(
+            metavar="[RESULT]...",
+            help="Folder that `cagemap match` wrote; with --target, meshes: the frames of a motion, in order.",
+        ),
+    ]
     output: Annotated[
         Path, Option(("-o", "--output"), help="Mesh to write: .obj, .ply, .off, .usd; a folder with --blend-shapes.")
     ]
@@ -58,7 +64,7 @@ class WrapRequest:
     mask_edge: MaskEdgeOption = None
     symmetric: Annotated[bool, Option(("--symmetric",), help="Keep a mirror symmetric cage symmetric.")] = False
     blend_shapes: Annotated[
-        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, and each RESULT's mesh.")
+        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, and each RESULT's or frame's mesh.")
     ] = False
     displacement: Annotated[
         Path | None, Option(help="Image to write: missing detail, as heights along the normal.")

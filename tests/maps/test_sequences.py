@@ -1,0 +1,97 @@
+"""Frames of a moving source: each map starts from the last one's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import torus
+
+from cagemap.deform.config import ElasticConfig, RefitConfig
+from cagemap.errors import ParameterError
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.pipeline import MatchConfig, MatchResult, match_next, match_pair, prepare_pair, prepare_surface
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.wrap import run_wrap
+
+LEVEL = 2
+ANGLES = (0.0, 0.1, 0.2)
+
+
+def moved(positions: np.ndarray, angle: float) -> np.ndarray:
+    """Points of a dented body, twisted about x."""
+    x, y, z = positions.T
+    y = y * (1 + 0.3 * np.sin(x))
+    cosine, sine = np.cos(angle * x), np.sin(angle * x)
+    return np.column_stack([x, cosine * y - sine * z, sine * y + cosine * z])
+
+
+def frame(angle: float, seed: int) -> tuple[ControlMesh, np.ndarray]:
+    """A frame with its vertices in another order, and the number of each vertex of the body in it."""
+    body = torus(12, 8)
+    number = np.random.default_rng(seed).permutation(body.n_vertices)
+    places = np.empty_like(body.positions)
+    places[number] = moved(body.positions, angle)
+    faces = number[body.face_indices].reshape(-1, 4)
+    return ControlMesh.from_faces(places, faces, name=f"frame{seed}.obj"), number
+
+
+def error(result: MatchResult, number: np.ndarray) -> float:
+    """Mean distance between the images of the cage's vertices and their true ones, of sqrt(area)."""
+    source = result.source
+    images = result.image()[: len(number)] - source.refinement.finest.positions[number]
+    return float(np.linalg.norm(images, axis=1).mean()) * source.scale
+
+
+def test_the_map_follows_a_motion_and_returns() -> None:
+    frames = [frame(angle, seed) for seed, angle in enumerate(ANGLES)]
+    surfaces = [prepare_surface(mesh, LEVEL) for mesh, _ in frames]
+    target = prepare_surface(torus(12, 8).with_positions(moved(torus(12, 8).positions, 0.0)), LEVEL)
+    first = result = match_pair(prepare_pair(target, surfaces[0]))
+    assert error(first, frames[0][1]) < 1e-6
+    for place in (1, 2):
+        result = match_next(result, surfaces[place])
+        assert error(result, frames[place][1]) < 0.02
+    assert result.quality.flipped_area < 0.001
+    for place in (1, 0):
+        result = match_next(result, surfaces[place])
+    assert error(result, frames[0][1]) < 0.02
+
+
+def test_landmarks_of_a_frame_are_held() -> None:
+    (still, _), (mesh, number) = frame(0.0, 0), frame(0.1, 1)
+    target = prepare_surface(torus(12, 8).with_positions(moved(torus(12, 8).positions, 0.0)), LEVEL)
+    before = match_pair(prepare_pair(target, prepare_surface(still, LEVEL)))
+    result = match_next(before, prepare_surface(mesh, LEVEL), np.array([[3, number[3]], [40, number[40]]]))
+    assert result.landmark_errors.max() < 1e-6
+
+
+def test_a_map_that_folds_is_matched_afresh() -> None:
+    prepared = prepare_pair(prepare_surface(frame(0.0, 0)[0], LEVEL), prepare_surface(frame(0.1, 1)[0], LEVEL))
+    before = match_pair(prepare_pair(prepared.target, prepared.target))
+    config = MatchConfig(elastic=ElasticConfig(refit=RefitConfig(max_folded_frame=-1.0)))
+    afresh = match_next(before, prepared.source, config=config)
+    assert afresh.confidence is not None
+    np.testing.assert_allclose(afresh.image(), match_pair(prepared).image(), atol=1e-9)
+
+
+def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cagemap.tasks.method.DEFAULT_VERTICES", 1000)
+    cage, output = tmp_path / "cage.obj", tmp_path / "shapes"
+    body = torus(12, 8)
+    write_mesh(cage, body.with_positions(moved(body.positions, 0.0)))
+    frames = tuple(tmp_path / f"frame{seed}.obj" for seed in range(2))
+    for seed, path in enumerate(frames):
+        write_mesh(path, frame(ANGLES[seed], seed)[0])
+    with pytest.raises(ParameterError, match="--blend-shapes"):
+        run_wrap(WrapRequest(frames, tmp_path / "one.obj", target=cage), Stages())
+    with pytest.raises(ParameterError, match="frames of a motion"):
+        run_wrap(WrapRequest(frames, output, target=cage, source=frames[0], blend_shapes=True), Stages())
+    with pytest.raises(ParameterError, match="got frames"):
+        run_wrap(WrapRequest(frames, output, target=cage, map=tmp_path / "m.npz", blend_shapes=True), Stages())
+    run_wrap(WrapRequest(frames, output, target=cage, blend_shapes=True), Stages())
+    written = read_mesh(output / "frame1.obj")
+    assert np.abs(written.positions - moved(body.positions, ANGLES[1])).mean() < 0.03
