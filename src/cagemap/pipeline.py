@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
-from cagemap.deform.placement import Placement, rank_placements
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import fit_from_shape
 from cagemap.deform.shared_area import SharedArea
@@ -17,7 +17,7 @@ from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import Confidence, answer_confidence, prolong_answers
-from cagemap.maps.hypotheses.search import distinct_answers, inverse_placement, search
+from cagemap.maps.hypotheses.search import distinct_answers, search, search_both_ways
 from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
@@ -211,12 +211,7 @@ def _match_elastic(
                 point_map, confidence = coincident
                 placements = confidence.answers
             elif len(landmarks) < FEWEST_LANDMARKS:
-                found = search(problem, progress, show=show)
-                if prepared.mesh.is_open != prepared.source_surface.is_open:
-                    # A part and a whole: often only one direction finds the place (docs/lab/parts.md).
-                    reverse = search(problem.reverse_problem, progress)
-                    found = rank_placements([*found, *(inverse_placement(problem, placed) for placed in reverse)])
-                placements = distinct_answers(prepared, found)
+                placements = distinct_answers(prepared, search_both_ways(problem, progress, show=show))
                 point_map = project(problem, placements[0])
                 confidence = answer_confidence(problem, point_map, placements)
             else:

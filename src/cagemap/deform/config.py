@@ -175,6 +175,7 @@ class SearchConfig:
     tip_stage: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
     tip_samples: int = 4000  #: source samples of that stage
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
+    max_one_way_cost: float = 2e-4  #: a placement without landmarks that costs more is sought from the source too
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from cagemap.deform.multi_start import (
     spectral_starts,
     start_map,
 )
-from cagemap.deform.placement import Placement, distinct_placements, rank_placements, sort_by_cost
+from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import Tips, assigned_limbs, refit_distinct_to_tips
@@ -194,6 +194,30 @@ def search(
     elif not has_start:
         return ranked
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
+
+
+def search_both_ways(
+    problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
+) -> list[Placement]:
+    """Placements of `search`, and of the reverse problem where one direction often fails.
+
+    For a part and a whole (docs/lab/parts.md): the inverses of all reverse placements, ranked with the others. Else, if
+    the best placement costs more than ``max_one_way_cost`` (docs/lab/search.md): the inverse of the best reverse
+    placement before the others, if it costs less and is another one.
+    """
+    prepared, placements = problem.prepared, search(problem, progress, show=show)
+    config, best, areas = prepared.elastic.search, placements[0], prepared.rest.graph.areas
+    is_part = prepared.mesh.is_open != prepared.source_surface.is_open
+    if not is_part and best.cost <= config.max_one_way_cost:
+        return placements
+    reverse = search(problem.reverse_problem, progress)
+    if is_part:
+        return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
+    inverse = inverse_placement(problem, reverse[0])
+    distance = mean_distance(inverse.positions, best.map_positions, areas)
+    if inverse.penalised_cost >= best.penalised_cost or distance < config.min_start_distance:
+        return placements
+    return [finish_placement(problem, inverse), *placements]
 
 
 @kinds_checked
