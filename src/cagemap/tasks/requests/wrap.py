@@ -64,7 +64,7 @@ class WrapRequest:
     mask_edge: MaskEdgeOption = None
     symmetric: Annotated[bool, Option(("--symmetric",), help="Keep a mirror symmetric cage symmetric.")] = False
     blend_shapes: Annotated[
-        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, and each RESULT's or frame's mesh.")
+        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, then every RESULT or frame.")
     ] = False
     displacement: Annotated[
         Path | None, Option(help="Image to write: missing detail, as heights along the normal.")
