@@ -203,7 +203,7 @@ def search_both_ways(
 
     For a part and a whole (docs/lab/parts.md): the inverses of all reverse placements, ranked with the others. Else, if
     the best placement costs more than ``max_one_way_cost`` (docs/lab/search.md): the inverse of the best reverse
-    placement before the others, if it costs less and is another one.
+    placement before the others, if it costs less and differs (``max_start_distance``).
     """
     prepared, placements = problem.prepared, search(problem, progress, show=show)
     config, best, areas = prepared.elastic.search, placements[0], prepared.rest.graph.areas
@@ -215,7 +215,7 @@ def search_both_ways(
         return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
     inverse = inverse_placement(problem, reverse[0])
     distance = mean_distance(inverse.positions, best.map_positions, areas)
-    if inverse.penalised_cost >= best.penalised_cost or distance < config.min_start_distance:
+    if inverse.penalised_cost >= best.penalised_cost or distance <= config.max_start_distance:
         return placements
     return [finish_placement(problem, inverse), *placements]
 
