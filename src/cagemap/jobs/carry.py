@@ -21,10 +21,9 @@ from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.folder import read_result
-from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
 from cagemap.jobs.job import Job
-from cagemap.jobs.plan import PairNames, Plan, Task, task_key
+from cagemap.jobs.plan import PairNames, Plan, Task, content_hash, task_key
 from cagemap.maps.places import cage_points_of, locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -84,7 +83,7 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
     matches = {task.pair: task for task in plan.tasks if task.kind == "match" and task.pair is not None}
     landmarks = job.assets[job.carry.source].landmarks
     assert landmarks is not None
-    landmark_hash, carry_tasks = file_hash(landmarks), []
+    landmark_hash, carry_tasks = content_hash(str(landmarks)), []
     for name, path in _shortest_paths(job.carry.source, matches).items():
         if job.assets[name].landmarks is not None:
             continue
