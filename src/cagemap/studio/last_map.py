@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from cagemap.files.meshes.formats import is_in_several_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import MANIFEST
-from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.finish import MAP_TITLE, Command
 from cagemap.studio.state import Output, StudioState
 
@@ -45,7 +45,7 @@ def _match_inputs(match: Command, state: StudioState) -> object:
     if files is None or any(getattr(match.request, name, None) for name in _MASK_FIELDS):
         return None
     models = files.target, files.source
-    if any(model.suffix.lower() in (*USD_SUFFIXES, ".gltf") for model in models):  # may refer to further files
+    if any(map(is_in_several_files, models)):  # the stamps do not include the further files
         return None
     return match, state.map_inputs, _file_stamps(models)
 

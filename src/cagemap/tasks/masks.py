@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.usd.read import is_usd, read_usd_meshes
 from cagemap.files.values.attributes import read_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.result import MatchResult
@@ -202,7 +202,7 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
 
 def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
     """A primvar of a USD file's only mesh; None without it."""
-    if mesh_file.suffix.lower() not in USD_SUFFIXES:
+    if not is_usd(mesh_file):
         return None
     meshes = read_usd_meshes(mesh_file)
     values = meshes[0].attributes.get(name) if len(meshes) == 1 else None
@@ -242,7 +242,7 @@ def keep_base(
 def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
-    usd = base is not None and base.suffix.lower() in USD_SUFFIXES
+    usd = base is not None and is_usd(base)
     own_values = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
     below = {name: values for name in carried if (values := _named(own_values, name, len(carried))) is not None}
     return to_file(carried, rows, below)

@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.usd.read import USD_SUFFIXES, is_usd, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
 from cagemap.maps.result import MatchResult
@@ -42,9 +42,9 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
     """Write results for the target of a RESULT folder; returns a line for the terminal."""
     control = result.target.control
     original = input_file(folder, result.manifest, "target")
-    if original is None or original.suffix.lower() not in USD_SUFFIXES:
+    if original is None or not is_usd(original):
         kept = write_usd(layer, control, results, force=force, add=True)
-        lost = original is None and Path(control.name).suffix.lower() in USD_SUFFIXES
+        lost = original is None and is_usd(Path(control.name))
         return f"wrote {layer}, with {control.name} itself{_KEPT * kept}" + (f"; {NO_UNITS}" if lost else "")
     meshes = [mesh.path for mesh in read_usd_meshes(original)]
     numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()

@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.fbx.read import named_textures
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import read_gltf
@@ -25,7 +26,7 @@ from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
 from cagemap.files.text import read_text
-from cagemap.files.usd.read import USD_SUFFIXES, other_files, read_usd
+from cagemap.files.usd.read import USD_SUFFIXES, is_usd, other_files, read_usd
 from cagemap.files.usd.space import stage_space, to_standard
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
@@ -63,7 +64,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
 
 def read_whole(path: Path) -> ControlMesh:
     """Read a mesh as `read_mesh` does; a USD file may mix subdivision schemes."""
-    return read_usd(path, mixed=True) if path.suffix.lower() in USD_SUFFIXES else read_mesh(path)
+    return read_usd(path, mixed=True) if is_usd(path) else read_mesh(path)
 
 
 @arrays_accepted
@@ -87,7 +88,7 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
         ``force`` is not given.
     """
     suffix = _extension(path, _WRITERS)
-    original = Path(like) if like is not None and Path(like).suffix.lower() in USD_SUFFIXES else None
+    original = Path(like) if like is not None and is_usd(Path(like)) else None
     if suffix in USD_SUFFIXES and original is not None:
         write_usd(path, mesh, space=stage_space(original), force=force)
     elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in SCENE_SUFFIXES:
@@ -105,9 +106,9 @@ def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
 
 
 def referred_files(path: Path) -> list[Path]:
-    """Existing files that a mesh file refers to; empty for other files, and if the file cannot be read.
+    """Existing files that a mesh file names; empty if it cannot be read.
 
-    They are materials of an OBJ, buffers or layers, and images, of .gltf and USD, textures of an FBX.
+    OBJ: material files. glTF: buffers and images. USD: layers and images. FBX: textures. Other formats: none.
     """
     suffix = path.suffix.lower()
     try:
@@ -123,6 +124,18 @@ def referred_files(path: Path) -> list[Path]:
         return other_files(path) if suffix in USD_SUFFIXES else []
     except (FormatError, ValueError):  # its reader reports it
         return []
+
+
+def is_in_several_files(path: Path) -> bool:
+    """Whether a mesh file may store the mesh's arrays in further files: buffers of .gltf, layers of USD."""
+    return path.suffix.lower() == ".gltf" or is_usd(path)
+
+
+def geometry_files(path: Path) -> list[Path]:
+    """The files of `referred_files` that contain arrays of the mesh, without images and materials."""
+    if not is_in_several_files(path):
+        return []
+    return [file for file in referred_files(path) if file.suffix.lower() not in IMAGE_SUFFIXES]
 
 
 def check_mesh_path(path: str | Path) -> None:

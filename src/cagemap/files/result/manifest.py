@@ -19,10 +19,9 @@ import numpy as np
 from cagemap import __version__
 from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
-from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.meshes.arrays import CONTROL_ARRAYS
-from cagemap.files.meshes.formats import referred_files
+from cagemap.files.meshes.formats import geometry_files
 from cagemap.files.ownership import mark
 from cagemap.files.schema import (
     BasisRecord,
@@ -95,13 +94,15 @@ def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path 
     if not isinstance(path, str) or not isinstance(digest, str):
         return None
     file = Path(folder) / path
-    # Older versions stated the hash of the file alone.
-    return file if file.is_file() and digest in (_input_hash(file), file_hash(file)) else None
+    if not file.is_file():
+        return None
+    # Manifests of older versions contain the hash of the mesh file only, without the files that it refers to.
+    return file if file_hash(file) == digest or _input_hash(file) == digest else None
 
 
 def _input_hash(path: Path) -> str:
-    """SHA-256 of a file; of a mesh in several files, such as layers of USD or buffers of glTF, of all their hashes."""
-    others = [file for file in referred_files(path) if file.suffix.lower() not in (*IMAGE_SUFFIXES, ".mtl")]
+    """SHA-256 of a file; of a mesh in several files (`geometry_files`), SHA-256 of the hashes of all."""
+    others = geometry_files(path)
     hashes = [file_hash(file) for file in (path, *others)]
     return hashlib.sha256("".join(hashes).encode()).hexdigest() if others else hashes[0]
 

@@ -21,7 +21,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.schema import Record, checked_record, parse_json, to_json
 from cagemap.files.text import is_number, read_text, require_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
-from cagemap.files.usd.read import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
+from cagemap.files.usd.read import in_world, is_usd, one_mesh, read_usd_meshes
 from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
@@ -43,7 +43,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     """
     file = Path(path)
     require_file(file, "a file of attributes")
-    if file.suffix.lower() in USD_SUFFIXES:
+    if is_usd(file):
         return _read_usd(file, control)
     if file.suffix.lower() in SCENE_SUFFIXES:
         return to_part({JOINT_WEIGHTS: gltf_weights(file)}, rows)

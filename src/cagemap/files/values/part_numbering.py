@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import USD_SUFFIXES, UsdMesh, in_world, read_usd, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, in_world, is_usd, read_usd, read_usd_meshes
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -142,7 +142,7 @@ def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
     """Rows of a given file, see `file_rows`; None without a file or for a whole mesh."""
     if path is None or control.file_vertices is None or control.file_faces is None:
         return None
-    if path.suffix.lower() not in USD_SUFFIXES:
+    if not is_usd(path):
         return FileRows(control, read_mesh(path))
     meshes = read_usd_meshes(path)
     inside = [] if len(meshes) < 2 else _objects(control)

@@ -20,7 +20,7 @@ from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
 from cagemap.files.usd.prims import BLEND_SHAPE
-from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, to_part
@@ -40,7 +40,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     file = Path(path)
     if file.suffix.lower() in SCENE_SUFFIXES:
         return gltf_skeleton(file)
-    if file.suffix.lower() in USD_SUFFIXES:
+    if is_usd(file):
         skeleton = read_usd_skeleton(file, control)
         if skeleton is None:
             raise FormatError(
@@ -120,7 +120,7 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
         arrays = dict(gltf_shapes(file))
     if arrays is not None:
         return {name: _checked_offsets(file, name, array, rest) for name, array in to_part(arrays, rows).items()}
-    if file.suffix.lower() not in USD_SUFFIXES:
+    if not is_usd(file):
         return {file.stem: _read_shape(file, rest, rows)}
     shapes = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
     if any(values.shape != (rest.n_vertices, 3) for values in shapes.values()):
