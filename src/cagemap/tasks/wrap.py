@@ -18,7 +18,7 @@ from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
 from cagemap.files.usd.prims import moved
-from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import read_attributes
@@ -72,21 +72,19 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 def _found(
     request: WrapRequest, target: Path, sources: Sequence[Path], folder: Path, stages: Stages
 ) -> tuple[tuple[Path, ...], list[str]]:
-    """Write a RESULT for each source, from a match or the user's point map; returns them and warnings.
+    """Match the target with each source, or read the user's point map; returns the RESULT folders and warnings.
 
-    Several sources are frames: the map to each one starts from the map to the last one.
+    Several sources are frames of a motion: the match of each frame starts from the map to the frame before it.
     """
     results = tuple(folder / f"{frame}" for frame in range(len(sources)))
     if request.map is not None:
         options = _of_both(request, "weld")
         return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
-    landmarks, before = request.landmarks, None
-    for source, result in zip(sources, results, strict=True):
+    for frame, (source, result) in enumerate(zip(sources, results, strict=True)):
+        landmarks, before = (None, read_result(results[frame - 1])) if frame else (request.landmarks, None)
         _, found = run_match(MatchRequest(target, source, landmarks, result, **options), stages, before)
         warnings += found if len(sources) == 1 else [f"{source.name}: {message}" for message in found]
-        if source != sources[-1]:
-            landmarks, before = None, read_result(result)
     return results, list(dict.fromkeys(warnings))
 
 
@@ -250,7 +248,7 @@ def _write(
         left = whole.n_vertices - len(np.unique(placed))
         return [f"{original.name}: {left} vertices that were not matched stay where they are"] if left else []
     check_outputs(mesh_files(output, mesh), [], force=request.force)
-    both_usd = all(path is not None and path.suffix.lower() in USD_SUFFIXES for path in (output, original))
+    both_usd = all(path is not None and is_usd(path) for path in (output, original))
     if wrapped.level == 0 and both_usd:
         points = UsdResults(points=mesh.positions)
         write_usd_results(output, request.results[0], result, points, force=request.force)
