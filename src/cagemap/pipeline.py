@@ -304,8 +304,9 @@ def match_next(
 ) -> MatchResult:
     """Map the target to the next frame of a moving source, from the map to the last frame.
 
-    Nothing is searched, and errors add up from frame to frame (docs/lab/sequences.md). A map that folds has lost the
-    motion: then the frame is matched without the last one.
+    The fit starts from the map to the last frame; no other starts are tried, and errors add up from frame to frame
+    (docs/lab/sequences.md). If the map folds more than ``max_folded_frame`` of `RefitConfig`, the frame is matched
+    without the last one.
 
     Parameters
     ----------
@@ -314,7 +315,7 @@ def match_next(
     source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
         The next frame, in units and axes of the last one. Its connectivity may be another.
     landmarks : Landmarks or (p, 2) array, optional
-        Of the target and this frame; they are held.
+        Of the target and this frame: constraints of the fit.
     config : MatchConfig
         Of method "elastic".
     progress : callable

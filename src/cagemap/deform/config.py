@@ -129,7 +129,7 @@ class SearchConfig:
     Measured in docs/lab/elastic.md and docs/lab/poses.md.
     """
 
-    # Two starts from landmarks, and more if their fits disagree
+    # Fits from two starts that landmarks give, and from further starts if these two fits disagree
     #: the fits disagree if their coarse placements are farther apart, on average
     max_start_distance: float = 0.004
     max_limb_rotation: float = 0.48  #: or if a limb is rotated by more, in radians
@@ -171,11 +171,12 @@ class SearchConfig:
     max_tip_distance: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
     min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
-    #: coarse stage with constrained tips; as stiff as for bodies in one pose
+    #: coarse stage in which tips of limbs are constraints; as stiff as the one for bodies in one pose
     tip_stage: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
     tip_samples: int = 4000  #: source samples of that stage
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
-    max_one_way_cost: float = 2e-4  #: a placement without landmarks that costs more is sought from the source too
+    #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_both_ways`)
+    max_one_way_cost: float = 2e-4
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,7 @@ class RefitConfig:
     joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
     rounds: int = 2  #: times that the target is posed and fitted
-    #: largest folded share of the area of a map that follows a motion; 0.001 where it does, 0.007 where it lost a leg
+    #: `match_next` discards a map that folds a larger share of the area; correct ones have 0.001, without a leg 0.007
     max_folded_frame: float = 0.005
     smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
@@ -250,9 +251,8 @@ class LandmarkConfig:
     min_side_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
     #: nearer landmarks are not used; their orientation depends on how exactly they were placed
     min_side_distance: float = 0.05
-    max_triple_change: float = (
-        0.5  #: a triple with a larger log ratio of distances says little about the orientation of all
-    )
+    #: a triple with a larger log ratio of distances says little about the orientation of all
+    max_triple_change: float = 0.5
     #: landmarks with a smaller mean product of orientations are too flat to judge; others have 0.03 to 0.2
     min_orientation: float = 0.02
     #: landmarks with a smaller agreement are mirrored as a whole; correct ones have 0.45 or more

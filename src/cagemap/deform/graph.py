@@ -191,9 +191,8 @@ def cluster_graph(
     keeps its energy.
     """
     cell = _cells(fine, min(count, fine.n), config)
-    cell[required] = (
-        -1 - np.arange(len(required))[::-1]
-    )  # smallest numbers, so that np.unique puts them first, in order
+    # Smallest numbers, so that np.unique puts them first, in order.
+    cell[required] = -1 - np.arange(len(required))[::-1]
     _, cell = np.unique(cell, return_inverse=True)
     k = int(cell.max()) + 1
     areas = np.bincount(cell, fine.areas, minlength=k)

@@ -50,7 +50,7 @@ def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = Non
 
 
 def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
-    """(n, 3) positions after both stages, with the target in another shape (n, 3) as rest shape and start."""
+    """(n, 3) positions of the target's mesh after the coarse and fine stages, with ``shape`` the rest shape and start."""
     stiff, prepared = problem.stiff_problem, problem.prepared
     rest = prepared.rest.moved_to(shape, prepared.elastic.fine.smoothing)
     alike = replace(stiff, prepared=replace(stiff.prepared, rest=rest))

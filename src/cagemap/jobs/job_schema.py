@@ -33,7 +33,7 @@ class Asset(_StrictModel):
     landmarks : Path, optional
         Landmarks of this mesh by name, for pairs that have no file of their own.
     part : str, optional
-        As `--part` of `cagemap match`, for this side; a pair's options `target_part` and `source_part` take precedence.
+        Name of the part to match (`--part` of `cagemap match`), unless the pair has `target_part` or `source_part`.
     scheme : str, optional
         As `--scheme`, for this side; a pair's options `target_scheme` and `source_scheme` take precedence.
     weld : str, optional

@@ -29,7 +29,7 @@ FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid po
 SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
 MIN_NORMAL_AGREEMENT = 0.97  # cosine below which the sky's light is not interpolated between pixels
 MIN_REFINED_CONTRAST = 0.06  # pixels with more contrast get several rays
-UV_TOLERANCE = 1e-6  # beyond 0..1, where rounding does not repeat a texture
+UV_TOLERANCE = 1e-6  # UVs outside 0..1 by at most this are rounding errors: the texture does not repeat there
 
 
 @dataclass(frozen=True, eq=False)

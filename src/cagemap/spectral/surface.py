@@ -143,7 +143,7 @@ class Surface:
 
     @kept
     def _coarse_triangles(self) -> dict[int, TriangleSurface]:
-        """Levels below the finest that `triangles` was asked for; the two or three that a match needs."""
+        """Triangle surfaces of coarse levels by number; `triangles` adds a level when it is first asked for."""
         return {}
 
     def with_control(self, control: ControlMesh) -> Surface:

@@ -189,7 +189,7 @@ def _on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:
 
 
 def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
-    """(n, 3) positions of a file's mesh in its character: of USD in the bind pose, in metres with Y up."""
+    """(n, 3) vertex positions of a mesh file in the space of `read_body`: USD in the bind pose, in metres with Y up."""
     if not is_usd(path):
         return mesh.positions
     return np.concatenate([part.mesh.positions for part in read_usd_character(path).parts])

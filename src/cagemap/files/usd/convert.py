@@ -213,7 +213,7 @@ def _animations(
 
 
 def _channels(animation: Any) -> dict[Channel, Any]:
-    """Attributes of a `SkelAnimation` by channel."""
+    """USD attributes that store the translations, rotations and scales of joints in a `SkelAnimation`."""
     return {
         "translation": animation.GetTranslationsAttr(),
         "rotation": animation.GetRotationsAttr(),

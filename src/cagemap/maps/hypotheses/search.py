@@ -199,11 +199,12 @@ def search(
 def search_both_ways(
     problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
 ) -> list[Placement]:
-    """Placements of `search`, and of the reverse problem where one direction often fails.
+    """Placements of `search`; for some pairs also of the reverse problem, which deforms the source onto the target.
 
-    For a part and a whole (docs/lab/parts.md): the inverses of all reverse placements, ranked with the others. Else, if
-    the best placement costs more than ``max_one_way_cost`` (docs/lab/search.md): the inverse of the best reverse
-    placement before the others, if it costs less and differs (``max_start_distance``).
+    If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
+    placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
+    more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
+    it costs less and is farther than ``max_start_distance`` from the best placement, on average.
     """
     prepared, placements = problem.prepared, search(problem, progress, show=show)
     config, best, areas = prepared.elastic.search, placements[0], prepared.rest.graph.areas
