@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import MeshProblem, list_problems, problem_at
-from cagemap.numerics.arrays import FloatArray, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
 
 def structure_problems(mesh: ControlMesh) -> tuple[MeshProblem, ...]:
     """Problems of the mesh's arrays; other checks require that there are none."""
-    problems = [_positions(mesh), _offsets(mesh)]
+    problems = [_positions(mesh), _faces(mesh)]
     if not any(problems):
-        problems += [_indices(mesh), _uvs(mesh), _materials(mesh), _creases(mesh), _corners(mesh), _holes(mesh)]
+        problems += [
+            _uvs(mesh),
+            _labels(mesh),
+            _sharp(mesh, "creases", mesh.crease_edges, mesh.crease_sharpness, (2,)) or _loose_creases(mesh),
+            _sharp(mesh, "corners", mesh.corner_vertices, mesh.corner_sharpness, ()),
+            _holes(mesh),
+        ]
     return tuple(problem for problem in problems if problem is not None)
 
 
@@ -32,8 +37,12 @@ def _problem(found: str, remedy: str = _EXPORT) -> MeshProblem:
     return MeshProblem("broken data", found, (), remedy)
 
 
-def _problem_at(found: str, elements: NDArray[np.int64]) -> MeshProblem | None:
-    return problem_at("broken data", found, elements, _EXPORT)
+def _out_of_range(numbers: IndexArray, count: int, what: str, elements: IndexArray, where: str) -> MeshProblem | None:
+    """Problem of elements (k,), called ``where``, whose numbers (k,) or (k, 2) are not all from 0 to ``count - 1``."""
+    outside = ((numbers < 0) | (numbers >= count)).reshape(len(numbers), -1).any(axis=1)
+    bad = np.unique(elements[outside])
+    found = f"expected {what} from 0 to {count - 1}, got others in {len(bad)} {where}, {where}"
+    return problem_at("broken data", found, bad, _EXPORT)
 
 
 def _positions(mesh: ControlMesh) -> MeshProblem | None:
@@ -49,7 +58,7 @@ def _positions(mesh: ControlMesh) -> MeshProblem | None:
     )
 
 
-def _offsets(mesh: ControlMesh) -> MeshProblem | None:
+def _faces(mesh: ControlMesh) -> MeshProblem | None:
     offsets, indices = mesh.face_offsets, mesh.face_indices
     if offsets.ndim != 1 or indices.ndim != 1 or not _integers(offsets) or not _integers(indices):
         return _problem("expected face_offsets and face_indices to be one-dimensional integer arrays")
@@ -58,15 +67,10 @@ def _offsets(mesh: ControlMesh) -> MeshProblem | None:
     if offsets[0] != 0 or offsets[-1] != len(indices):
         return _problem(f"expected face_offsets from 0 to {len(indices)}, got {offsets[0]} to {offsets[-1]}")
     empty = np.flatnonzero(np.diff(offsets) <= 0)
-    return _problem_at(f"expected corners on every face, got {len(empty)} face(s) without, faces", empty)
-
-
-def _indices(mesh: ControlMesh) -> MeshProblem | None:
-    outside = (mesh.face_indices < 0) | (mesh.face_indices >= mesh.n_vertices)
-    faces = np.unique(mesh.corner_faces[outside])
-    return _problem_at(
-        f"expected vertex numbers from 0 to {mesh.n_vertices - 1}, got others in {len(faces)} face(s), faces", faces
-    )
+    if len(empty):
+        found = f"expected corners on every face, got {len(empty)} face(s) without, faces"
+        return problem_at("broken data", found, empty, _EXPORT)
+    return _out_of_range(indices, len(mesh.positions), "vertex numbers", mesh.corner_faces, "faces")
 
 
 def _uvs(mesh: ControlMesh) -> MeshProblem | None:
@@ -77,14 +81,14 @@ def _uvs(mesh: ControlMesh) -> MeshProblem | None:
         return _problem("expected uvs of shape (p, 2) together with integer uv_indices, or neither")
     if indices.shape != mesh.face_indices.shape:
         return _problem(f"expected one UV index per corner ({len(mesh.face_indices)}), got {indices.shape}")
-    faces = np.unique(mesh.corner_faces[(indices < 0) | (indices >= len(uvs))])
     bad = np.flatnonzero(~np.isfinite(uvs).all(axis=1))
-    return _problem_at(
-        f"expected UV indices from 0 to {len(uvs) - 1}, got others in {len(faces)} face(s), faces", faces
-    ) or _problem_at(f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs", bad)
+    found = f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs"
+    outside = _out_of_range(indices, len(uvs), "UV indices", mesh.corner_faces, "faces")
+    return outside or problem_at("broken data", found, bad, _EXPORT)
 
 
-def _materials(mesh: ControlMesh) -> MeshProblem | None:
+def _labels(mesh: ControlMesh) -> MeshProblem | None:
+    """Problem of colours, or of the numbers of objects, groups and materials."""
     colors, count = mesh.material_colors, len(mesh.material_names)
     if colors is not None and colors.shape != (count, 3):
         return _problem(f"expected material_colors of shape ({count}, 3), got {colors.shape}")
@@ -95,57 +99,39 @@ def _materials(mesh: ControlMesh) -> MeshProblem | None:
             continue
         if numbers.shape != (mesh.n_faces,) or not _integers(numbers):
             return _problem(f"expected one integer {what} per face ({mesh.n_faces}), got {numbers.shape}")
-        bad = np.flatnonzero((numbers < 0) | (numbers >= len(names)))
-        if len(bad):
-            return _problem_at(
-                f"expected {what} numbers from 0 to {len(names) - 1}, got others on {len(bad)} face(s), faces", bad
-            )
+        problem = _out_of_range(numbers, len(names), f"{what} numbers", np.arange(mesh.n_faces), "faces")
+        if problem is not None:
+            return problem
     return None
 
 
-def _creases(mesh: ControlMesh) -> MeshProblem | None:
-    edges, sharpness = mesh.crease_edges, mesh.crease_sharpness
-    if edges is None and sharpness is None:
+def _sharp(
+    mesh: ControlMesh, what: str, elements: IndexArray | None, sharpness: FloatArray | None, row: tuple[int, ...]
+) -> MeshProblem | None:
+    """Problem of creases or corners, arrays with rows of the given shape, and their sharpness."""
+    if elements is None and sharpness is None:
         return None
-    if edges is None or sharpness is None or edges.ndim != 2 or edges.shape[1] != 2 or not _integers(edges):
-        return _problem("expected crease_edges of shape (k, 2) together with crease_sharpness, or neither")
-    if sharpness.shape != (len(edges),):
-        return _problem(f"expected one sharpness per crease ({len(edges)}), got {sharpness.shape}")
-    outside = ((edges < 0) | (edges >= mesh.n_vertices)).any(axis=1)
-    if outside.any():
-        return _problem_at(
-            f"expected creases between vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} with others, creases",
-            np.flatnonzero(outside),
-        )
-    of_faces = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
-    loose = ~np.isin(pair_keys(edges, mesh.n_vertices), pair_keys(of_faces, mesh.n_vertices))
-    if loose.any():
-        return MeshProblem(
-            "creases beside the mesh",
-            f"expected creases on edges of the mesh, got {loose.sum()} where no edge is, between vertices",
-            tuple((a, b) for a, b in edges[loose].tolist()),
-            "Take these creases out, or export the mesh again.",
-        )
-    return _sharpness(sharpness, "creases")
-
-
-def _corners(mesh: ControlMesh) -> MeshProblem | None:
-    vertices, sharpness = mesh.corner_vertices, mesh.corner_sharpness
-    if vertices is None and sharpness is None:
-        return None
-    if vertices is None or sharpness is None or vertices.ndim != 1 or not _integers(vertices):
-        return _problem("expected corner_vertices of shape (k,) together with corner_sharpness, or neither")
-    if sharpness.shape != vertices.shape:
-        return _problem(f"expected one sharpness per corner ({len(vertices)}), got {sharpness.shape}")
-    outside = vertices[(vertices < 0) | (vertices >= mesh.n_vertices)]
-    return _problem_at(
-        f"expected corners at vertices 0 to {mesh.n_vertices - 1}, got {len(outside)} others", outside
-    ) or _sharpness(sharpness, "corners")
-
-
-def _sharpness(sharpness: FloatArray, what: str) -> MeshProblem | None:
+    if elements is None or sharpness is None or elements.shape[1:] != row or not _integers(elements):
+        return _problem(f"expected vertices of {what}, rows {row}, together with their sharpness, or neither")
+    if sharpness.shape != elements.shape[:1]:
+        return _problem(f"expected one sharpness for each of the {what}, got {elements.shape} and {sharpness.shape}")
     bad = np.flatnonzero(~(sharpness >= 0))
-    return _problem_at(f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}", bad)
+    found = f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}"
+    outside = _out_of_range(elements, mesh.n_vertices, f"vertices of {what}", np.arange(len(elements)), what)
+    return outside or problem_at("broken data", found, bad, _EXPORT)
+
+
+def _loose_creases(mesh: ControlMesh) -> MeshProblem | None:
+    if mesh.crease_edges is None:
+        return None
+    of_faces = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
+    loose = ~np.isin(pair_keys(mesh.crease_edges, mesh.n_vertices), pair_keys(of_faces, mesh.n_vertices))
+    return problem_at(
+        "creases beside the mesh",
+        f"expected creases on edges of the mesh, got {loose.sum()} where no edge is, between vertices",
+        mesh.crease_edges[loose],
+        "Take these creases out, or export the mesh again.",
+    )
 
 
 def _holes(mesh: ControlMesh) -> MeshProblem | None:
@@ -154,9 +140,8 @@ def _holes(mesh: ControlMesh) -> MeshProblem | None:
         return None
     if holes.ndim != 1 or not _integers(holes):
         return _problem("expected hole_faces of shape (h,) and an integer type")
-    outside = holes[(holes < 0) | (holes >= mesh.n_faces)]
-    return _problem_at(f"expected holes at faces 0 to {mesh.n_faces - 1}, got {len(outside)} others", outside)
+    return _out_of_range(holes, mesh.n_faces, "faces of holes", holes, "holes")
 
 
-def _integers(array: NDArray[np.int64]) -> bool:
+def _integers(array: IndexArray) -> bool:
     return bool(np.issubdtype(array.dtype, np.integer))
