@@ -111,12 +111,8 @@ class ControlMesh:
     def from_faces(cls, positions: object, faces: object, *, name: str = "mesh") -> ControlMesh:
         """Build from a sequence of faces, each a sequence of vertex numbers (0-based).
 
-        ``faces`` may also be an (m, d) integer array.
-
-        Raises
-        ------
-        ParameterError
-            If the positions are not (n, 3), or a vertex number is no whole number.
+        ``faces`` may also be an (m, d) integer array. ParameterError if the positions are not (n, 3), or a vertex
+        number is no whole number.
         """
         vertices = np.array(real_numbers(positions, f"{name}: positions"))  # type: ignore[arg-type]
         if vertices.size and (vertices.ndim != 2 or vertices.shape[1] != 3):
@@ -192,10 +188,7 @@ class ControlMesh:
     def with_positions(self, positions: FloatArray) -> ControlMesh:
         """Return the same connectivity with other vertex positions.
 
-        Raises
-        ------
-        ParameterError
-            If there is not one position for each vertex.
+        ParameterError if there is not one position for each vertex.
         """
         given = real_numbers(positions, f"{self.name}: positions")
         if given.shape != self.positions.shape:
@@ -234,10 +227,7 @@ class ControlMesh:
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
         """Return the same mesh with other texture coordinates (p, 2) and their index for every corner, or with none.
 
-        Raises
-        ------
-        ParameterError
-            If the arrays have other shapes, or are no numbers.
+        ParameterError if the arrays have other shapes, or are no numbers.
         """
         if uvs is None or uv_indices is None:
             return replace(self, uvs=None, uv_indices=None)

@@ -56,6 +56,8 @@ def is_mesh(value: object) -> bool:
 def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     """Control mesh from arrays or from a mesh of another library; vertices and faces keep their numbers.
 
+    ParameterError if the mesh has another type, or its arrays are no vertices and faces.
+
     Parameters
     ----------
     mesh : ControlMesh, pair (vertices, faces), or object with ``vertices`` and ``faces`` or ``triangles``
@@ -63,11 +65,6 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
         texture coordinates. Tensors are copied.
     name : str
         Name of the mesh in messages, unless it is a `ControlMesh`.
-
-    Raises
-    ------
-    ParameterError
-        If the mesh has another type, or its arrays are no vertices and faces.
     """
     if isinstance(mesh, ControlMesh):
         return mesh
@@ -99,12 +96,7 @@ def is_pairs(value: object) -> bool:
 def landmark_pairs(landmarks: Any) -> Landmarks:
     """Landmarks from an array (p, 2) of pairs (target vertex, source vertex), 0-based, named ``point 0`` and so on.
 
-    Raises
-    ------
-    InvalidLandmarksError
-        If the array has another shape.
-    ParameterError
-        If the vertices are no whole numbers.
+    InvalidLandmarksError if the array has another shape; ParameterError if the vertices are no whole numbers.
     """
     if isinstance(landmarks, Landmarks):
         return landmarks

@@ -131,11 +131,7 @@ def plain_mesh(mesh: MeshLike) -> PlainMesh:
 
     Joins repeated vertices, removes degenerate and duplicate faces, separates parts that only touch, orients faces
     consistently and removes smaller pieces. A mesh without these faults keeps its vertex and face numbers.
-
-    Raises
-    ------
-    InvalidMeshError
-        If the arrays are no mesh, or the mesh is one-sided or has no area.
+    InvalidMeshError if the arrays are no mesh, or the mesh is one-sided or has no area.
     """
     require_structure(mesh)
     work = replace(

@@ -57,7 +57,8 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     """Join border vertices at the same position; the lowest number stays.
 
     Inner vertices are not joined, so that surfaces in contact stay separate. Repeated corners of a face are merged, and
-    faces with fewer than three corners are dropped. Colours of joined vertices are averaged.
+    faces with fewer than three corners are dropped. Colours of joined vertices are averaged. InvalidMeshError if the
+    arrays are no mesh, or no face would be left; ParameterError if the tolerance is not a number from 0 to 0.1.
 
     Parameters
     ----------
@@ -68,13 +69,6 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     offsets : (n, 3 k) float64, optional
         Offsets in k blend shapes: only vertices at the same position in all of them are joined, so that closed lips
         stay separate.
-
-    Raises
-    ------
-    InvalidMeshError
-        If the arrays are no mesh, or no face would be left.
-    ParameterError
-        If the tolerance is not a number from 0 to 0.1.
 
     Examples
     --------

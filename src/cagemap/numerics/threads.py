@@ -71,11 +71,7 @@ def thread_limit(count: int) -> Iterator[None]:
     """Use at most ``count`` threads inside the block, and in the threads that cagemap starts there.
 
     Other threads of the caller keep their own limit. Nested calls may start as many threads again, unless it is 1.
-
-    Raises
-    ------
-    ParameterError
-        If the count is not a positive integer.
+    ParameterError if the count is not a positive integer.
     """
     token = _thread_limit.set(_checked_count(count, "threads"))
     try:

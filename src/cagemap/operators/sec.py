@@ -59,18 +59,13 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     """Operators of every level of a refinement, at unit area of the finest level (2.2.2, Lemma 5).
 
     O(n_f) time and memory. Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on
-    coarser levels.
+    coarser levels. ParameterError if ``laplacian`` is no Laplacian.
 
     Parameters
     ----------
     refinement : Refinement
     laplacian : Laplacian
         Laplacian of the finest level: `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
-
-    Raises
-    ------
-    ParameterError
-        If ``laplacian`` is no Laplacian.
     """
     if not callable(getattr(laplacian, "face_terms", None)):
         raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")

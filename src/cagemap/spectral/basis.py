@@ -99,10 +99,7 @@ class HierarchicalBasis:
     def at(self, level: int) -> FloatArray:
         """Dense matrix Phi~^level (n_level, k~_level) of the bands up to a level (eq. 8).
 
-        Raises
-        ------
-        ParameterError
-            If there is no such level.
+        ParameterError if there is no such level.
         """
         self._check_level(level)
         values = np.zeros((self.refinement.levels[0].n_vertices, 0))
@@ -116,10 +113,7 @@ class HierarchicalBasis:
     def rows(self, level: int, vertices: IndexArray) -> FloatArray:
         """Rows (q, k~_level) of Phi~^level at vertices (q,) of the level; cost is linear in q.
 
-        Raises
-        ------
-        ParameterError
-            If the level or a vertex does not exist.
+        ParameterError if the level or a vertex does not exist.
         """
         self._check_level(level)
         bands = [(coarser, band) for coarser, band in enumerate(self.bands[: level + 1]) if band.shape[1]]
@@ -135,6 +129,8 @@ class HierarchicalBasis:
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
         """Coefficients (k,) or (k, q) of functions: (Phi~^T M Phi~)^{-1} Phi~^T M f (paper, section 4.4).
 
+        ParameterError if the level does not exist or the number of rows is not that of the level.
+
         Parameters
         ----------
         values : (n_level,) or (n_level, q) array
@@ -142,11 +138,6 @@ class HierarchicalBasis:
         level : int
         count : int, optional
             Use only so many leading functions of the basis.
-
-        Raises
-        ------
-        ParameterError
-            If the level does not exist or the number of rows is not that of the level.
         """
         self._check_level(level)
         size = self.count if count is None else count
@@ -201,7 +192,8 @@ def hierarchical_basis(
 ) -> HierarchicalBasis:
     """Compute a basis: ``config.count`` functions of one level, or ``config.schedule[l]`` of each level.
 
-    Logs a warning if functions of different levels are nearly dependent (``condition``).
+    Logs a warning if functions of different levels are nearly dependent (``condition``). ParameterError if more
+    functions are asked for than a level has vertices.
 
     Parameters
     ----------
@@ -209,11 +201,6 @@ def hierarchical_basis(
     operators : Operators
         Of the same refinement.
     config : BasisConfig
-
-    Raises
-    ------
-    ParameterError
-        If more functions are asked for than a level has vertices.
     """
     counts = config.bands(refinement, operators.finest)
     if config.schedule is None:

@@ -114,10 +114,7 @@ def band_pairs(
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
     """Exact lowest eigenpairs of one level (paper, eq. 1); the hierarchical basis approximates them.
 
-    Raises
-    ------
-    ParameterError
-        If level or count is out of range.
+    ParameterError if level or count is out of range.
     """
     if not 0 <= level <= operators.finest:
         raise ParameterError(f"expected a level from 0 to {operators.finest}, got {level}")

@@ -34,6 +34,9 @@ MAX_COSINE = 0.9
 def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     """The k lowest eigenpairs W x = lambda M x of a mesh, without subdivision.
 
+    InvalidMeshError if the arrays are no mesh, or a vertex has no area around it; ParameterError if k or the accuracy
+    is out of range; SolverError if the residual is not reached.
+
     Parameters
     ----------
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
@@ -47,15 +50,6 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     -------
     EigenPairs
         ``values`` (k,), ascending, and ``vectors`` (n, k) float64, M-orthonormal, in the mesh's unit of length.
-
-    Raises
-    ------
-    InvalidMeshError
-        If the arrays are no mesh, or a vertex has no area around it.
-    ParameterError
-        If k or the accuracy is out of range.
-    SolverError
-        If the residual is not reached.
 
     Notes
     -----
@@ -138,7 +132,8 @@ def operators_for_diffusion_net(
 ) -> tuple[FloatArray, sparse.csr_array, FloatArray, FloatArray, sparse.csr_array, sparse.csr_array]:
     """DiffusionNet's operators of a level's triangles: mass, L, evals, evecs, gradX, gradY.
 
-    The network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022).
+    The network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022). ParameterError if
+    the level or count is out of range.
 
     Parameters
     ----------
@@ -163,11 +158,6 @@ def operators_for_diffusion_net(
     gradX, gradY : (n, n) CSR arrays
         Least-squares gradient over the edges at a vertex, in tangent axes. X is the projection of the first axis of
         space, or of the second where the normal is within 26 degrees of the first; Y = normal x X.
-
-    Raises
-    ------
-    ParameterError
-        If the level or count is out of range.
     """
     triangles = surface.finest_triangles if level is None else surface.triangles(level)
     if not 0.0 < regularisation < np.inf:

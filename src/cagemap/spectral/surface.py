@@ -118,12 +118,8 @@ class Surface:
     def triangles(self, level: int) -> TriangleSurface:
         """Triangles of a level, with its vertices at their finest positions, at unit area.
 
-        n-gons of the control mesh are split into fans, quads by `cagemap.subdivision.triangles`.
-
-        Raises
-        ------
-        ParameterError
-            If there is no such level.
+        n-gons of the control mesh are split into fans, quads by `cagemap.subdivision.triangles`. ParameterError if
+        there is no such level.
         """
         if not 0 <= level <= self.finest:
             raise ParameterError(f"level: expected 0 to {self.finest}, got {level}")
@@ -183,17 +179,12 @@ def no_progress(stage: str) -> None:
 def choose_level(control: MeshLike, vertices: int) -> int:
     """Coarsest level, at least 1, with at least three quarters of the requested vertices.
 
-    A plain mesh (scheme none) has level 0 only.
+    A plain mesh (scheme none) has level 0 only. ParameterError if the number of vertices is out of range.
 
     Parameters
     ----------
     control : mesh, see `cagemap.mesh.inputs.control_mesh`
     vertices : int
-
-    Raises
-    ------
-    ParameterError
-        If the number of vertices is out of range.
     """
     if not 1 <= vertices <= 20_000_000:
         raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
@@ -207,10 +198,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
     """Default basis of a method: functions of one level, for "paper" a schedule up to ``level``.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such method.
+    ParameterError if there is no such method.
     """
     if method not in METHODS:
         raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
@@ -230,6 +218,8 @@ def prepare_surface(
     """Refine a control mesh and compute its operators and basis (paper, sections 2.2 and 4).
 
     The subdivision scheme is ``control.scheme``; without one, Loop for triangle meshes and Catmull-Clark for others.
+    InvalidMeshError if the control mesh is not an oriented connected manifold; the message lists the offending
+    elements; ParameterError if the level or the number of basis functions is out of range.
 
     Parameters
     ----------
@@ -239,13 +229,6 @@ def prepare_surface(
     config : BasisConfig
     progress : callable
         Called with the name of each stage.
-
-    Raises
-    ------
-    InvalidMeshError
-        If the control mesh is not an oriented connected manifold; the message lists the offending elements.
-    ParameterError
-        If the level or the number of basis functions is out of range.
     """
     require_valid(control)
     return prepare_checked(control, level, config, progress=progress)
@@ -288,6 +271,8 @@ def prepare_surfaces(
 ) -> tuple[Surface, Surface]:
     """Prepare both surfaces at the same time, in two threads.
 
+    InvalidMeshError, ParameterError: see `prepare_surface`.
+
     Parameters
     ----------
     target, source : mesh, see `cagemap.mesh.inputs.control_mesh`
@@ -298,11 +283,6 @@ def prepare_surfaces(
         Function that makes a surface from a control mesh, a level and a configuration.
     progress : callable
         Called once, as the stages of two surfaces would mix.
-
-    Raises
-    ------
-    InvalidMeshError, ParameterError
-        See `prepare_surface`.
     """
     if not isinstance(levels, Sequence | np.ndarray) or len(levels) != 2:
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")

@@ -23,6 +23,8 @@ TOLERANCE = 1e-4
 class SurfacePoints:
     """Points on one surface.
 
+    ParameterError if the arrays are not points of this surface.
+
     Attributes
     ----------
     surface : TriangleSurface
@@ -30,11 +32,6 @@ class SurfacePoints:
         Triangle of each point.
     barycentric : (m, 3) float64
         Weights of its corners, not negative, rows sum to 1.
-
-    Raises
-    ------
-    ParameterError
-        If the arrays are not points of this surface.
     """
 
     surface: TriangleSurface
@@ -140,10 +137,7 @@ class SurfacePoints:
     ) -> SurfacePoints:
         """Closest surface points to points (m, 3) at unit area; options as `closest_points`.
 
-        Raises
-        ------
-        ParameterError
-            If the points are not finite or not (m, 3).
+        ParameterError if the points are not finite or not (m, 3).
         """
         points = real_numbers(points, "points")
         if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
@@ -179,10 +173,7 @@ class SurfacePoints:
     def interpolate(self, values: FloatArray) -> FloatArray:
         """Linear interpolation of vertex values (n,) or (n, q): (m,) or (m, q) values at the points.
 
-        Raises
-        ------
-        ParameterError
-            If there is not one row for each vertex, or the values are no real numbers.
+        ParameterError if there is not one row for each vertex, or the values are no real numbers.
         """
         values = array_of(values)
         values = values if values.dtype.kind in "biuf" else real_numbers(values, "values")

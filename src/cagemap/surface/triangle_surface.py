@@ -64,10 +64,7 @@ class TriangleSurface:
     def from_faces(cls, positions: FloatArray, faces: IndexArray) -> TriangleSurface:
         """Surface of faces (m, 4) or (m, 3) in any unit, scaled to unit area and split by `triangles`.
 
-        Raises
-        ------
-        ParameterError
-            If the surface has no area or a position is not finite.
+        ParameterError if the surface has no area or a position is not finite.
         """
         area = surface_area(positions, faces)
         if not 0.0 < area < np.inf:
