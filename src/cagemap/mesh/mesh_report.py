@@ -51,8 +51,9 @@ class MeshProblem:
 
 
 def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> MeshProblem | None:
-    """A problem of elements (k,); None if k is 0."""
-    return MeshProblem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
+    """A problem of elements (k,) or vertices of edges (k, 2); None if k is 0."""
+    listed = [tuple(row) for row in elements.tolist()] if elements.ndim == 2 else elements.tolist()
+    return MeshProblem(kind, found, tuple(listed), remedy) if len(elements) else None
 
 
 def list_problems(problems: Iterable[object]) -> str:
