@@ -26,7 +26,7 @@ Arguments = ParamSpec("Arguments")
 
 THREADS_VARIABLE = "CAGEMAP_THREADS"
 # Number of rows of a dense matrix that one thread processes at a time.
-ROWS = 65_536
+ROW_BLOCK = 65_536
 
 _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)
 

@@ -12,7 +12,7 @@ from scipy import linalg, sparse
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import ROWS, row_slices
+from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
 from cagemap.spectral.config import SOLVER, BasisConfig
 from cagemap.spectral.eigenpairs import band_pairs, count_below, residual_norms
@@ -109,7 +109,7 @@ class HierarchicalBasis:
     def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
         """Yield blocks of vertices and rows of Phi~^level, for levels with too many rows for memory."""
         self._check_level(level)
-        for part in row_slices(self.refinement.levels[level].n_vertices, ROWS):
+        for part in row_slices(self.refinement.levels[level].n_vertices, ROW_BLOCK):
             yield part, self.rows(level, np.arange(part.start, part.stop))
 
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
@@ -180,25 +180,21 @@ def hierarchical_basis(
 
     Logs a warning if functions of different levels are nearly dependent (``condition``). ParameterError if more
     functions are asked for than a level has vertices.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    operators : Operators
-        Of the same refinement.
-    config : BasisConfig
     """
-    counts = config.bands(refinement, operators.finest)
+    counts, sizes = config.bands(refinement, operators.finest), [mass.shape[0] for mass in operators.mass]
     if config.schedule is None:
-        size = operators.mass[len(counts) - 1].shape[0]
+        size = sizes[len(counts) - 1]
         if config.count > size and config.count != BasisConfig.count:
             raise ParameterError(
                 f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count};"
                 " refine further or ask for fewer"
             )
         counts = (*counts[:-1], min(config.count, size))
-    else:
-        _check_schedule(operators, counts)
+    elif len(counts) > len(sizes) or np.any(np.cumsum(counts) > sizes[: len(counts)]):
+        raise ParameterError(
+            f"schedule: expected at most {len(sizes)} counts, one for each level, whose sums are at most the levels' "
+            f"numbers of vertices {sizes}, got {counts}; refine further, move counts to finer levels, or give count"
+        )
     while not counts[-1]:
         counts = counts[:-1]
     none = np.zeros(0)
@@ -296,18 +292,3 @@ def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
     band = np.array(vectors, dtype=np.float64)
     factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)
-
-
-def _check_schedule(operators: Operators, counts: tuple[int, ...]) -> None:
-    sizes = [mass.shape[0] for mass in operators.mass]
-    if len(counts) > len(sizes):
-        raise ParameterError(
-            f"schedule: expected at most {len(sizes)} counts, one for each level, got {len(counts)}: {counts}; refine "
-            "further or shorten it"
-        )
-    for level, total in enumerate(np.cumsum(counts)):
-        if total > sizes[level]:
-            raise ParameterError(
-                f"schedule: expected at most {sizes[level]} functions up to level {level}, which has so many vertices, "
-                f"got {total} from {counts}; move counts to finer levels, or give count instead"
-            )

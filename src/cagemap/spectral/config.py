@@ -38,10 +38,7 @@ class BasisConfig:
         """Check the ranges."""
         counts = (self.count, *(() if self.schedule is None else self.schedule))
         if not all(isinstance(count, int | np.integer) for count in counts):
-            raise ParameterError(
-                f"count and schedule: expected whole numbers, such as 150 or (100, 50, 50), got {self.count!r} and "
-                f"{self.schedule!r}"
-            )
+            raise ParameterError(f"count and schedule: expected whole numbers, such as 150 or (100, 50), got {counts}")
         if self.schedule is not None:
             object.__setattr__(self, "schedule", tuple(self.schedule))
         if self.count < 1:
@@ -51,14 +48,10 @@ class BasisConfig:
         if not 0.0 < self.accuracy <= 1e-3:
             raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
         if self.schedule is not None and (not self.schedule or min(self.schedule) < 0 or max(self.schedule) < 1):
-            raise ParameterError(
-                f"schedule: expected counts per level such as (100, 50, 50), level 0 first, got {self.schedule}"
-            )
+            raise ParameterError(f"schedule: expected counts per level, such as (100, 50, 50), got {self.schedule}")
         named_laplacian(self.laplacian, self.stabilisation)
         if self.literal and self.schedule is None:
-            raise ParameterError(
-                "literal: expected a fixed schedule with it, as in Definition 2, got none; give schedule"
-            )
+            raise ParameterError("literal: expected a schedule with it (Definition 2), got none; give schedule")
 
     @property
     def total(self) -> int:
@@ -70,7 +63,7 @@ class BasisConfig:
         if self.schedule is not None:
             return self.schedule
         level = min(refinement.coarsest_level(max(MIN_VERTICES, VERTICES_PER_FUNCTION * self.count)), finest)
-        return (*(0 for _ in range(level)), self.count)
+        return (*(0,) * level, self.count)
 
 
 # Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs

@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.factorization import Factorization, Precision, factor
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import ROWS, in_threads, row_slices
+from cagemap.numerics.threads import ROW_BLOCK, in_threads, row_slices
 from cagemap.operators import Operators
 from cagemap.spectral.config import SOLVER
 
@@ -292,11 +292,8 @@ def shift_invert_lanczos(
         # The recurrence couples a block to itself and the previous one; the rest removes rounding along older blocks.
         recent = slice(max(0, size - 2 * width), size)
         coefficients = np.zeros((size, width), dtype)
-        coefficients[recent] = _products(mass_used[:, recent], image)
-        _subtract(image, used[:, recent], coefficients[recent])
-        correction = _products(mass_used, image)
-        _subtract(image, used, correction)
-        coefficients += correction
+        coefficients[recent] = _remove(image, used[:, recent], mass_used[:, recent])
+        coefficients += _remove(image, used, mass_used)
         projected[:size, size - width : size] = coefficients
         block, mass_block, factor = orthonormal_block(image.astype(np.float64, copy=False), mass, rng, used, mass_used)
         full = size + width > capacity
@@ -309,7 +306,9 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                return values[order], _combined(used, rotation[:, chosen[order]].astype(dtype))
+                coordinates = rotation[:, chosen[order]].astype(dtype)
+                rows = row_slices(n, ROW_BLOCK)
+                return values[order], np.vstack(in_threads(lambda part: used[part] @ coordinates, rows))
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(
@@ -320,21 +319,14 @@ def shift_invert_lanczos(
         size += width
 
 
-def _products(basis: Block, block: Block) -> Block:
-    """(m, b) product Q^T X, in threads; independent of their number."""
-    shares = in_threads(lambda part: basis[part].T @ block[part], row_slices(len(block), ROWS))
-    return np.asarray(sum(shares[1:], shares[0]))
-
-
-def _subtract(block: Block, basis: Block, coefficients: Block) -> None:
-    """Subtract Q C from X in place, in threads."""
+def _remove(block: Block, basis: Block, mass_basis: Block) -> Block:
+    """Make X M-orthogonal to Q in place, in threads; returns the coefficients (M Q)^T X (m, b)."""
+    rows = row_slices(len(block), ROW_BLOCK)
+    shares = in_threads(lambda part: mass_basis[part].T @ block[part], rows)
+    coefficients: Block = np.asarray(sum(shares[1:], shares[0]))
 
     def subtract(part: slice) -> None:
         block[part] -= basis[part] @ coefficients
 
-    in_threads(subtract, row_slices(len(block), ROWS))
-
-
-def _combined(basis: Block, coefficients: Block) -> Block:
-    """(n, b) product Q C, in threads."""
-    return np.vstack(in_threads(lambda part: basis[part] @ coefficients, row_slices(len(basis), ROWS)))
+    in_threads(subtract, rows)
+    return coefficients

@@ -13,7 +13,7 @@ from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import ROWS, in_threads, one_blas_thread, row_slices
+from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.config import SOLVER
 from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
@@ -21,12 +21,12 @@ from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 
 # Number of columns that are solved and multiplied at a time.
-COLUMNS = 64
+COLUMN_BLOCK = 64
 # Most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding.
-MAX_ITERATIONS = 4
+MAX_INVERSE_ITERATIONS = 4
 # For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.
 DIFFUSION_NET_ACCURACY = 1e-7
-EPSILON = 1e-6
+ADDED_TO_NORMS = 1e-6
 MAX_COSINE = 0.9
 
 
@@ -37,26 +37,14 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     InvalidMeshError if the arrays are no mesh, or a vertex has no area around it; ParameterError if k or the accuracy
     is out of range; SolverError if the residual is not reached.
 
-    Parameters
-    ----------
-    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
-        Triangles, quads (mean of both triangulations) or polygons (fans). It may have boundaries, several parts
-        and edges of more than two faces.
-    k : int
-    accuracy : float
-        Largest relative residual of a pair, from 1e-12 to 1e-2; see Notes.
+    The mesh has triangles, quads (mean of both triangulations) or polygons (fans), and may have boundaries, several
+    parts and edges of more than two faces. Values (k,) ascend; vectors (n, k) float64 are M-orthonormal, in the mesh's
+    unit of length.
 
-    Returns
-    -------
-    EigenPairs
-        ``values`` (k,), ascending, and ``vectors`` (n, k) float64, M-orthonormal, in the mesh's unit of length.
-
-    Notes
-    -----
     W is the cotangent matrix `cagemap.operators.stiffness`, M = diag `cagemap.operators.vertex_areas`. Every pair has
     ``||W x - lambda M x||_{M^-1} <= accuracy max(lambda, 4 pi / area)`` with ``||x||_M = 1``, so that an eigenvalue of
     (W, M) is within that bound of lambda, and within its square divided by the gap to the next eigenvalue (Kato and
-    Temple). The inertia of W - tau M proves that none below the last was missed.
+    Temple). The accuracy is from 1e-12 to 1e-2. The inertia of W - tau M proves that none below the last was missed.
     """
     if not 1e-12 <= accuracy <= 1e-2:
         raise ParameterError(f"accuracy: expected a residual from 1e-12 to 1e-2, got {accuracy:g}")
@@ -85,20 +73,20 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     shift = -4.0 * np.pi / float(areas.sum())
     shifted, worst = None, np.inf
-    for iteration in range(MAX_ITERATIONS + 1):
+    parts = row_slices(k, COLUMN_BLOCK)
+    for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         if shifted is not None or initial.vectors.dtype == np.float64:
-            worst = _worst_residual(weights, areas, values, vectors)
+            worst = max(_worst_residual(weights, areas, values[part], vectors[:, part]) for part in parts)
         if worst <= accuracy:
             return EigenPairs(values, vectors, 0)
-        if iteration == MAX_ITERATIONS:
+        if iteration == MAX_INVERSE_ITERATIONS:
             break
         shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
-        for part in row_slices(k, COLUMNS):
+        for part in parts:
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
         _orthonormalise(vectors, areas)
-        for part in row_slices(k, COLUMNS):
-            columns = vectors[:, part]
-            values[part] = np.einsum("ij,ij->j", columns, multiply(weights, columns))
+        for part in parts:
+            values[part] = np.einsum("ij,ij->j", vectors[:, part], multiply(weights, vectors[:, part]))
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
     )
@@ -106,7 +94,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
 
 def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
     """M-orthonormalise vectors (n, k) in place, in order, as inverse iteration amplifies the lower ones in each."""
-    rows = row_slices(len(vectors), ROWS)
+    rows = row_slices(len(vectors), ROW_BLOCK)
     shares = in_threads(lambda part: vectors[part].T @ (areas[part, None] * vectors[part]), rows)
     turn = linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0]))))
 
@@ -118,12 +106,7 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
 
 def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
     """The largest of `residual_norms`."""
-
-    def worst(part: slice) -> float:
-        columns = vectors[:, part]
-        return float(residual_norms(values[part], multiply(weights, columns), areas[:, None] * columns, areas).max())
-
-    return max(worst(part) for part in row_slices(len(values), COLUMNS))
+    return float(residual_norms(values, multiply(weights, vectors), areas[:, None] * vectors, areas).max())
 
 
 @kinds_checked
@@ -132,19 +115,10 @@ def operators_for_diffusion_net(
 ) -> tuple[FloatArray, sparse.csr_array, FloatArray, FloatArray, sparse.csr_array, sparse.csr_array]:
     """DiffusionNet's operators of a level's triangles: mass, L, evals, evecs, gradX, gradY.
 
-    The network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022). ParameterError if
-    the level or count is out of range.
-
-    Parameters
-    ----------
-    surface : Surface
-    level : int, optional
-        Level of ``surface.hierarchy``; default: the finest.
-    count : int
-        Number of eigenpairs.
-    regularisation : float
-        Added to the 2 x 2 least-squares matrix of every gradient, in squared lengths at unit area. The default is
-        DiffusionNet's; it reduces gradients where edges are shorter than about 0.005.
+    The network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022). The level is one
+    of ``surface.hierarchy``, by default the finest. ``regularisation`` is added to the 2 x 2 least-squares matrix of
+    every gradient, in squared lengths at unit area; the default is DiffusionNet's and reduces gradients where edges are
+    shorter than about 0.005. ParameterError if the level or count is out of range.
 
     Returns
     -------
@@ -194,10 +168,10 @@ def _edge_gradients(triangles: TriangleSurface, regularisation: float) -> tuple[
 def _tangent_axes(triangles: TriangleSurface) -> tuple[FloatArray, FloatArray]:
     """(n, 3) X and Y axes of tangent planes, normal to the mean of adjacent faces' normals."""
     doubled = 2.0 * triangles.areas[:, None]
-    of_faces = triangles.normals * doubled / (doubled + EPSILON)
+    of_faces = triangles.normals * doubled / (doubled + ADDED_TO_NORMS)
     normals = sum(grouped_sums(corner, of_faces, triangles.n) for corner in triangles.triangles.T)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     axis = np.where(np.abs(normals[:, :1]) < MAX_COSINE, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     x = axis - normals * np.einsum("nd,nd->n", axis, normals)[:, None]
-    x /= np.linalg.norm(x, axis=1, keepdims=True) + EPSILON
+    x /= np.linalg.norm(x, axis=1, keepdims=True) + ADDED_TO_NORMS
     return x, np.cross(normals, x)

@@ -121,8 +121,8 @@ class Surface:
             return self.finest_triangles
         known, levels = self._coarse_triangles, self.hierarchy
         if level not in known:
-            places = self.finest_triangles.positions[levels.on_finest(level)]
-            known.setdefault(level, TriangleSurface(places, level_triangles(levels, level), self.scale))
+            positions = self.finest_triangles.positions[levels.on_finest(level)]
+            known.setdefault(level, TriangleSurface(positions, level_triangles(levels, level), self.scale))
         return known[level]
 
     @kept
@@ -174,11 +174,6 @@ def choose_level(control: MeshLike, vertices: int) -> int:
     """Coarsest level, at least 1, with at least three quarters of the requested vertices.
 
     A plain mesh (scheme none) has level 0 only. ParameterError if the number of vertices is out of range.
-
-    Parameters
-    ----------
-    control : mesh, see `cagemap.mesh.inputs.control_mesh`
-    vertices : int
     """
     if not 1 <= vertices <= 20_000_000:
         raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
@@ -203,37 +198,21 @@ def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisCon
 
 @arrays_accepted
 def prepare_surface(
-    control: MeshLike,
-    level: int,
-    config: BasisConfig = MAP_BASIS,
-    *,
-    progress: Progress = no_progress,
+    control: MeshLike, level: int, config: BasisConfig = MAP_BASIS, *, progress: Progress = no_progress
 ) -> Surface:
     """Refine a control mesh and compute its operators and basis (paper, sections 2.2 and 4).
 
     The subdivision scheme is ``control.scheme``; without one, Loop for triangle meshes and Catmull-Clark for others.
-    InvalidMeshError if the control mesh is not an oriented connected manifold; the message lists the offending
-    elements; ParameterError if the level or the number of basis functions is out of range.
-
-    Parameters
-    ----------
-    control : mesh, see `cagemap.mesh.inputs.control_mesh`
-    level : int
-        Number of the finest level, at least 1; 0 for a plain mesh (scheme none), which is not refined.
-    config : BasisConfig
-    progress : callable
-        Called with the name of each stage.
+    ``level`` is the finest level, at least 1; 0 for a plain mesh (scheme none), which is not refined. ``progress`` is
+    called with the name of each stage. InvalidMeshError, with the offending elements, if the control mesh is not an
+    oriented connected manifold; ParameterError if the level or the number of basis functions is out of range.
     """
     require_valid(control)
     return prepare_checked(control, level, config, progress=progress)
 
 
 def prepare_checked(
-    control: ControlMesh,
-    level: int,
-    config: BasisConfig = MAP_BASIS,
-    *,
-    progress: Progress = no_progress,
+    control: ControlMesh, level: int, config: BasisConfig = MAP_BASIS, *, progress: Progress = no_progress
 ) -> Surface:
     """`prepare_surface` of a control mesh that is known to be valid."""
     scheme = default_scheme(control)
@@ -263,20 +242,10 @@ def prepare_surfaces(
     prepare: Callable[..., Surface] = prepare_surface,
     progress: Progress = no_progress,
 ) -> tuple[Surface, Surface]:
-    """Prepare both surfaces at the same time, in two threads.
+    """Prepare both surfaces at the same time, in two threads; errors as of `prepare_surface`.
 
-    InvalidMeshError, ParameterError: see `prepare_surface`.
-
-    Parameters
-    ----------
-    target, source : mesh, see `cagemap.mesh.inputs.control_mesh`
-    levels : (int, int)
-        Finest levels of target and source.
-    config : BasisConfig or pair of them
-    prepare : callable
-        Function that makes a surface from a control mesh, a level and a configuration.
-    progress : callable
-        Called once, as the stages of two surfaces would mix.
+    ``levels`` are the finest levels of target and source, ``config`` is for both or a pair. ``prepare`` makes a surface
+    from a control mesh, a level and a configuration. ``progress`` is called once, as the stages would mix.
     """
     if not isinstance(levels, Sequence | np.ndarray) or len(levels) != 2:
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
