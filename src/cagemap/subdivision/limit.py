@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
 from cagemap.mesh.topology import BoolArray, Topology, topology_of
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components
 from cagemap.subdivision.matrices import (
     RowFiller,
     put_boundary_rows,
@@ -28,6 +28,7 @@ from cagemap.subdivision.matrices import (
 from cagemap.subdivision.refinement import Refinement, state_of
 from cagemap.subdivision.sharpness import MeshState, Sharpness, next_state
 from cagemap.subdivision.topology import corner_neighbours
+from cagemap.surface.triangles import normalize_rows
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
 # Rows, columns and weights of matrix entries.
@@ -36,22 +37,17 @@ Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 def limit_matrix(refinement: Refinement, level: int) -> csr_array:
     """(n_level, n_level) matrix from positions to limit positions of a level; rows sum to 1."""
-    state = _checked_state(refinement, level)
-    scheme = refinement.scheme
-    if isinstance(scheme, Bilinear):
+    state = _state_with_rings(refinement, level)
+    if isinstance(refinement.scheme, Bilinear):
         return csr_array(eye_array(state.topology.n_vertices, format="csr"))
-    return _limits(state, scheme, np.ones(state.topology.n_vertices, dtype=bool))
+    return _limits(state, refinement.scheme, np.ones(state.topology.n_vertices, dtype=bool))
 
 
 def limit_positions(refinement: Refinement, level: int) -> FloatArray:
     """(n_level, 3) limit positions of a level's vertices; they do not depend on the level."""
-    if level == 0 and not _has_limit_rings(refinement, 0):
-        if refinement.n_levels == 0:
-            raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")
-        # Use level 1: all its faces are quads, and vertices keep their numbers.
-        return limit_positions(refinement, 1)[: refinement.levels[0].n_vertices]
-    limits: FloatArray = limit_matrix(refinement, level) @ refinement.levels[level].positions
-    return limits
+    used = _level_with_rings(refinement, level)
+    limits: FloatArray = limit_matrix(refinement, used) @ refinement.levels[used].positions
+    return limits[: refinement.levels[level].n_vertices]
 
 
 def limit_normals(refinement: Refinement, level: int) -> FloatArray:
@@ -61,14 +57,13 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
     normal: at interior vertices of valence 2, at boundary vertices of more than 3 faces (Catmull-Clark) or 5 (Loop),
     at sharp boundary vertices of several faces, and on bilinear surfaces. Errors as of `limit_positions`.
     """
-    if level == 0 and not _has_limit_rings(refinement, 0) and refinement.n_levels:
-        return limit_normals(refinement, 1)[: refinement.levels[0].n_vertices]
-    return _unit(np.cross(*limit_tangents(refinement, level)))
+    used = _level_with_rings(refinement, level)
+    return normalize_rows(np.cross(*limit_tangents(refinement, used)))[: refinement.levels[level].n_vertices]
 
 
 def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, FloatArray]:
     """Two tangents (n_level, 3) with outward cross product; at the boundary the first one is along it."""
-    state = _checked_state(refinement, level)
+    state = _state_with_rings(refinement, level)
     positions, scheme = refinement.levels[level].positions, refinement.scheme
     if isinstance(scheme, Bilinear):
         # Approximate by Loop's tangents: a bilinear surface has none, as it has edges there.
@@ -76,23 +71,21 @@ def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, Floa
     return _tangents(state, scheme, positions, np.ones(len(positions), dtype=bool))
 
 
-def _has_limit_rings(refinement: Refinement, level: int) -> bool:
-    if level > 0 or isinstance(refinement.scheme, Loop | Bilinear):
-        return True
-    return bool(np.all(refinement.control.face_sizes == 4))
+def _level_with_rings(refinement: Refinement, level: int) -> int:
+    """The level, but level 1, whose faces are all quads, for level 0 of a mesh with others under Catmull-Clark."""
+    if level or not isinstance(refinement.scheme, CatmullClark) or np.all(refinement.control.face_sizes == 4):
+        return level
+    if refinement.n_levels == 0:
+        raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")
+    return 1
 
 
-def _checked_state(refinement: Refinement, level: int) -> MeshState:
+def _state_with_rings(refinement: Refinement, level: int) -> MeshState:
     if not 0 <= level <= refinement.n_levels:
         raise ParameterError(f"level: expected 0 to {refinement.n_levels}, got {level}; refine further to have more")
-    if not _has_limit_rings(refinement, level):
+    if _level_with_rings(refinement, level) != level:
         raise ParameterError("level: expected quads only, got level 0 of a mesh with other faces; use level 1")
     return state_of(refinement, level)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
 def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
@@ -115,42 +108,25 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     rows = ring_limits(topology, scheme, state.corner)
     if sharpness is None:
         return rows
-    semi, dart, crease_vertices, corner = _features(topology, sharpness)
-    ends, n = topology.edge_ends, topology.n_vertices
-    smooth = ~(semi | dart | crease_vertices | corner)
+    semi, dart, crease, corner = _features(topology, sharpness)
+    ends, vertices = topology.edge_ends, np.arange(topology.n_vertices)
     own_weight, neighbour_weight = CREASE_LIMIT
-    along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease_vertices[ends]
-    fixed, crease = np.flatnonzero(corner), np.flatnonzero(crease_vertices)
+    along = neighbour_weight * ((sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease[ends])
     entries: list[Entries] = [
-        (fixed, fixed, np.ones(len(fixed))),
-        (crease, crease, np.full(len(crease), own_weight)),
-        (ends[along[:, 0], 0], ends[along[:, 0], 1], np.full(along[:, 0].sum(), neighbour_weight)),
-        (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), neighbour_weight)),
+        (vertices, vertices, corner + own_weight * crease),
+        (ends[:, 0], ends[:, 1], along[:, 0]),
+        (ends[:, 1], ends[:, 0], along[:, 1]),
     ]
-    result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, n)
-    result = result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0]
     if np.any(semi & wanted):
-        part, vertices, child, followed = _refined_around(state, scheme, semi & wanted)
-        chosen = followed[: len(vertices)]
-        finer = _limits(child, scheme, followed)[np.flatnonzero(chosen)] @ subdivision_matrix(part, scheme)
-        finer = finer.tocoo()
-        entry = vertices[chosen][finer.coords[0]], vertices[finer.coords[1]], finer.data
-        result = result + matrix_of([entry], n)
-    result = csr_array(result)
+        matrix, numbers, child, chosen = _refined_around(state, scheme, semi & wanted)
+        finer = (_limits(child, scheme, chosen)[np.flatnonzero(chosen)] @ matrix).tocoo()
+        entries.append((np.flatnonzero(semi & wanted)[finer.coords[0]], numbers[finer.coords[1]], finer.data))
+    smooth = ~(semi | dart | crease | corner)
+    result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, topology.n_vertices)
+    result = csr_array(result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0])
     result.eliminate_zeros()
     result.sort_indices()
     return result
-
-
-def _refined_around(
-    state: MeshState, scheme: SmoothScheme, chosen: BoolArray
-) -> tuple[MeshState, IndexArray, MeshState, BoolArray]:
-    """Neighbourhood of the chosen vertices, its vertex numbers, its next level, and the chosen vertices there."""
-    part, vertices = _neighbourhood(state, chosen)
-    child = next_state(part, scheme)
-    followed = np.zeros(child.topology.n_vertices, dtype=bool)
-    followed[: len(vertices)] = chosen[vertices]
-    return part, vertices, child, followed
 
 
 def _tangents(
@@ -165,11 +141,10 @@ def _tangents(
     for tangent, rows in zip(tangents, dart_rows[1:], strict=True):
         tangent[dart] = (rows @ positions)[dart]
     if np.any(semi & wanted):
-        part, vertices, child, followed = _refined_around(state, scheme, semi & wanted)
-        chosen = followed[: len(vertices)]
-        finer = _tangents(child, scheme, subdivision_matrix(part, scheme) @ positions[vertices], followed)
+        matrix, numbers, child, chosen = _refined_around(state, scheme, semi & wanted)
+        finer = _tangents(child, scheme, matrix @ positions[numbers], chosen)
         for tangent, values in zip(tangents, finer, strict=True):
-            tangent[vertices[chosen]] = values[: len(vertices)][chosen]
+            tangent[semi & wanted] = values[chosen]
     return tangents
 
 
@@ -178,7 +153,7 @@ def _tangents_of_sides(
 ) -> tuple[FloatArray, FloatArray]:
     """Tangents from the mean normal of all sides, with the surface cut along infinite creases."""
     assert state.sharpness is not None
-    topology = state.topology
+    topology, n = state.topology, state.topology.n_vertices
     cut = state.sharpness.edges >= INFINITE_SHARPNESS
     forward, backward = topology.edge_corners[~cut].T
     heads = np.concatenate([forward, topology.following[forward]])
@@ -188,10 +163,7 @@ def _tangents_of_sides(
     owners = np.empty(len(labels), dtype=np.int64)
     owners[cut_apart.vertices] = topology.vertices
     sides = ring_tangents(cut_apart, scheme, (corner | state.corner)[owners], positions[owners])
-    n = topology.n_vertices
-    normals = np.zeros((n, 3))
-    np.add.at(normals, owners, _unit(np.cross(*sides)))
-    normals = _unit(normals)
+    normals = normalize_rows(grouped_sums(owners, normalize_rows(np.cross(*sides)), n))
     tangents = np.empty((2, n, 3))
     tangents[:, owners] = sides
     several = np.bincount(owners, minlength=n) > 1
@@ -201,11 +173,15 @@ def _tangents_of_sides(
     return tangents[0], tangents[1]
 
 
-def _neighbourhood(state: MeshState, vertices: BoolArray) -> tuple[MeshState, IndexArray]:
-    """Two rings of faces around the given vertices as a mesh state, and its vertex numbers."""
+def _refined_around(
+    state: MeshState, scheme: SmoothScheme, chosen: BoolArray
+) -> tuple[csr_array, IndexArray, MeshState, BoolArray]:
+    """Refine two rings of faces around the chosen vertices.
+
+    Returns the subdivision matrix, its columns' vertices, the state of the next level, and the chosen vertices there.
+    """
     assert state.sharpness is not None
-    topology = state.topology
-    near = vertices
+    topology, near = state.topology, chosen
     for _ in range(2):
         faces = np.zeros(topology.n_faces, dtype=bool)
         faces[topology.faces[near[topology.vertices]]] = True
@@ -218,10 +194,13 @@ def _neighbourhood(state: MeshState, vertices: BoolArray) -> tuple[MeshState, In
     face_numbers = (np.cumsum(faces) - 1).astype(np.int32)[topology.faces[corners]]
     around = new[topology.following[corners]], new[topology.previous[corners]]
     part = topology_of(indices, len(numbers), face_numbers, *around)
-    start = corners[part.edge_corners[:, 0]]
-    edges, halves = state.sharpness.of_corners(topology, start)
+    edges, halves = state.sharpness.of_corners(topology, corners[part.edge_corners[:, 0]])
     sharpness = Sharpness(edges, halves, state.sharpness.vertices[numbers], state.sharpness.after[numbers])
-    return MeshState(part, state.corner[numbers], sharpness), numbers.astype(np.int64)
+    part_state = MeshState(part, state.corner[numbers], sharpness)
+    child = next_state(part_state, scheme)
+    followed = np.zeros(child.topology.n_vertices, dtype=bool)
+    followed[: len(numbers)] = chosen[numbers]
+    return subdivision_matrix(part_state, scheme), numbers.astype(np.int64), child, followed
 
 
 def _dart_rows(
@@ -236,17 +215,15 @@ def _dart_rows(
     centres = topology.vertices[around]
     valences = topology.valences[centres]
     ranks = (topology.ranks[around] - first[centres]) % valences
-    rings = rings_of(topology, scheme)
+    order = np.lexsort([ranks, centres])
     none = np.zeros(0, dtype=np.int64)
     entries: list[list[Entries]] = [[(none, none, np.zeros(0))] for _ in range(3)]
     for valence in np.unique(valences).tolist():
-        alike = valences == valence
-        darts = np.unique(centres[alike])
+        corners = around[order[valences[order] == valence]].reshape(-1, valence)  # of one dart in every row
+        darts = topology.vertices[corners[:, :1]]
+        columns = np.hstack([darts, *(ring[corners] for ring in rings_of(topology, scheme))])
         for kind, weights in zip(entries, _dart_weights(scheme, valence), strict=True):
-            kind.append((darts, darts, np.full(len(darts), weights[0])))
-            for number, ring in enumerate(rings):
-                places = 1 + number * valence + ranks[alike]
-                kind.append((centres[alike], ring[around[alike]], weights[places]))
+            kind.append((np.repeat(darts, columns.shape[1]), columns.ravel(), np.tile(weights, len(darts))))
     position, first_tangent, second = (matrix_of(kind, topology.n_vertices) for kind in entries)
     return position, first_tangent, second
 
@@ -259,13 +236,9 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     ranks = np.arange(valence)
     following = (ranks + 1) % valence
     quads = not isinstance(scheme, Loop)
-    columns = [
-        np.zeros_like(ranks),
-        1 + ranks,
-        *([1 + valence + ranks] if quads else []),
-        1 + following,
-    ]
-    faces = np.column_stack(columns)
+    faces = np.column_stack(
+        [np.zeros_like(ranks), 1 + ranks, *([1 + valence + ranks] if quads else []), 1 + following]
+    )
     n = 1 + (2 if quads else 1) * valence
     topology = topology_of(faces.ravel(), n, *corner_neighbours(*faces.shape))
     edges = np.where(topology.outer_edges, INFINITE_SHARPNESS, 0.0)
@@ -364,10 +337,9 @@ def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArr
     for valence in np.unique(topology.valences[vertex[~single]]):
         centre, edges, faces = scheme.inward_tangent(int(valence))
         chosen = topology.valences[vertex] == valence
-        entries.append((vertex[chosen], vertex[chosen], np.full(int(chosen.sum()), centre)))
-        entries.append((vertex[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
+        for neighbour, weight in ((vertex, centre), (before, edges[-1])):
+            entries.append((vertex[chosen], neighbour[chosen], np.full(int(chosen.sum()), weight)))
         corners = corners_at[topology.valences[topology.vertices[corners_at]] == valence]
-        ring_weights = (edges[:-1], faces)
-        for ring, ring_weight in zip(rings_of(topology, scheme), ring_weights, strict=False):
+        for ring, ring_weight in zip(rings_of(topology, scheme), (edges[:-1], faces), strict=False):
             entries.append((topology.vertices[corners], ring[corners], ring_weight[topology.ranks[corners]]))
     return entries
