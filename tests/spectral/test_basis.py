@@ -132,7 +132,7 @@ def test_new_directions_rotates_inside_clusters_and_drops_by_count():
 
 
 def test_rows_and_blocks_are_parts_of_the_dense_basis(creature, monkeypatch):
-    monkeypatch.setattr(sys.modules["cagemap.spectral.basis"], "ROWS", 333)
+    monkeypatch.setattr(sys.modules["cagemap.spectral.basis"], "ROW_BLOCK", 333)
     refinement, operators, basis = creature
     rng = np.random.default_rng(43)
     for level in range(operators.finest + 1):

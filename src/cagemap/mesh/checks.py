@@ -177,31 +177,25 @@ def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: Index
     bad = topology.face_counts > 2
     if not bad.any():
         return None
-    extra = extra_faces(topology)
+    edges, extra = topology.edge_vertices, extra_faces(topology)
     remaining = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
     tiny = remaining & _tiny_edges(mesh, topology)
     split = remaining & ~tiny
-    remedies = []
-    if extra.any():
-        faces = numbers[np.flatnonzero(extra)]
-        remedies.append(f"Delete face(s) {first_few(faces.tolist())}, which hang on such edges alone.")
-    if tiny.any():
-        remedies.append(
-            f"Merge the two vertices of edge(s) {first_few(_pairs(topology, tiny))}, which are almost at the same "
-            "place; splitting there would leave a slit."
-        )
-    if split.any():
-        at = np.unique(mesh.corner_faces[split[topology.edges]])
-        remedies.append(
-            f"At edge(s) {first_few(_pairs(topology, split))} delete the inner ones of faces "
-            f"{first_few(numbers[at].tolist())}, or split the edge so that each sheet has its own."
-        )
-    return MeshProblem(
+    tiny_edges, split_edges = (first_few(map(tuple, edges[chosen].tolist())) for chosen in (tiny, split))
+    split_faces = np.unique(mesh.corner_faces[split[topology.edges]])
+    remedies = {
+        f"Delete face(s) {first_few(numbers[extra].tolist())}, which hang on such edges alone.": extra,
+        f"Merge the two vertices of edge(s) {tiny_edges}, which are almost at the same place; splitting there would "
+        "leave a slit.": tiny,
+        f"At edge(s) {split_edges} delete the inner ones of faces {first_few(numbers[split_faces].tolist())}, or split "
+        "the edge so that each sheet has its own.": split,
+    }
+    return problem_at(
         "non-manifold edges",
         f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to "
         f"{topology.face_counts.max()}, between vertices",
-        _pairs(topology, bad),
-        " ".join(remedies),
+        edges[bad],
+        " ".join(remedy for remedy, concerned in remedies.items() if concerned.any()),
     )
 
 
@@ -235,10 +229,6 @@ def _tiny_edges(mesh: ControlMesh, topology: Topology) -> NDArray[np.bool_]:
         return lengths <= TINY_EDGE * around
 
 
-def _pairs(topology: Topology, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
-    return tuple((a, b) for a, b in topology.edge_vertices[chosen].tolist())
-
-
 def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> MeshProblem | None:
     """Vertices of several fans. Edges of more than two faces, reported elsewhere, join fans here."""
     _, first_corners = np.unique(fans, return_index=True)
@@ -258,7 +248,6 @@ def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) 
             "one-sided surface",
             "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
             "all edges (as on a Moebius strip)",
-            (),
             "Cut the surface where its two sides are joined.",
         )
     flipped = numbers[turned]
@@ -276,7 +265,9 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
     if len(sizes) == 1:
         return None
     first_faces = np.unique(labels, return_index=True)[1]
-    copied = _has_copied_component(mesh, labels)
+    compared = [(labels == label)[mesh.corner_faces] for label in range(min(len(sizes), MAX_COMPARED))]
+    points = [mesh.positions[np.unique(mesh.face_indices[corners])] for corners in compared]
+    copied = len({cloud[np.lexsort(cloud.T)].tobytes() for cloud in points}) < len(points)
     tolerance = None if copied else weld_tolerance(mesh)
     seams = ""
     if tolerance is not None:
@@ -288,19 +279,10 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
     return MeshProblem(
         SEVERAL,
         f"expected one connected piece, got {len(sizes)} of {first_few(sizes.tolist())} faces, which begin at faces",
-        tuple(first_faces.tolist()),
         f"{seams or 'Match'} a part (`find_part` NAME, largest, or each; the check lists them), or delete the pieces "
         f"not wanted.{' One is a copy of another in the same place.' if copied else ''}",
+        tuple(first_faces.tolist()),
     )
-
-
-def _has_copied_component(mesh: ControlMesh, labels: IndexArray) -> bool:
-    """Whether two of the first few components have the same vertex positions."""
-    clouds = []
-    for label in range(min(int(labels.max()) + 1, MAX_COMPARED)):
-        points = mesh.positions[np.unique(mesh.face_indices[(labels == label)[mesh.corner_faces]])]
-        clouds.append(points[np.lexsort(points.T)].tobytes())
-    return len(set(clouds)) < len(clouds)
 
 
 def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
@@ -317,24 +299,22 @@ def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
 
 def _extent_problem(mesh: ControlMesh) -> MeshProblem | None:
     """Vertices all at one point or on one line, or a size that overflows."""
-    points = mesh.positions[used_vertices(mesh)]
+    used = used_vertices(mesh)
     with np.errstate(over="ignore"):
-        extent = float(np.max(points.max(axis=0) - points.min(axis=0)))
+        extent = float(np.max(np.ptp(mesh.positions[used], axis=0)))
     if extent == 0.0:
         return MeshProblem(
             "no size",
             "expected vertices in different places, got all in one point",
-            (),
             "Export the mesh again; the transform may have a scale of zero.",
         )
     if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
         return MeshProblem(
             "size",
             f"expected an extent between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} file units, got {extent:.3g}",
-            (),
             "Scale the mesh.",
         )
-    unit = _unit_sized(mesh).positions[used_vertices(mesh)]
+    unit = _unit_sized(mesh).positions[used]
     offsets = unit - unit[0]
     lengths = np.linalg.norm(offsets, axis=1)
     farthest = offsets[np.argmax(lengths)]
@@ -343,7 +323,6 @@ def _extent_problem(mesh: ControlMesh) -> MeshProblem | None:
         return MeshProblem(
             "no area",
             "expected a surface, got all vertices on one line",
-            (),
             "Export the mesh again; the transform may have scales of zero.",
         )
     return None
@@ -376,7 +355,6 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshPr
         return MeshProblem(
             "no volume",
             "expected a closed mesh to enclose a volume, got one that is folded flat",
-            (),
             "Export the mesh again; the transform may have a scale of zero. Delete one side of a flat sheet.",
         )
     if roundness < (-OPEN_ROUNDNESS if loops else 0.0):
@@ -384,7 +362,6 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshPr
         return MeshProblem(
             "inside out",
             f"expected faces counter-clockwise seen from outside, got a mesh{opened} whose faces all look inwards",
-            (),
             "Flip all faces (recalculate normals to the outside).",
         )
     return None

@@ -41,9 +41,9 @@ class MeshProblem:
 
     kind: str  #: short name, such as ``non-manifold edges``
     found: str  #: the expected and the actual state, in a sentence without the list of elements
-    #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
-    elements: tuple[int, ...] | tuple[tuple[int, int], ...]
     remedy: str  #: how to repair it
+    #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
+    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()
 
     def __str__(self) -> str:
         where = f": {first_few(self.elements)}" if self.elements else ""
@@ -53,7 +53,7 @@ class MeshProblem:
 def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> MeshProblem | None:
     """A problem of elements (k,) or vertices of edges (k, 2); None if k is 0."""
     listed = [tuple(row) for row in elements.tolist()] if elements.ndim == 2 else elements.tolist()
-    return MeshProblem(kind, found, tuple(listed), remedy) if len(elements) else None
+    return MeshProblem(kind, found, remedy, tuple(listed)) if len(elements) else None
 
 
 def list_problems(problems: Iterable[object]) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
@@ -17,7 +18,6 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
-Values = TypeVar("Values", FloatArray, IndexArray)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +72,8 @@ def _members(labels: IndexArray) -> list[IndexArray]:
 
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
     """One part per named material, split into numbered parts where not connected."""
-    return tuple(
-        piece for part in list_parts(mesh) if part.kind == "material" for piece in connected_pieces(mesh, part)
-    )
+    materials = [part for part in list_parts(mesh, pieces=False) if part.kind == "material"]
+    return tuple(piece for part in materials for piece in connected_pieces(mesh, part))
 
 
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
@@ -174,13 +173,19 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
 
 def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
     """The connected ones of disjoint parts."""
-    of_face = np.full(mesh.n_faces, len(parts), dtype=np.int64)
-    for number, part in enumerate(parts):
-        of_face[part.faces] = number
+    of_corner = _part_of_corners(mesh, parts) + 1
     # One node for every pair of a vertex and a part around it.
-    nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces], return_inverse=True)
+    nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)
     labels = face_pieces(mesh, corners, len(nodes))
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
+
+
+def _part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:
+    """(c,) part of every face corner, the last one if several share its face; -1 for none."""
+    of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
+    for number, part in enumerate(parts):
+        of_face[part.faces] = number
+    return of_face[mesh.corner_faces]
 
 
 def _own_scheme(part: ControlMesh) -> dict[str, Any]:
@@ -240,11 +245,8 @@ def pair_parts(
 
 def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
     """(n,) part of every vertex, the last one if several share it; -1 for none."""
-    of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
-    for number, part in enumerate(parts):
-        of_face[part.faces] = number
     owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    np.maximum.at(owners, mesh.face_indices, of_face[mesh.corner_faces])
+    np.maximum.at(owners, mesh.face_indices, _part_of_corners(mesh, parts))
     return owners
 
 
@@ -256,47 +258,39 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     """
     vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
     faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
-    sizes = np.concatenate([mesh.face_sizes for mesh in meshes])
-    uv_sets = _uv_sets(meshes)
-    labels = _joined_labels(meshes)
+
+    def known(field: str, shifts: IndexArray = 0 * vertices) -> NDArray[Any] | None:
+        """Concatenate the meshes' arrays that are not None, with shifts added; None if all are None."""
+        arrays = [(getattr(mesh, field), shift) for mesh, shift in zip(meshes, shifts, strict=True)]
+        shifted = [array + shift for array, shift in arrays if array is not None]
+        return np.concatenate(shifted) if shifted else None
+
+    uv_sets, labels = _uv_sets(meshes), _joined_labels(meshes)
+    colors = [np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes]
+    numbered = [name for name in ("file_vertices", "file_faces") if all(getattr(m, name) is not None for m in meshes)]
     joined = ControlMesh(
         np.concatenate([mesh.positions for mesh in meshes]),
-        offsets_of(sizes),
+        offsets_of(np.concatenate([mesh.face_sizes for mesh in meshes])),
         _shifted([mesh.face_indices for mesh in meshes], vertices),
-        uv_sets=tuple(uv_sets[1:]),
+        uv_sets=tuple(uv_sets),
         **labels,
         material_colors=_material_colors(meshes, labels["material_names"]),
-        vertex_colors=_vertex_colors(meshes),
-        crease_edges=_known([mesh.crease_edges for mesh in meshes], vertices),
-        crease_sharpness=_known([mesh.crease_sharpness for mesh in meshes]),
-        corner_vertices=_known([mesh.corner_vertices for mesh in meshes], vertices),
-        corner_sharpness=_known([mesh.corner_sharpness for mesh in meshes]),
-        hole_faces=_known([mesh.hole_faces for mesh in meshes], faces),
-        file_vertices=_file_numbers([mesh.file_vertices for mesh in meshes]),
-        file_faces=_file_numbers([mesh.file_faces for mesh in meshes]),
-        file_copies=_known([mesh.file_copies for mesh in meshes], np.column_stack([vertices, 0 * vertices])),
+        vertex_colors=np.concatenate(colors) if any(mesh.vertex_colors is not None for mesh in meshes) else None,
+        crease_edges=known("crease_edges", vertices),
+        crease_sharpness=known("crease_sharpness"),
+        corner_vertices=known("corner_vertices", vertices),
+        corner_sharpness=known("corner_sharpness"),
+        hole_faces=known("hole_faces", faces),
+        **{name: known(name) for name in numbered},
+        file_copies=known("file_copies", np.column_stack([vertices, 0 * vertices])),
         scheme=meshes[0].scheme,
         name=meshes[0].name,
     )
-    if not uv_sets:
-        return joined
-    return replace(joined, uvs=uv_sets[0].uvs, uv_indices=uv_sets[0].uv_indices, uv_name=uv_sets[0].name)
+    return joined.with_uv_set(uv_sets[0].name) if uv_sets else joined
 
 
 def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:
     return np.concatenate([array + start for array, start in zip(arrays, starts, strict=True)])
-
-
-def _known(arrays: Sequence[Values | None], shifts: IndexArray | None = None) -> Values | None:
-    """Concatenate the arrays that are not None, with shifts added; None if all are None."""
-    shifts = np.zeros(len(arrays), dtype=np.int64) if shifts is None else shifts
-    known = [array + shift for array, shift in zip(arrays, shifts, strict=True) if array is not None]
-    return np.concatenate(known) if known else None
-
-
-def _file_numbers(numbers: Sequence[IndexArray | None]) -> IndexArray | None:
-    """Concatenated numbers in the file, or None unless all meshes have them."""
-    return None if any(array is None for array in numbers) else _known(numbers)
 
 
 def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
@@ -339,11 +333,3 @@ def _material_colors(meshes: Sequence[ControlMesh], names: tuple[str, ...]) -> F
         for name, color in zip(mesh.material_names, mesh.material_colors, strict=True)
     }
     return np.array([known.get(name, np.full(3, np.nan)) for name in names])
-
-
-def _vertex_colors(meshes: Sequence[ControlMesh]) -> FloatArray | None:
-    if all(mesh.vertex_colors is None for mesh in meshes):
-        return None
-    return np.concatenate(
-        [np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes]
-    )

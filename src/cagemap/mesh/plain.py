@@ -40,9 +40,6 @@ from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.kinds import Brief
 from cagemap.surface.triangles import fan_triangles
 
-# Most rounds of removing faces at edges of more than two faces; scans need two.
-MAX_FIN_ROUNDS = 20
-
 
 @dataclass(frozen=True, repr=False)
 class Repairs(Brief):
@@ -66,6 +63,9 @@ class Repairs(Brief):
 
     def sentences(self) -> tuple[str, ...]:
         """One sentence for the user about every kind of repair made."""
+        remedy = "`find_part` each matches every piece with its counterpart"
+        if self.pieces_weld:
+            remedy = f"`weld_mesh` {self.pieces_weld:g} joins pieces that lie against each other"
         count_of = {
             f"{count_noun(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
             "faces of different sizes are split into triangles": self.split_faces,
@@ -77,7 +77,7 @@ class Repairs(Brief):
             f"{count_noun(self.turned_faces, 'face')} turned round": self.turned_faces,
             f"{count_noun(self.pieces, 'smaller piece')} set aside ({count_noun(self.pieces_vertices, 'vertex')}, "
             f"{100 * self.pieces_share:.1f} % of the area): nothing is matched or transferred there. "
-            f"{self._pieces_remedy()}": self.pieces,
+            f"{remedy}": self.pieces,
             f"{count_noun(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
             f"{count_noun(self.slivers, 'face')} without area kept": self.slivers,
             f"{count_noun(self.openings, 'opening')} left open": self.openings,
@@ -90,11 +90,6 @@ class Repairs(Brief):
             return self.sentences()
         pieces = f"{count_noun(self.pieces, 'smaller piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
         return (f"{pieces} not matched: `cagemap rig` carries them along", *replace(self, pieces=0).sentences())
-
-    def _pieces_remedy(self) -> str:
-        if self.pieces_weld:
-            return f"`weld_mesh` {self.pieces_weld:g} joins pieces that lie against each other"
-        return "`find_part` each matches every piece with its counterpart"
 
     def summary(self) -> dict[str, float]:
         """Numbers other than zero by name, for a manifest."""
@@ -215,33 +210,22 @@ def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
     """Remove fins and separate sheets that only touch; also counts of removed faces and cut vertices."""
-    n_faces = mesh.n_faces
-    topology = mesh_topology(mesh)
-    if np.any(topology.face_counts > 2):
-        mesh = _only_faces(mesh, ~extra_faces(topology))
-    mesh, cut = _one_fan_per_vertex(mesh)
-    for _ in range(MAX_FIN_ROUNDS):
-        topology = mesh_topology(mesh)
+    n_faces, cut, topology = mesh.n_faces, 0, mesh_topology(mesh)
+    surplus = extra_faces(topology)
+    while True:
+        if surplus.all():
+            raise InvalidMeshError(
+                f"{mesh.name}: expected a surface, got faces that meet in more than two at all edges. "
+                "Repair it in a modelling program."
+            )
+        mesh = keep_faces(mesh, np.flatnonzero(~surplus)) if surplus.any() else mesh
+        mesh, newly_cut = _one_fan_per_vertex(mesh)
+        cut, topology = cut + newly_cut, mesh_topology(mesh)
         bad = topology.face_counts > 2
         if not bad.any():
             return mesh, n_faces - mesh.n_faces, cut
         # Faces joined around the split vertices: it is ambiguous which of them belong together.
-        mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1]))
-        mesh, newly_cut = _one_fan_per_vertex(mesh)
-        cut += newly_cut
-    raise InvalidMeshError(
-        f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges. "
-        "Repair it in a modelling program."
-    )
-
-
-def _only_faces(mesh: ControlMesh, kept: NDArray[np.bool_]) -> ControlMesh:
-    if not kept.any():
-        raise InvalidMeshError(
-            f"{mesh.name}: expected a surface, got faces that meet in more than two at all edges. "
-            "Repair it in a modelling program."
-        )
-    return keep_faces(mesh, np.flatnonzero(kept))
+        surplus = np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1])
 
 
 def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:

@@ -34,7 +34,7 @@ def require_structure(mesh: ControlMesh) -> None:
 
 
 def _problem(found: str, remedy: str = _EXPORT) -> MeshProblem:
-    return MeshProblem("broken data", found, (), remedy)
+    return MeshProblem("broken data", found, remedy)
 
 
 def _out_of_range(numbers: IndexArray, count: int, what: str, elements: IndexArray, where: str) -> MeshProblem | None:

@@ -48,7 +48,7 @@ class BasisConfig:
         if not 0.0 < self.accuracy <= 1e-3:
             raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
         if self.schedule is not None and (not self.schedule or min(self.schedule) < 0 or max(self.schedule) < 1):
-            raise ParameterError(f"schedule: expected counts per level, such as (100, 50, 50), got {self.schedule}")
+            raise ParameterError(f"schedule: expected counts, such as (100, 50), level 0 first, got {self.schedule}")
         named_laplacian(self.laplacian, self.stabilisation)
         if self.literal and self.schedule is None:
             raise ParameterError("literal: expected a schedule with it (Definition 2), got none; give schedule")

@@ -130,7 +130,7 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
             repairs = ready.repairs.sentences() if pieces else ready.repairs.sentences_of_body()
     except InvalidMeshError as error:
         report = check_mesh(mesh)
-        problem = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
+        problem = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), "")
         report = replace(report, problems=(*report.problems, problem))
     notes = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
     notes += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
