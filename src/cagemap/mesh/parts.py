@@ -268,6 +268,7 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     uv_sets, labels = _uv_sets(meshes), _joined_labels(meshes)
     colors = [np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes]
     numbered = [name for name in ("file_vertices", "file_faces") if all(getattr(m, name) is not None for m in meshes)]
+    file_numbers: dict[str, Any] = {name: known(name) for name in numbered}
     joined = ControlMesh(
         np.concatenate([mesh.positions for mesh in meshes]),
         offsets_of(np.concatenate([mesh.face_sizes for mesh in meshes])),
@@ -281,7 +282,7 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
         corner_vertices=known("corner_vertices", vertices),
         corner_sharpness=known("corner_sharpness"),
         hole_faces=known("hole_faces", faces),
-        **{name: known(name) for name in numbered},
+        **file_numbers,
         file_copies=known("file_copies", np.column_stack([vertices, 0 * vertices])),
         scheme=meshes[0].scheme,
         name=meshes[0].name,

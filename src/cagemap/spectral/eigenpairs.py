@@ -306,9 +306,7 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                coordinates = rotation[:, chosen[order]].astype(dtype)
-                rows = row_slices(n, ROW_BLOCK)
-                return values[order], np.vstack(in_threads(lambda part: used[part] @ coordinates, rows))
+                return values[order], _combined(used, rotation[:, chosen[order]].astype(dtype))
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(
@@ -317,6 +315,11 @@ def shift_invert_lanczos(
             )
         basis[:, size : size + width], mass_basis[:, size : size + width] = block, mass_block
         size += width
+
+
+def _combined(basis: Block, coefficients: Block) -> Block:
+    """(n, b) product Q C, in threads."""
+    return np.vstack(in_threads(lambda part: basis[part] @ coefficients, row_slices(len(basis), ROW_BLOCK)))
 
 
 def _remove(block: Block, basis: Block, mass_basis: Block) -> Block:

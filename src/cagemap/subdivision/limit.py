@@ -111,7 +111,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     semi, dart, crease, corner = _features(topology, sharpness)
     ends, vertices = topology.edge_ends, np.arange(topology.n_vertices)
     own_weight, neighbour_weight = CREASE_LIMIT
-    along = neighbour_weight * ((sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease[ends])
+    along: FloatArray = neighbour_weight * ((sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease[ends])
     entries: list[Entries] = [
         (vertices, vertices, corner + own_weight * crease),
         (ends[:, 0], ends[:, 1], along[:, 0]),
@@ -236,9 +236,7 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
     ranks = np.arange(valence)
     following = (ranks + 1) % valence
     quads = not isinstance(scheme, Loop)
-    faces = np.column_stack(
-        [np.zeros_like(ranks), 1 + ranks, *([1 + valence + ranks] if quads else []), 1 + following]
-    )
+    faces = np.column_stack([np.zeros_like(ranks), 1 + ranks, *([1 + valence + ranks] if quads else []), 1 + following])
     n = 1 + (2 if quads else 1) * valence
     topology = topology_of(faces.ravel(), n, *corner_neighbours(*faces.shape))
     edges = np.where(topology.outer_edges, INFINITE_SHARPNESS, 0.0)
