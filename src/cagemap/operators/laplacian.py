@@ -114,7 +114,6 @@ class Laplacian(Protocol):
         ...
 
 
-@dataclass(frozen=True)
 class MeanTriangulation:
     """Mean of the cotangent Laplacians of both triangulations of every quad; the fastest, and the default."""
 
@@ -125,7 +124,10 @@ class MeanTriangulation:
 
 @dataclass(frozen=True)
 class _Stabilised:
-    """A Laplacian with a weight (above 0, no unit) of functions without gradient in the polygon's plane."""
+    """A Laplacian W_f = d^T M_f d, with d the differences along the edges and an inner product M_f.
+
+    ``stabilisation`` (above 0, no unit) is the weight of functions without gradient in the polygon's plane.
+    """
 
     stabilisation: float = 1.0
 
@@ -136,43 +138,68 @@ class _Stabilised:
                 "it functions such as +1 and -1 in turn over a quad's corners cost nothing"
             )
 
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        k, corners = faces.shape[1], positions[faces]
+        corners = corners - corners.mean(axis=1, keepdims=True)
+        following = np.roll(corners, -1, axis=1)
+        edges, midpoints = following - corners, 0.5 * (corners + following)
+        vectors = 0.5 * np.cross(corners, following).sum(axis=1)
+        sizes = np.linalg.norm(vectors, axis=1)
+        # Bounded so that energies stay finite (`SLIVER`). A polygon of one point gets area 1, and has no energy.
+        areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
+        areas = np.where(areas == 0.0, 1.0, areas)
+        normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
+        inner = self._inner_products(edges, midpoints, areas, normals)
+        # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, with edge i from corner i to corner i + 1.
+        rows = np.roll(inner, 1, axis=1) - inner
+        energy = np.roll(rows, 1, axis=2) - rows
+        pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
+        weights = -energy[:, pairs[:, 0], pairs[:, 1]]
+        vertex_areas = np.bincount(faces.ravel(), np.repeat(sizes / k, k), minlength=len(positions))
+        return np.ascontiguousarray(weights), np.asarray(vertex_areas, dtype=np.float64)
+
+    def _inner_products(
+        self, edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray
+    ) -> FloatArray:
+        """(m, k, k) inner products M_f, from edges and centred midpoints (m, k, 3) of polygons."""
+        raise NotImplementedError
+
 
 class AlexaWardetzky(_Stabilised):
     """The paper's Laplacian: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
 
-    W_f = d^T (B B^T / ``|f|`` + lambda C C^T) d, with d the differences along the edges, B their midpoints, ``|f|`` the
-    size of the vector area, and C an orthonormal basis of the complement of the edges projected to the polygon's plane;
-    lambda is ``stabilisation``.
+    M_f = B B^T / ``|f|`` + lambda C C^T, with B the edges' midpoints, ``|f|`` the size of the vector area, and C an
+    orthonormal basis of the complement of the edges projected to the polygon's plane; lambda is ``stabilisation``.
     """
 
-    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """See `Laplacian`."""
-        edges, midpoints, areas, normals, sizes = _polygons(positions, faces)
+    def _inner_products(
+        self, edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray
+    ) -> FloatArray:
         inner = np.einsum("fid,fjd->fij", midpoints, midpoints) / areas[:, None, None]
         flat = edges - np.einsum("fid,fd,fe->fie", edges, normals, normals)
         # Axes of the span of the projected edges; their third singular value is 0.
         axes, spans, _ = np.linalg.svd(flat, full_matrices=False)
         axes = axes[:, :, :2] * (spans[:, None, :2] > SLIVER * spans[:, None, :1])
-        complement = np.eye(faces.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
-        return _polygon_terms(inner + self.stabilisation * complement, faces, sizes, len(positions))
+        complement = np.eye(edges.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
+        return np.asarray(inner + self.stabilisation * complement)
 
 
 class DeGoesButtsDesbrun(_Stabilised):
     """Laplacian of De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
 
-    W_f = d^T (``|f|`` U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat
-    one and P = 1 - V U; lambda is ``stabilisation``.
+    M_f = ``|f|`` U^T U + lambda P^T P, with U the sharp operator (the mean gradient of a 1-form), V the flat one and
+    P = 1 - V U; lambda is ``stabilisation``.
     """
 
-    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """See `Laplacian`."""
-        edges, midpoints, areas, normals, sizes = _polygons(positions, faces)
+    def _inner_products(
+        self, edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray
+    ) -> FloatArray:
         sharp = np.cross(normals[:, None, :], midpoints) / areas[:, None, None]  # (m, k, 3): U^T
         flat = edges - normals[:, None, :] * np.einsum("fid,fd->fi", edges, normals)[:, :, None]
-        unseen = np.eye(faces.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
+        unseen = np.eye(edges.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
         inner = np.einsum("fid,fjd->fij", sharp, sharp) * areas[:, None, None]
-        inner += self.stabilisation * np.einsum("fki,fkj->fij", unseen, unseen)
-        return _polygon_terms(inner, faces, sizes, len(positions))
+        return np.asarray(inner + self.stabilisation * np.einsum("fki,fkj->fij", unseen, unseen))
 
 
 LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
@@ -186,34 +213,3 @@ def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
         return DeGoesButtsDesbrun(stabilisation)
     paper = AlexaWardetzky(stabilisation)  # checks the value even if it is not used
     return paper if name == "alexa-wardetzky" else MeanTriangulation()
-
-
-def _polygons(
-    positions: FloatArray, faces: IndexArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Edges and centred midpoints (m, k, 3), bounded areas, unit normals, and areas of polygons (m, k)."""
-    corners = positions[faces]
-    corners = corners - corners.mean(axis=1, keepdims=True)
-    following = np.roll(corners, -1, axis=1)
-    vectors = 0.5 * np.cross(corners, following).sum(axis=1)
-    sizes = np.linalg.norm(vectors, axis=1)
-    edges = following - corners
-    # Bounded so that energies stay finite (`SLIVER`). A polygon of one point gets area 1, and has no energy.
-    areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
-    areas = np.where(areas == 0.0, 1.0, areas)
-    normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
-    return edges, 0.5 * (corners + following), areas, normals, sizes
-
-
-def _polygon_terms(
-    inner: FloatArray, faces: IndexArray, sizes: FloatArray, n_vertices: int
-) -> tuple[FloatArray, FloatArray]:
-    """Weights -(d^T M d)_ij and areas from inner products M (m, k, k) of functions on edges."""
-    k = faces.shape[1]
-    # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, with edge i from corner i to corner i + 1.
-    rows = np.roll(inner, 1, axis=1) - inner
-    energy = np.roll(rows, 1, axis=2) - rows
-    pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
-    weights = -energy[:, pairs[:, 0], pairs[:, 1]]
-    areas = np.bincount(faces.ravel(), np.repeat(sizes / k, k), minlength=n_vertices)
-    return np.ascontiguousarray(weights), np.asarray(areas, dtype=np.float64)

@@ -49,14 +49,9 @@ def lumped_areas(mass: sparse.csr_array) -> FloatArray:
 def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangulation()) -> Operators:
     """Operators of every level of a refinement, at unit area of the finest level (2.2.2, Lemma 5).
 
+    ``laplacian`` of the finest level is `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
     O(n_f) time and memory. Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on
     coarser levels. ParameterError if ``laplacian`` is no Laplacian.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    laplacian : Laplacian
-        Laplacian of the finest level: `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
     """
     if not callable(getattr(laplacian, "face_terms", None)):
         raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")

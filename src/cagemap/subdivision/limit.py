@@ -111,7 +111,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     semi, dart, crease, corner = _features(topology, sharpness)
     ends, vertices = topology.edge_ends, np.arange(topology.n_vertices)
     own_weight, neighbour_weight = CREASE_LIMIT
-    along: FloatArray = neighbour_weight * ((sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease[ends])
+    along = np.where((sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease[ends], neighbour_weight, 0.0)
     entries: list[Entries] = [
         (vertices, vertices, corner + own_weight * crease),
         (ends[:, 0], ends[:, 1], along[:, 0]),
