@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -15,6 +15,8 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.closest_points import build_tree, closest_points
+
+Renumbering = Callable[[IndexArray], IndexArray]
 
 # A point with at least this weight on one vertex is that vertex.
 AT_VERTEX = 1.0 - 1e-6
@@ -90,6 +92,10 @@ class CagePoints:
         """The points in the given rows."""
         return replace(self, corners=self.corners[rows], weights=self.weights[rows])
 
+    def renumbered(self, number: Renumbering) -> Self:
+        """The points with new vertex numbers of their corners; -1 for removed vertices."""
+        return replace(self, corners=number(self.corners))
+
     @classmethod
     def joined(cls, points: Sequence[CagePoints]) -> Self:
         """Concatenate several sets of points."""
@@ -98,15 +104,10 @@ class CagePoints:
 
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     """Place points on a control mesh: at vertices, or nearest to positions; InvalidLandmarksError where far off."""
-    outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
-    if len(outside):
-        listed = first_few(f"{points.names[i]} ({points.vertices[i]})" for i in outside)
-        raise InvalidLandmarksError(
-            f"expected landmark points of {mesh.name}, whose vertices go from 0 to {mesh.n_vertices - 1}, got {listed}."
-            " Numbers are 0-based; check that the points of target and source are not exchanged."
-        )
     at_vertices = CagePoints.of_vertices(np.maximum(points.vertices, 0))
-    corners, weights = at_vertices.corners.copy(), at_vertices.weights.copy()
+    if fault := outside_fault(at_vertices, points.names, mesh, "landmark points"):
+        raise InvalidLandmarksError(fault)
+    corners, weights = at_vertices.corners, at_vertices.weights
     free = np.flatnonzero(points.vertices < 0)
     if len(free):
         triangles, _ = cage_triangles(mesh)
@@ -130,6 +131,24 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     return CagePoints(corners, weights)
 
 
+def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, what: str) -> str:
+    """Sentence on points, each with a name, at vertices that a mesh does not have; '' without such points."""
+    outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
+    if not len(outside):
+        return ""
+    listed = first_few(f"{names[i]} ({points.nearest_vertices[i]})" for i in outside.tolist())
+    return (
+        f"expected vertices of {what} from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. Numbers are "
+        "0-based; check that target and source are not exchanged and that the mesh was not renumbered."
+    )
+
+
+def repeated_fault(names: Sequence[str], what: str) -> str:
+    """Sentence on names that occur again; '' if all differ."""
+    again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
+    return f"expected every {what} once, got these again: {first_few(again)}. Rename them." if again else ""
+
+
 def shared_names(
     target: Sequence[str], source: Sequence[str], *, what: str, noted: str
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -140,11 +159,8 @@ def shared_names(
     """
     sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
     for side, names, _ in sides:
-        again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
-        if again:
-            raise InvalidLandmarksError(
-                f"{side} {what}: expected every name once, got these again: {first_few(again)}. Rename them."
-            )
+        if fault := repeated_fault(names, "name"):
+            raise InvalidLandmarksError(f"{side} {what}: {fault}")
     notes = tuple(
         f"{noted} only on the {side}, which were not used: {first_few(only)}"
         for (side, own_names, _), (_, _, other_names) in (sides, sides[::-1])

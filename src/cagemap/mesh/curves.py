@@ -6,14 +6,24 @@ Single points of paired curves need not correspond. Ends of open curves do, in e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import depth_first_order
 
 from cagemap.errors import InvalidLandmarksError
-from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, find_repeats, on_cage, shared_names
+from cagemap.mesh.cage_points import (
+    CagePoints,
+    NamedCurve,
+    NamedPoints,
+    Renumbering,
+    find_repeats,
+    on_cage,
+    outside_fault,
+    repeated_fault,
+    shared_names,
+)
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import mesh_topology
@@ -92,12 +102,10 @@ class Curves:
         """The pairs in the given rows."""
         return Curves(tuple(self.names[row] for row in rows), self.target.at(rows), self.source.at(rows))
 
-    def renumbered(self, target: IndexArray, source: IndexArray) -> Curves:
-        """The curves with new vertex numbers (c, 3) of their points' corners; curves with a -1 are dropped."""
-        sides = [
-            CageCurves(CagePoints(corners, side.points.weights), side.starts, side.closed)
-            for side, corners in ((self.target, target), (self.source, source))
-        ]
+    def renumbered(self, target: Renumbering, source: Renumbering) -> Curves:
+        """The curves with new vertex numbers of their points' corners; curves with a -1 are dropped."""
+        both = (self.target, target), (self.source, source)
+        sides = [replace(side, points=side.points.renumbered(number)) for side, number in both]
         lost = [side.curve_of[(side.points.corners < 0).any(axis=1)] for side in sides]
         kept = np.setdiff1d(np.arange(len(self)), np.concatenate(lost))
         return Curves(self.names, *sides).only(kept.tolist())
@@ -115,21 +123,18 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
     graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
     degrees = np.diff(graph.indptr)
     branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
-    if branching or len(ends) > 2:
-        raise InvalidLandmarksError(
-            f"expected the edges of one chain or loop, got a branch at vertex {first_few(branching)}. "
-            "Make each a curve of its own."
-            if branching
-            else f"expected the edges of one chain or loop, got pieces that end at vertices {first_few(ends)}. "
-            "Make each a curve of its own."
-        )
     order = depth_first_order(graph, int(np.argmax(degrees == 1)), return_predecessors=False)
-    if len(order) != len(vertices):
-        left = np.delete(vertices, order).tolist()
-        raise InvalidLandmarksError(
-            f"expected the edges of one chain or loop, got pieces: vertices {first_few(left)} are joined to no other. "
-            "Make each a curve of its own."
-        )
+    left = np.delete(vertices, order).tolist()
+    found = {
+        f"a branch at vertex {first_few(branching)}": branching,
+        f"pieces that end at vertices {first_few(ends)}": ends[2:],
+        f"pieces: vertices {first_few(left)} are joined to no other": left,
+    }
+    for text, vertices_found in found.items():
+        if vertices_found:
+            raise InvalidLandmarksError(
+                f"expected the edges of one chain or loop, got {text}. Make each a curve of its own."
+            )
     return vertices[order].astype(np.int64), not ends
 
 
@@ -161,11 +166,8 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
     """One sentence for each fault of the curves on two meshes."""
     if not len(curves):
         return []  # saves listing the edges of large meshes
-    faults = []
     names = list(curves.names)
-    repeated = [names[i] for i in find_repeats(np.array(names, dtype=object))]
-    if repeated:
-        faults.append(f"expected every name of a curve once, got these again: {first_few(repeated)}. Rename them.")
+    faults = [repeated_fault(names, "name of a curve")]
     for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):
         faults += _side_faults(side, lines, names, mesh)
     halves = [name for name, a, b in zip(names, curves.target.closed, curves.source.closed, strict=True) if a != b]
@@ -173,19 +175,14 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
         faults.append(
             f"expected curves closed on both sides or open on both, got these closed on one only: {first_few(halves)}."
         )
-    return faults
+    return [fault for fault in faults if fault]
 
 
 def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlMesh) -> list[str]:
-    faults = []
     points, of = curves.points, curves.curve_of
-    outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
-    if len(outside):
-        listed = first_few(f"{names[of[i]]} ({points.nearest_vertices[i]})" for i in outside)
-        return [
-            f"expected {side} vertices of curves from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. "
-            "Numbers are 0-based; check that target and source are not exchanged."
-        ]
+    if outside := outside_fault(points, [names[i] for i in of], mesh, f"the {side}'s curves"):
+        return [outside]
+    faults = []
     short = np.flatnonzero(np.diff(curves.starts) < np.where(curves.closed, 3, 2))
     if len(short):
         faults.append(

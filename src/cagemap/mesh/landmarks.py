@@ -5,7 +5,7 @@ A point is a control vertex, or three vertices of a face with barycentric weight
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 
@@ -14,14 +14,13 @@ import numpy as np
 from cagemap.errors import DirectionError, InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints as CagePoints
 from cagemap.mesh.cage_points import NamedPoints as NamedPoints
-from cagemap.mesh.cage_points import find_repeats, shared_names
+from cagemap.mesh.cage_points import Renumbering as Renumbering
+from cagemap.mesh.cage_points import find_repeats, outside_fault, repeated_fault, shared_names
 from cagemap.mesh.cage_points import on_cage as on_cage
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.curves import Curves, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
-
-Renumbering = Callable[[IndexArray], IndexArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +75,10 @@ class Landmarks:
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
         """Return the pairs with new vertex numbers; pairs with a removed vertex (-1) are dropped."""
-        sides = [
-            (CagePoints(number(points.corners), points.weights), number(curves.points.corners))
-            for number, points, curves in (
-                (target, self.target_points, self.curves.target),
-                (source, self.source_points, self.curves.source),
-            )
-        ]
-        (on_target, target_curves), (on_source, source_curves) = sides
+        on_target, on_source = self.target_points.renumbered(target), self.source_points.renumbered(source)
         inside = np.flatnonzero(np.all([on_target.corners >= 0, on_source.corners >= 0], axis=(0, 2)))
         moved = Landmarks.of_points(self.names, on_target, on_source, self.target_name, self.source_name)
-        return replace(moved._at(inside, inside), curves=self.curves.renumbered(target_curves, source_curves))
+        return replace(moved._at(inside, inside), curves=self.curves.renumbered(target, source))
 
     def joined_with(self, others: Landmarks) -> Landmarks:
         """Return these pairs and curves followed by others, on the same meshes."""
@@ -185,15 +177,17 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
             f"landmarks: expected one target and one source vertex for each of {count} names, got arrays of shape "
             f"{landmarks.target.shape} and {landmarks.source.shape}. Give one of each per pair."
         )
-    faults = []
-    names = np.array(landmarks.names, dtype=object)
-    repeated = find_repeats(names)
-    if len(repeated):
-        faults.append(f"expected every name once, got these again: {first_few(names[repeated])}. Rename them.")
+    faults = [repeated_fault(landmarks.names, "name")]
     sides = (("target", landmarks.target_points, target), ("source", landmarks.source_points, source))
     for side, points, mesh in sides:
-        faults += _side_faults(side, points, names, mesh)
-    faults += curve_faults(landmarks.curves, target, source)
+        faults.append(outside_fault(points, landmarks.names, mesh, f"the {side}"))
+        vertices = points.vertices
+        at_vertices = np.flatnonzero(vertices >= 0)
+        repeated = at_vertices[find_repeats(vertices[at_vertices])]
+        if len(repeated):
+            pairs = first_few(f"{landmarks.names[i]} ({vertices[i]})" for i in repeated)
+            faults.append(f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one.")
+    faults = [fault for fault in (*faults, *curve_faults(landmarks.curves, target, source)) if fault]
     if faults:
         made_for = landmarks.target_name, landmarks.source_name
         intended = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
@@ -201,21 +195,3 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
         raise InvalidLandmarksError(
             f"landmarks for target {target.name} and source {source.name}{intended}:{list_problems(faults)}"
         )
-
-
-def _side_faults(side: str, points: CagePoints, names: np.ndarray, mesh: ControlMesh) -> list[str]:
-    faults = []
-    outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
-    if len(outside):
-        pairs = first_few(f"{names[i]} ({points.corners[i, points.weights[i].argmax()]})" for i in outside)
-        faults.append(
-            f"expected {side} vertices from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {pairs}. Numbers are "
-            "0-based; check that target and source are not exchanged and that the mesh was not renumbered."
-        )
-    vertices = points.vertices
-    at_vertices = np.flatnonzero(vertices >= 0)
-    repeated = at_vertices[find_repeats(vertices[at_vertices])]
-    if len(repeated):
-        pairs = first_few(f"{names[i]} ({vertices[i]})" for i in repeated)
-        faults.append(f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one of each.")
-    return faults

@@ -49,15 +49,9 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     faces with fewer than three corners are dropped. Colours of joined vertices are averaged. InvalidMeshError if the
     arrays are no mesh, or no face would be left; ParameterError if the tolerance is not a number from 0 to 0.1.
 
-    Parameters
-    ----------
-    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
-    tolerance : float, optional
-        Largest distance between vertices that are joined, in units of the bounding-box diagonal; 0 joins equal ones
-        only. Default: `weld_tolerance`, or 0 if that is None.
-    offsets : (n, 3 k) float64, optional
-        Offsets in k blend shapes: only vertices at the same position in all of them are joined, so that closed lips
-        stay separate.
+    ``tolerance`` is the largest distance between vertices that are joined, in units of the bounding-box diagonal; 0
+    joins equal ones only. Default: `weld_tolerance`, or 0 if that is None. With ``offsets`` (n, 3 k) of k blend shapes
+    only vertices at the same position in all of them are joined, so that closed lips stay separate.
 
     Examples
     --------
@@ -72,26 +66,24 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
             f"{mesh.name}: expected a weld tolerance from 0 to 0.1 of the bounding-box diagonal, got {tolerance}"
         )
     used = (weld_tolerance(mesh, offsets=offsets) or 0.0) if tolerance is None else tolerance
+    within = f"within {used:g} of the bounding-box diagonal" if used else "at the same place"
     first = coincident_vertices(mesh, used, offsets=offsets)
     joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
     if not len(joined):
-        note = f"{mesh.name}: no border vertices {_within(used)} to weld"
-        return replace(keep_unwelded(mesh), tolerance=used, notes=(note,))
+        return Welded(mesh, first, used, (f"{mesh.name}: no border vertices {within} to weld",))
     colors, color_notes = _mean_colors(mesh, first)
     work = _relabelled(replace(mesh, vertex_colors=colors), first)
     work, collapsed = _without_repeats(work)
     if not work.n_faces:
         raise InvalidMeshError(
-            f"{mesh.name}: expected faces after welding vertices {_within(used)}, got none. Give a smaller tolerance."
+            f"{mesh.name}: expected faces after welding vertices {within}, got none. Give a smaller tolerance."
         )
     ready = extract_faces(work, np.arange(work.n_faces))
     kept = np.unique(work.face_indices)
-    number = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    number[kept] = np.arange(len(kept))
-    vertex_of = number[first]
+    vertex_of = np.where(np.isin(first, kept), np.searchsorted(kept, first), -1)
     ready = replace(ready, file_copies=file_copies(mesh, joined, vertex_of))
     notes = [
-        f"{mesh.name}: {len(joined)} of {mesh.n_vertices} vertices are welded to others {_within(used)}; "
+        f"{mesh.name}: {len(joined)} of {mesh.n_vertices} vertices are welded to others {within}; "
         f"{_pieces(mesh)} became {_pieces(ready)}",
         *([f"{mesh.name}: {collapsed} faces collapsed and are left out"] if collapsed else []),
         *color_notes,
@@ -158,10 +150,6 @@ def _mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | Non
     differ = int(np.sum(known & (np.abs(colors - mean) > COLOR_STEP).any(axis=1)))
     note = f"{mesh.name}: colours of {differ} welded vertices differ and are averaged"
     return mean, (note,) if differ else ()
-
-
-def _within(tolerance: float) -> str:
-    return f"within {tolerance:g} of the bounding-box diagonal" if tolerance else "at the same place"
 
 
 def _pieces(mesh: ControlMesh) -> str:

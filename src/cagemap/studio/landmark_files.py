@@ -98,9 +98,7 @@ def split_by_part(landmarks: Landmarks, scene: Scene) -> tuple[Landmarks, Landma
 def to_file_numbers(landmarks: LandmarkList, scene: Scene) -> LandmarkList:
     """Renumber landmarks from the open parts to the files' vertices."""
     target, source = scene.target.to_file_vertices, scene.source.to_file_vertices
-    curves = landmarks.curves
-    if curves is not None:
-        curves = curves.renumbered(target(curves.target.points.corners), source(curves.source.points.corners))
+    curves = None if landmarks.curves is None else landmarks.curves.renumbered(target, source)
     items = tuple(_renumber(item, target, source) for item in landmarks.items)
     return replace(landmarks, items=items, curves=curves)
 

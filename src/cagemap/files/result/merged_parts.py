@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -145,9 +146,7 @@ def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
     """Curves of all parts, numbered on the merged meshes."""
     merged, starts = Curves.none(), [0, 0]
     for part in parts:
-        sides = part.curves.target, part.curves.source
-        moved = [side.points.corners + start for side, start in zip(sides, starts, strict=True)]
-        merged = merged.joined_with(part.curves.renumbered(*moved))
+        merged = merged.joined_with(part.curves.renumbered(*(partial(np.add, start) for start in starts)))
         starts = [starts[0] + part.target.control.n_vertices, starts[1] + part.source.control.n_vertices]
     return merged
 
