@@ -126,10 +126,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
-    """Raise InvalidMeshError if the mesh cannot be matched; ignore ``allowed`` kinds of problems.
-
-    Allow `SEVERAL` where each component was matched separately, `UNREFINED` where the mesh is only subdivided.
-    """
+    """Raise InvalidMeshError if the mesh cannot be matched, but for ``allowed`` problems (`SEVERAL`, `UNREFINED`)."""
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
         count = count_noun(len(problems), "problem")
@@ -200,10 +197,7 @@ def _edge_manifold_problem(mesh: ControlMesh, topology: Topology, numbers: Index
 
 
 def extra_faces(topology: Topology) -> NDArray[np.bool_]:
-    """(m,) faces inside a surface, or fins on it, that can be deleted without opening a hole.
-
-    All their edges have more than two faces, or are boundary edges.
-    """
+    """(m,) faces inside a surface, or fins, with edges on the boundary or of more than two faces only."""
     counts = topology.face_counts[topology.edges]
     starts = np.flatnonzero(np.diff(topology.faces, prepend=-1))
     extra = np.logical_or.reduceat(counts > 2, starts) & ~np.logical_or.reduceat(counts == 2, starts)

@@ -145,10 +145,7 @@ class ControlMesh:
         return self.face_indices[self.face_offsets[index] : self.face_offsets[index + 1]]
 
     def with_positions(self, positions: FloatArray) -> ControlMesh:
-        """Return the same connectivity with other vertex positions.
-
-        ParameterError if there is not one position for each vertex.
-        """
+        """Return the same connectivity with other positions, one for every vertex; else ParameterError."""
         given = real_numbers(positions, f"{self.name}: positions")
         if given.shape != self.positions.shape:
             raise ParameterError(f"{self.name}: expected positions {self.positions.shape}, got an array {given.shape}")

@@ -94,10 +94,7 @@ def is_pairs(value: object) -> bool:
 
 
 def landmark_pairs(landmarks: Any) -> Landmarks:
-    """Landmarks from an array (p, 2) of pairs (target vertex, source vertex), 0-based, named ``point 0`` and so on.
-
-    InvalidLandmarksError if the array has another shape; ParameterError if the vertices are no whole numbers.
-    """
+    """Landmarks from pairs (p, 2) of target and source vertices, ``point 0`` and so on; InvalidLandmarksError for others."""
     if isinstance(landmarks, Landmarks):
         return landmarks
     pairs = whole_numbers(landmarks, "landmarks")

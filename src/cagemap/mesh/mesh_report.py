@@ -51,7 +51,7 @@ class MeshProblem:
 
 
 def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> MeshProblem | None:
-    """A problem of elements (k,) or vertices of edges (k, 2); None if k is 0."""
+    """A problem of elements (k,) or edges (k, 2); None if k is 0."""
     listed = [tuple(row) for row in elements.tolist()] if elements.ndim == 2 else elements.tolist()
     return MeshProblem(kind, found, remedy, tuple(listed)) if len(elements) else None
 

@@ -118,10 +118,7 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
 
 
 def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return the given faces as a separate mesh, without unused vertices and UVs.
-
-    ``file_vertices`` and ``file_faces`` of the result are their numbers in the file.
-    """
+    """Return some faces as a mesh without unused vertices and UVs, which keeps their numbers in the file."""
     kept = keep_faces(mesh, faces)
     vertices, indices = np.unique(kept.face_indices, return_inverse=True)
     number = np.full(mesh.n_vertices, -1, dtype=np.int64)

@@ -200,10 +200,7 @@ class Loop(SubdivisionOptions):
 
 
 class Bilinear(SubdivisionOptions):
-    """Subdivision without smoothing: midpoints on edges, centroids in faces; USD's ``bilinear``.
-
-    The options have no effect.
-    """
+    """Midpoints on edges and centroids in faces without smoothing, USD's ``bilinear``; options have no effect."""
 
 
 class Plain(Bilinear):

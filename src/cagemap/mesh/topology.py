@@ -209,10 +209,7 @@ def boundary_loops(topology: Topology, fans: IndexArray) -> tuple[IndexArray, ..
 
 
 def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
-    """Genus g of a mesh, or of the mesh cut between faces of different labels (m,).
-
-    For c manifold pieces with b boundary loops in all: V - E + F = 2 c - 2 g - b.
-    """
+    """Genus g, also if cut between labels (m,) of faces: V - E + F = 2 c - 2 g - b of c pieces with b loops."""
     topology = mesh_topology(mesh)
     if labels is not None:
         sides = topology.edges.astype(np.int64) * (int(labels.max(initial=0)) + 1) + labels[topology.faces]

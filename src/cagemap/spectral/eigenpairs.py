@@ -122,10 +122,7 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
 
 
 def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """All eigenpairs of a small problem, except for functions that subdivision maps to zero.
-
-    Example: the function alternating between +1 and -1 on the cube; W and M both vanish on it.
-    """
+    """All eigenpairs of a small problem but those on which W and M vanish (on a cube +1 and -1 in turn)."""
     squares, axes = linalg.eigh(mass, driver="evd")
     seen = squares > SOLVER.rank * squares[-1]
     scaled = axes[:, seen] / np.sqrt(squares[seen])
@@ -172,10 +169,7 @@ def missed_pairs(
     like: Factorization | None,
     end: int,
 ) -> int:
-    """Number of eigenvalues missing from a list below a gap near index ``end`` (Sylvester's law of inertia).
-
-    0, and a logged warning, if no factorisation in the gap reports an inertia.
-    """
+    """Number of eigenvalues missing below a gap near index ``end``, by inertia; 0 and a warning without one."""
     if end == 0:
         return 0
     position = end - first_index

@@ -51,10 +51,7 @@ class Surface:
 
     @kept
     def hierarchy(self) -> Refinement:
-        """All levels: the refinement's, or a plain mesh as the finest level and its coarse levels.
-
-        Level numbers of all methods refer to these.
-        """
+        """All levels, to which level numbers refer: the refinement's, or a plain mesh's coarse levels and itself."""
         return build_coarse_levels(self.refinement) if self.refinement.is_plain else self.refinement
 
     @kept
@@ -185,10 +182,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 
 @kinds_checked
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
-    """Default basis of a method: functions of one level, for "paper" a schedule up to ``level``.
-
-    ParameterError if there is no such method.
-    """
+    """Basis of a method, for "paper" with a schedule up to ``level``; ParameterError for another method."""
     if method not in METHODS:
         raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
     if method == "paper":

@@ -99,10 +99,7 @@ def nearest_samples(
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
-    """(b,) index of the nearest point (n, k) to every query (b, k), by blocked matrix products.
-
-    A k-d tree is slow while a map is inaccurate (6k vertices, 200 coordinates: 2 s instead of 0.3 s).
-    """
+    """(b,) nearest point (n, k) to every query (b, k), by products; a k-d tree takes 2 s, not 0.3 s, of 200 columns."""
     half_norms = 0.5 * np.einsum("ij,ij->i", points, points)
     transposed = np.ascontiguousarray(points.T)
     nearest = np.empty(len(queries), dtype=np.int64)

@@ -152,10 +152,7 @@ class Refinement:
         return self.rows(slice(None), fine, coarse)
 
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
-        """Rows (m, n_coarse) of ``S^{fine,coarse}`` for vertices (m,) of the fine level, without computing all rows.
-
-        ParameterError if there is no such level or vertex.
-        """
+        """Rows (m, n_coarse) of ``S^{fine,coarse}`` for some vertices (m,) alone; ParameterError for others."""
         self._check_order(fine, coarse)
         n = self.levels[fine].n_vertices
         chosen = np.arange(n)[vertices] if isinstance(vertices, slice) else vertices

@@ -163,10 +163,7 @@ class SurfacePoints:
         return self.surface.at_boundary(self.triangle, self.barycentric)
 
     def interpolate(self, values: FloatArray) -> FloatArray:
-        """Linear interpolation of vertex values (n,) or (n, q): (m,) or (m, q) values at the points.
-
-        ParameterError if there is not one row for each vertex, or the values are no real numbers.
-        """
+        """Values (m,) or (m, q) at the points of vertex values (n,) or (n, q), linearly; ParameterError for others."""
         values = array_of(values)
         values = values if values.dtype.kind in "biuf" else real_numbers(values, "values")
         if values.ndim == 0 or len(values) != self.surface.n:
