@@ -22,6 +22,7 @@ import cagemap
 from benchmarks.accuracy.posed import landmarks_of
 from benchmarks.riding.scenes import body, inner_places, normal_image, skin_of
 from benchmarks.textures.__main__ import DATA, psnr, requadded, touched
+from cagemap.character.joints import Skeleton
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -31,7 +32,6 @@ from cagemap.files.values.rigs import read_skeleton, write_skeleton
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.subdivision import finest_mesh, refine

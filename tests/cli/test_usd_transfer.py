@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import file_hash
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
 from cagemap.tasks.transfer import run_transfer

@@ -18,6 +18,7 @@ from examples import shapes
 from examples.shapes import icosahedron
 from scipy.io import mmwrite
 
+from cagemap.character.joints import Skeleton
 from cagemap.errors import CagemapError, FormatError
 from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
@@ -39,7 +40,6 @@ from cagemap.jobs.run import kept_outcome
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap, MatchResult
 from cagemap.mesh.landmarks import on_cage
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery

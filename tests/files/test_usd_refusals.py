@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
+from cagemap.character.joints import Skeleton
 from cagemap.files.usd.read import asset_paths, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import stage_units
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.rigs import read_shapes
-from cagemap.mesh.skeleton import Skeleton
 
 from refusals import Refusal
 from usd_scenes import usd_mesh

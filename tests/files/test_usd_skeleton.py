@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer

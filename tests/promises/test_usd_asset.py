@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from examples.shapes import creature, poles
 
+from cagemap.character.joints import Skeleton
 from cagemap.files.images.image import read_texture, udim_path, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest

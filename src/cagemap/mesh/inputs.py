@@ -94,7 +94,7 @@ def is_pairs(value: object) -> bool:
 
 
 def landmark_pairs(landmarks: Any) -> Landmarks:
-    """Landmarks from pairs (p, 2) of target and source vertices, ``point 0`` and so on; InvalidLandmarksError for others."""
+    """Landmarks ``point 0``, ... of pairs (p, 2) of target and source vertices; InvalidLandmarksError for others."""
     if isinstance(landmarks, Landmarks):
         return landmarks
     pairs = whole_numbers(landmarks, "landmarks")

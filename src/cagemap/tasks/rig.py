@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.character.bones import mirrored_joints
+from cagemap.character.joints import Skeleton
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
@@ -27,7 +28,6 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
 from cagemap.tasks.masks import in_file, keep_base

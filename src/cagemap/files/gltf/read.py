@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.character.bones import humanoid_joints
+from cagemap.character.joints import Skeleton, tails_of
 from cagemap.character.roles import find_body, passenger_word
 from cagemap.character.values import Rig
 from cagemap.errors import FormatError
@@ -23,7 +24,6 @@ from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
-from cagemap.mesh.skeleton import Skeleton, tails_of
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)

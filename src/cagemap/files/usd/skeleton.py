@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.character.joints import Skeleton, tails_of
 from cagemap.character.poses import parent_transforms
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import bind_transform, integers, moved
 from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.skeleton import Skeleton, tails_of
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 

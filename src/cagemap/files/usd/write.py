@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
@@ -25,7 +26,6 @@ from cagemap.files.usd.space import StageSpace
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.schemes import scheme_name
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, require_writable_folder, write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES
@@ -25,7 +26,6 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, to_part
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray
 
 

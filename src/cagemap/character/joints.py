@@ -1,4 +1,4 @@
-"""A skeleton: named joints in a hierarchy."""
+"""Named joints in a hierarchy, as files have them."""
 
 from __future__ import annotations
 
