@@ -109,7 +109,7 @@ def _boundary_ring_matrix(valence: int, scheme: CatmullClark | Loop) -> np.ndarr
     local[0, [0, 1, valence + 1]] = 3 / 4, 1 / 8, 1 / 8
     for k in (0, valence):
         local[edge[k], [0, edge[k]]] = 1 / 2
-    end, other = scheme.quad_edge_weights() if isinstance(scheme, CatmullClark) else scheme.edge_weights()
+    end, other = scheme.edge_weights()
     for k in range(1, valence):
         local[edge[k], [0, edge[k]]] = end
         local[edge[k], [edge[k - 1], edge[k + 1]]] = other

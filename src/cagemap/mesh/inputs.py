@@ -56,15 +56,9 @@ def is_mesh(value: object) -> bool:
 def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     """Control mesh from arrays or from a mesh of another library; vertices and faces keep their numbers.
 
-    ParameterError if the mesh has another type, or its arrays are no vertices and faces.
-
-    Parameters
-    ----------
-    mesh : ControlMesh, pair (vertices, faces), or object with ``vertices`` and ``faces`` or ``triangles``
-        Vertices (n, 3); faces (m, 3), (m, 4) or a list of polygons. Meshes of trimesh and Open3D come with their
-        texture coordinates. Tensors are copied.
-    name : str
-        Name of the mesh in messages, unless it is a `ControlMesh`.
+    The mesh is a `ControlMesh`, a pair of vertices (n, 3) and faces (m, 3), (m, 4) or a list of polygons, or an object
+    with ``vertices`` and ``faces`` or ``triangles``: meshes of trimesh and Open3D come with their texture coordinates.
+    Tensors are copied. ``name`` is for messages. ParameterError for other types, and arrays that are no mesh.
     """
     if isinstance(mesh, ControlMesh):
         return mesh

@@ -83,7 +83,7 @@ class CatmullClark(SubdivisionOptions):
     """Catmull-Clark subdivision of polygon meshes [CC78]_."""
 
     @staticmethod
-    def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def polygon_vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Smooth vertex rule: weights of the vertex, of each neighbour, and of each new face point.
 
         ``(n - 2)/n v + 1/n^2 sum e_i + 1/n^2 sum f_i``; the vertex has no weight at n = 2.
@@ -92,7 +92,7 @@ class CatmullClark(SubdivisionOptions):
         return (n - 2) / n, 1 / n**2, 1 / n**2
 
     @staticmethod
-    def quad_vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The same rule among quads: weights of the vertex, of each neighbour, of each diagonally opposite vertex."""
         n = np.asarray(valence, dtype=np.float64)
         return 1 - 7 / (4 * n), 3 / (2 * n**2), 1 / (4 * n**2)
@@ -103,7 +103,7 @@ class CatmullClark(SubdivisionOptions):
         return np.where(smooth, SMOOTH_TRIANGLE, 1 / 4)
 
     @staticmethod
-    def quad_edge_weights() -> tuple[float, float]:
+    def edge_weights() -> tuple[float, float]:
         """The same rule among quads: weights of each end and of each of the four other vertices."""
         return 3 / 8, 1 / 16
 

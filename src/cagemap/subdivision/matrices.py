@@ -92,18 +92,14 @@ def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
 def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
     """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
     rings = rings_of(topology, scheme)
-    if isinstance(scheme, Loop):
-        own_weights, *each = scheme.vertex_weights(topology.valences)
-        edge_weights, n_face_points = scheme.edge_weights(), 0
-    else:
-        own_weights, *each = scheme.quad_vertex_weights(topology.valences)
-        edge_weights, n_face_points = scheme.quad_edge_weights(), topology.n_faces
+    own_weights, *each = scheme.vertex_weights(topology.valences)
+    n_face_points = 0 if isinstance(scheme, Loop) else topology.n_faces
     edge_lengths = np.where(~topology.outer_edges, 2 + 2 * len(rings), 2)
     lengths = vertex_row_lengths(topology, corner, len(rings)), edge_lengths, np.full(n_face_points, 4)
     rows = RowFiller(np.concatenate(lengths))
     put_inner_rows(rows, topology, own_weights, *zip(rings, each, strict=True))
     put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
-    _put_edge_rows(rows, topology, *edge_weights, n_others=len(rings))
+    _put_edge_rows(rows, topology, *scheme.edge_weights(), n_others=len(rings))
     if n_face_points:
         start = rows.indptr[topology.n_vertices + topology.n_edges]
         rows.indices[start:], rows.data[start:] = topology.vertices, 0.25
@@ -121,7 +117,7 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
     sizes = np.bincount(topology.faces, minlength=topology.n_faces)
     face_points = diags_array(1 / sizes) @ (of_face.T @ starts)
 
-    own_weights, neighbour, face = scheme.vertex_weights(topology.valences)
+    own_weights, neighbour, face = scheme.polygon_vertex_weights(topology.valences)
     boundary = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
     put_boundary_rows(boundary, topology, corner, CREASE_VERTEX)
     vertex_points = (

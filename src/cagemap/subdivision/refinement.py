@@ -229,18 +229,9 @@ def with_options(
 def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refinement:
     """Subdivide a control mesh ``levels`` times, in linear time and memory of the finest level.
 
-    From level 1 on UVs are numbered by pairs of a vertex and a UV. InvalidMeshError if the mesh is not an oriented
-    manifold, or has faces other than triangles under Loop; ParameterError if ``levels`` is negative, or a matrix would
-    have 2^31 entries or more.
-
-    Parameters
-    ----------
-    control : mesh, see `cagemap.mesh.inputs.control_mesh`
-        Oriented manifold mesh; triangles only under Loop.
-    levels : int
-        Number of steps, 0 or more. Each multiplies the number of faces by about 4.
-    scheme : CatmullClark, Loop or Bilinear, optional
-        Default: `default_scheme`.
+    Each step multiplies the number of faces by about 4. From level 1 on UVs are numbered by pairs of a vertex and a UV.
+    The scheme is `default_scheme` unless given. InvalidMeshError if the mesh is not an oriented manifold, or has faces
+    other than triangles under Loop; ParameterError if ``levels`` is negative, or a matrix would have 2^31 entries.
 
     Examples
     --------
