@@ -105,7 +105,7 @@ class CagePoints:
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     """Place points on a control mesh: at vertices, or nearest to positions; InvalidLandmarksError where far off."""
     at_vertices = CagePoints.of_vertices(np.maximum(points.vertices, 0))
-    if fault := outside_fault(at_vertices, points.names, mesh, "landmark points"):
+    if fault := outside_fault(at_vertices, points.names, mesh, "vertices of landmark points"):
         raise InvalidLandmarksError(fault)
     corners, weights = at_vertices.corners, at_vertices.weights
     free = np.flatnonzero(points.vertices < 0)
@@ -138,7 +138,7 @@ def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, w
         return ""
     listed = first_few(f"{names[i]} ({points.nearest_vertices[i]})" for i in outside.tolist())
     return (
-        f"expected vertices of {what} from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. Numbers are "
+        f"expected {what} from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. Numbers are "
         "0-based; check that target and source are not exchanged and that the mesh was not renumbered."
     )
 

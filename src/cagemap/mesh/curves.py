@@ -180,7 +180,7 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
 
 def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlMesh) -> list[str]:
     points, of = curves.points, curves.curve_of
-    if outside := outside_fault(points, [names[i] for i in of], mesh, f"the {side}'s curves"):
+    if outside := outside_fault(points, [names[i] for i in of], mesh, f"{side} vertices of curves"):
         return [outside]
     faults = []
     short = np.flatnonzero(np.diff(curves.starts) < np.where(curves.closed, 3, 2))

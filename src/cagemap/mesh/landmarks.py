@@ -180,7 +180,7 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
     faults = [repeated_fault(landmarks.names, "name")]
     sides = (("target", landmarks.target_points, target), ("source", landmarks.source_points, source))
     for side, points, mesh in sides:
-        faults.append(outside_fault(points, landmarks.names, mesh, f"the {side}"))
+        faults.append(outside_fault(points, landmarks.names, mesh, f"{side} vertices"))
         vertices = points.vertices
         at_vertices = np.flatnonzero(vertices >= 0)
         repeated = at_vertices[find_repeats(vertices[at_vertices])]

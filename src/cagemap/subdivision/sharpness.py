@@ -102,16 +102,6 @@ def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -
     return np.where(shared, np.maximum(0.75 * edges[:, None] + 0.25 * mean_of_others - 1.0, 0.0), halves)
 
 
-def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) -> Sharpness:
-    """Sharpness of the next level; edge e becomes 2e and 2e + 1, new elements are smooth."""
-    edges = np.zeros(child.n_edges)
-    edges[: sharpness.halves.size] = sharpness.halves.ravel()
-    edges[child.outer_edges] = INFINITE_SHARPNESS
-    vertices = np.zeros(child.n_vertices)
-    vertices[: len(sharpness.after)] = sharpness.after
-    return with_halves(child, edges, vertices, creasing)
-
-
 def vertex_rules(
     topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -216,5 +206,11 @@ def next_state(state: MeshState, scheme: Scheme) -> MeshState:
     topology = split_topology(state.topology, scheme)
     corner = np.zeros(topology.n_vertices, dtype=bool)
     corner[: len(state.corner)] = state.corner
-    sharpness = None if state.sharpness is None else next_sharpness(state.sharpness, topology, scheme.creasing)
-    return MeshState(topology, corner, sharpness)
+    before = state.sharpness
+    if before is None:
+        return MeshState(topology, corner)
+    edges, vertices = np.zeros(topology.n_edges), np.zeros(topology.n_vertices)  # new elements are smooth
+    edges[: before.halves.size] = before.halves.ravel()  # edge e becomes 2e and 2e + 1
+    edges[topology.outer_edges] = INFINITE_SHARPNESS
+    vertices[: len(before.after)] = before.after
+    return MeshState(topology, corner, with_halves(topology, edges, vertices, scheme.creasing))
