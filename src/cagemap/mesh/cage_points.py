@@ -65,10 +65,7 @@ class CagePoints:
     @property
     def vertices(self) -> IndexArray:
         """(q,) control vertex of every point, -1 for points between vertices."""
-        heaviest = self.weights.argmax(axis=1)
-        rows = np.arange(len(heaviest))
-        at_vertex = self.weights[rows, heaviest] >= AT_VERTEX
-        return np.where(at_vertex, self.corners[rows, heaviest], -1).astype(np.int64)
+        return np.where(self.weights.max(axis=1) >= AT_VERTEX, self.nearest_vertices, -1).astype(np.int64)
 
     @property
     def keys(self) -> list[bytes]:

@@ -39,7 +39,7 @@ def _conversions(function: Callable[..., Any]) -> dict[str, Conversion]:
         if name != "return" and ControlMesh in kinds:
             conversions[name] = lambda value, name: control_mesh(value, name) if is_mesh(value) else value
         elif name != "return" and Landmarks in kinds:
-            conversions[name] = lambda value, name: landmark_pairs(value) if is_pairs(value) else value
+            conversions[name] = lambda value, name: landmark_pairs(value) if _is_pairs(value) else value
     return conversions
 
 
@@ -82,8 +82,7 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     return converted.with_uvs(uvs, uv_indices.ravel())
 
 
-def is_pairs(value: object) -> bool:
-    """Whether `landmark_pairs` accepts a value."""
+def _is_pairs(value: object) -> bool:
     return isinstance(value, tuple | list) or hasattr(value, "__array__")
 
 

@@ -16,7 +16,7 @@ from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 
-KINDS = ("object", "group", "material", "component")
+PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
 
 
@@ -24,7 +24,7 @@ LARGEST = "largest"
 class Part:
     """Some faces of a mesh."""
 
-    kind: str  #: one of `KINDS`
+    kind: str  #: one of `PART_KINDS`
     #: as in the file; a component has the name of its object, group or material if all its faces, and no other
     #: component, have that name; else its number
     name: str

@@ -126,11 +126,13 @@ class Topology:
 def topology_of(
     vertices: IndexArray | IntArray, n_vertices: int, faces: IntArray, following: IntArray, previous: IntArray
 ) -> Topology:
-    """Topology of faces; edges are numbered by `numbered_edges` and have their first corner's direction."""
-    indices = vertices.astype(np.int64)
-    first, edges, _ = numbered_edges(indices, indices[following], n_vertices)
-    forward = indices == indices[first][edges]
-    numbers = indices.astype(np.int32), edges.astype(np.int32)
+    """Topology of faces; edges ascend by their vertices and have their first corner's direction."""
+    tails = vertices.astype(np.int64)
+    heads = tails[following]
+    keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
+    _, first, edges = np.unique(keys, return_index=True, return_inverse=True)
+    forward = tails == tails[first][edges]
+    numbers = tails.astype(np.int32), edges.astype(np.int32)
     n_faces = int(faces.max(initial=-1)) + 1
     return Topology(n_vertices, len(first), n_faces, *numbers, forward, faces, following, previous)
 
@@ -147,14 +149,6 @@ def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> 
     previous[following] = np.arange(len(following))
     faces = mesh.corner_faces.astype(np.int32)
     return topology_of(indices, n_vertices, faces, following.astype(np.int32), previous.astype(np.int32))
-
-
-def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Number edges by ascending vertices: first half-edge (e,), edge of every half-edge (c,), half-edge counts (e,)."""
-    keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
-    _, *numbers = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
-    first, edges, counts = (array.astype(np.int64) for array in numbers)
-    return first, edges, counts
 
 
 def adjacent_corners(topology: Topology) -> tuple[IndexArray, IndexArray]:

@@ -17,16 +17,16 @@ from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import Plain, Scheme
+from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.operators.laplacian import stiffness
-from cagemap.subdivision import Level, Refinement, default_scheme, level_triangles, refine
+from cagemap.subdivision import Level, Refinement, level_triangles, refine
 from cagemap.surface.closest_points import closest_among
 from cagemap.surface.triangles import normalize_rows, triangle_neighbors, triangle_normals
 
 # Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
-SIZES = (1500, 6000, 24_000)
+COARSE_SIZES = (1500, 6000, 24_000)
 # Largest share of the next finer level's vertices.
 MAX_SHARE = 0.7
 # Fewest vertices of a level.
@@ -59,12 +59,8 @@ class Simplified(NamedTuple):
 
 def build_levels(control: ControlMesh, level: int, scheme: Scheme | None = None) -> Refinement:
     """Levels by ``level`` steps of subdivision, or coarse levels of a plain mesh (``level`` 0)."""
-    scheme = default_scheme(control) if scheme is None else scheme
-    return (
-        build_coarse_levels(refine(control, level, scheme))
-        if isinstance(scheme, Plain)
-        else refine(control, level, scheme)
-    )
+    refinement = refine(control, level, scheme)
+    return build_coarse_levels(refinement) if refinement.is_plain else refinement
 
 
 def build_coarse_levels(plain: Refinement) -> Refinement:
@@ -80,7 +76,7 @@ def build_coarse_levels(plain: Refinement) -> Refinement:
             "cagemap.plain_mesh splits them"
         )
     surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[Simplified]()
-    for size in reversed([size for size in SIZES if size <= MAX_SHARE * control.n_vertices]):
+    for size in reversed([size for size in COARSE_SIZES if size <= MAX_SHARE * control.n_vertices]):
         step = simplify_mesh(*surfaces[-1], size)
         if not MIN_LEVEL_VERTICES <= len(step.kept) <= MAX_SHARE * len(step.cluster):
             break

@@ -9,7 +9,6 @@ W phi = lambda M phi.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -122,21 +121,19 @@ class MeanTriangulation:
         return face_terms(positions, faces)
 
 
-@dataclass(frozen=True)
 class _Stabilised:
     """A Laplacian W_f = d^T M_f d, with d the differences along the edges and an inner product M_f.
 
     ``stabilisation`` (above 0, no unit) is the weight of functions without gradient in the polygon's plane.
     """
 
-    stabilisation: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.stabilisation < np.inf:
+    def __init__(self, stabilisation: float = 1.0) -> None:
+        if not 0.0 < stabilisation < np.inf:
             raise ParameterError(
-                f"stabilisation: expected a finite number above 0, got {self.stabilisation}; 1 is usual, and without "
+                f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual, and without "
                 "it functions such as +1 and -1 in turn over a quad's corners cost nothing"
             )
+        self.stabilisation = stabilisation
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""

@@ -10,7 +10,7 @@ from cagemap.errors import CagemapError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import (
-    KINDS,
+    PART_KINDS,
     Part,
     connected_parts,
     extract_faces,
@@ -151,12 +151,12 @@ def _listed_parts(mesh: ControlMesh, n_pieces: int) -> tuple[Part, ...]:
     """Connected parts of a mesh, the largest first, without the whole mesh and repetitions."""
     all_parts = list_parts(mesh, pieces=1 < n_pieces < _MIN_SCAN_PIECES)
     parts: list[Part] = []
-    for kind in KINDS:
+    for kind in PART_KINDS:
         of_kind = [part for part in all_parts if part.kind == kind]
         parts += in_one_piece(mesh, of_kind) if of_kind and kind != "component" else of_kind
     distinct: dict[bytes, Part] = {}
     for part in parts:
         if len(part.faces) < mesh.n_faces:
             distinct.setdefault(part.faces.tobytes(), part)
-    largest = sorted(distinct.values(), key=lambda part: (-len(part.faces), KINDS.index(part.kind)))
+    largest = sorted(distinct.values(), key=lambda part: (-len(part.faces), PART_KINDS.index(part.kind)))
     return tuple(largest[:MAX_PART_CHOICES])

@@ -14,7 +14,7 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, read_manifest
 from cagemap.files.schema import ResultRecord, SideRecord, checked_record
-from cagemap.mesh.parts import KINDS
+from cagemap.mesh.parts import PART_KINDS
 from cagemap.studio.landmarks import SideNames
 from cagemap.studio.state import Files
 
@@ -55,7 +55,7 @@ def part_slug(part: str) -> str:
     ('eye', 'char_left_eye', 'material_eye')
     """
     kind, _, name = part.partition(":")
-    kind, name = (kind, name) if kind in KINDS else ("object", part)
+    kind, name = (kind, name) if kind in PART_KINDS else ("object", part)
     slug = re.sub(r"[^\w-]+", "_", name if kind == "object" else f"{kind}_{name}").strip("_")
     if 0 < len(slug) <= _MAX_SLUG_LENGTH:
         return slug

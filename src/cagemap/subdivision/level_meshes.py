@@ -9,7 +9,6 @@ import numpy as np
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import keep_faces, labels_of
-from cagemap.numerics.arrays import FloatArray
 from cagemap.subdivision.refinement import Refinement, refine
 from cagemap.surface.triangles import fan_triangles
 
@@ -19,6 +18,8 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.n_levels == 0:
         return control
+    colors = control.vertex_colors
+    colors = None if colors is None or not np.isfinite(colors).all() else colors  # some vertices have none
     mesh = replace(
         control.without_sharpness(),
         positions=finest.positions,
@@ -28,7 +29,7 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
         uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
         **labels_of(control, finest.face_parents),
         uv_sets=tuple(_refined_uvs(refinement, uv_set) for uv_set in control.uv_sets),
-        vertex_colors=_finest_colors(refinement),
+        vertex_colors=None if colors is None else np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0),
         hole_faces=None,
         file_vertices=None,
         file_faces=None,
@@ -46,14 +47,6 @@ def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
     assert finest.uvs is not None
     assert finest.uv_indices is not None
     return UvSet(uv_set.name, finest.uvs, finest.uv_indices.ravel())
-
-
-def _finest_colors(refinement: Refinement) -> FloatArray | None:
-    """Colours of the finest vertices; None where some control vertices have none."""
-    colors = refinement.control.vertex_colors
-    if colors is None or not np.isfinite(colors).all():
-        return None
-    return np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0)
 
 
 def truncate_refinement(refinement: Refinement, level: int) -> Refinement:

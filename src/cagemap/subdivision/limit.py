@@ -105,9 +105,13 @@ def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, Bool
 def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_array:
     """(n, n) weights of limit positions; rows that are not wanted are undefined."""
     topology, sharpness = state.topology, state.sharpness
-    rows = ring_limits(topology, scheme, state.corner)
+    own_weights, *each = scheme.limit_weights(topology.valences)
+    rows = RowFiller(vertex_row_lengths(topology, state.corner, len(each)))
+    put_inner_rows(rows, topology, own_weights, *zip(rings_of(topology, scheme), each, strict=True))
+    put_boundary_rows(rows, topology, state.corner, CREASE_LIMIT)
+    smooth_limits = rows.matrix(topology.n_vertices)
     if sharpness is None:
-        return rows
+        return smooth_limits
     semi, dart, crease, corner = _features(topology, sharpness)
     ends, vertices = topology.edge_ends, np.arange(topology.n_vertices)
     own_weight, neighbour_weight = CREASE_LIMIT
@@ -122,7 +126,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
         finer = (_limits(child, scheme, chosen)[np.flatnonzero(chosen)] @ matrix).tocoo()
         entries.append((np.flatnonzero(semi & wanted)[finer.coords[0]], numbers[finer.coords[1]], finer.data))
     smooth = ~(semi | dart | crease | corner)
-    result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, topology.n_vertices)
+    result = diags_array(smooth.astype(np.float64)) @ smooth_limits + matrix_of(entries, topology.n_vertices)
     result = csr_array(result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0])
     result.eliminate_zeros()
     result.sort_indices()
@@ -269,15 +273,6 @@ def matrix_of(entries: list[Entries], n: int) -> csr_array:
     """(n, n) sparse matrix of all entries."""
     rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
     return csr_array((weights, (rows, columns)), shape=(n, n))
-
-
-def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> csr_array:
-    """(n, n) weights of limit positions without creases; (1/6, 2/3, 1/6) on the boundary, 1 at corners."""
-    own_weights, *each = scheme.limit_weights(topology.valences)
-    rows = RowFiller(vertex_row_lengths(topology, corner, len(each)))
-    put_inner_rows(rows, topology, own_weights, *zip(rings_of(topology, scheme), each, strict=True))
-    put_boundary_rows(rows, topology, corner, CREASE_LIMIT)
-    return rows.matrix(topology.n_vertices)
 
 
 def ring_tangents(

@@ -46,29 +46,11 @@ class Sharpness:
         return self.edges[edges], np.where(topology.forward[corners][:, None], halves, halves[:, ::-1])
 
 
-def control_sharpness(
-    control: ControlMesh, topology: Topology, corner: BoolArray, creasing: Creasing
-) -> Sharpness | None:
-    """Sharpness of a control mesh, with fixed boundary vertices ``corner`` (n,); None without creases and corners."""
-    edges = np.zeros(topology.n_edges)
-    vertices = np.zeros(control.n_vertices)
-    if control.crease_edges is not None and control.crease_sharpness is not None:
-        edges[_edge_numbers(control, topology)] = control.crease_sharpness
-    if control.corner_vertices is not None and control.corner_sharpness is not None:
-        vertices[control.corner_vertices] = control.corner_sharpness
-    if not (edges > 0).any() and not (vertices > 0).any():
-        return None
-    edges[topology.outer_edges] = INFINITE_SHARPNESS
-    vertices[corner] = INFINITE_SHARPNESS
-    limits = 0.0, INFINITE_SHARPNESS
-    return with_halves(topology, np.clip(edges, *limits), np.clip(vertices, *limits), creasing)
-
-
 def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
     """Edge number of every crease; InvalidMeshError if it is not on an edge."""
     assert control.crease_edges is not None
     keys, asked = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
-    numbers = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)  # edges ascend, see `numbered_edges`
+    numbers = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)  # edges ascend, see `topology_of`
     missing = keys[numbers] != asked
     if missing.any():
         shown = first_few([tuple(pair) for pair in control.crease_edges[missing].tolist()])
@@ -198,7 +180,16 @@ def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
     """State of level 0."""
     topology = control_topology(control)
     corner = boundary_corners(topology, scheme)
-    return MeshState(topology, corner, control_sharpness(control, topology, corner, scheme.creasing))
+    edges, vertices = np.zeros(topology.n_edges), np.zeros(control.n_vertices)
+    if control.crease_edges is not None and control.crease_sharpness is not None:
+        edges[_edge_numbers(control, topology)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
+    if control.corner_vertices is not None and control.corner_sharpness is not None:
+        vertices[control.corner_vertices] = np.clip(control.corner_sharpness, 0.0, INFINITE_SHARPNESS)
+    if not edges.any() and not vertices.any():
+        return MeshState(topology, corner)
+    edges[topology.outer_edges] = INFINITE_SHARPNESS
+    vertices[corner] = INFINITE_SHARPNESS
+    return MeshState(topology, corner, with_halves(topology, edges, vertices, scheme.creasing))
 
 
 def next_state(state: MeshState, scheme: Scheme) -> MeshState:

@@ -21,7 +21,7 @@ _LEAF_SIZE = 8  # triangles
 _STACK_SIZE = 64  # nodes
 _SHIFTS = 32, 16, 8, 4, 2  # with the masks: insert two zero bits before each of the lowest 21 bits
 _MASKS = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
-_CHUNK = 512  # consecutive queries of a thread; each starts from the previous answer
+_QUERY_CHUNK = 512  # consecutive queries of a thread; each starts from the previous answer
 # Largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes.
 _MAX_RUN_EXTENT = 6.0
 
@@ -112,7 +112,7 @@ def closest_points(
         )
 
     # Chunks must not depend on the number of threads: among equally close points the start decides.
-    in_threads(search, [sequence[part] for part in row_slices(len(sequence), _CHUNK)])
+    in_threads(search, [sequence[part] for part in row_slices(len(sequence), _QUERY_CHUNK)])
     triangle = np.where(nearest >= 0, tree.order[nearest], -1)
     return triangle, barycentric, np.sqrt(squared)
 
