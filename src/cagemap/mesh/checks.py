@@ -81,6 +81,8 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     fans, turned = corner_fans(topology), turned_faces(topology)
     loops = boundary_loops(topology, fans)
     unused = np.flatnonzero(~used_vertices(mesh))
+    # Vertices of several fans. Edges of more than two faces, reported elsewhere, join fans here.
+    touching = np.flatnonzero(np.bincount(single.face_indices[np.unique(fans, return_index=True)[1]]) > 1)
     problems = [
         problem_at(
             "degenerate faces",
@@ -105,7 +107,13 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     if not len(degenerate):
         problems += [
             _edge_manifold_problem(single, topology, kept),
-            _vertex_manifold_problem(single, fans),
+            problem_at(
+                "non-manifold vertices",
+                f"expected the faces around every vertex to form one fan, got {len(touching)} vertex/vertices where "
+                "parts of the surface touch in a point only, vertices",
+                touching,
+                "Split these vertices (one copy per fan), or add the missing faces between the fans.",
+            ),
             _orientation_problem(turned, kept),
         ]
     problems += [_components_problem(mesh, face_components(mesh)), _extent_problem(mesh)]
@@ -221,19 +229,6 @@ def _tiny_edges(mesh: ControlMesh, topology: Topology) -> NDArray[np.bool_]:
         around = np.zeros(len(lengths))
         np.maximum.at(around, topology.edges, longest[mesh.corner_faces])
         return lengths <= TINY_EDGE * around
-
-
-def _vertex_manifold_problem(mesh: ControlMesh, fans: IndexArray) -> MeshProblem | None:
-    """Vertices of several fans. Edges of more than two faces, reported elsewhere, join fans here."""
-    _, first_corners = np.unique(fans, return_index=True)
-    bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners]) > 1)
-    return problem_at(
-        "non-manifold vertices",
-        f"expected the faces around every vertex to form one fan, got {len(bad)} vertex/vertices where parts of the "
-        "surface touch in a point only, vertices",
-        bad,
-        "Split these vertices (one copy per fan), or add the missing faces between the fans.",
-    )
 
 
 def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> MeshProblem | None:

@@ -88,23 +88,22 @@ class MeshReport:
         return not self.problems
 
     def __str__(self) -> str:
-        euler = _shown(self.euler_characteristic)
-        if self.genus is not None:
-            euler += f"  (genus {self.genus})"
-        valence = "-" if self.valence_range is None else "{} to {}".format(*self.valence_range)
-        rows = [
-            ("vertices", str(self.n_vertices)),
-            ("edges", _shown(self.n_edges)),
-            ("faces", f"{self.n_faces}{self._faces_by_size()}"),
-            ("Euler characteristic", euler),
-            ("boundary loops", self._loops()),
-            ("components", self._components()),
-            ("valence", valence),
-            ("UV islands", "no UVs" if self.uv_islands is None else str(self.uv_islands)),
-            *([("sharp", self._sharp())] if any(self.sharp) else []),
-            ("problems", str(len(self.problems)) if self.problems else "none"),
-        ]
-        lines = [self.name, *(f"  {label:<22}{value}" for label, value in rows)]
+        genus = "" if self.genus is None else f"  (genus {self.genus})"
+        sizes, words = self.component_sizes, ("creased edge", "sharp vertex", "hole")
+        sharp = [count_noun(count, word) for count, word in zip(self.sharp, words, strict=True) if count]
+        rows = {
+            "vertices": self.n_vertices,
+            "edges": "-" if self.n_edges is None else self.n_edges,
+            "faces": f"{self.n_faces}{self._faces_by_size()}",
+            "Euler characteristic": f"{'-' if self.euler_characteristic is None else self.euler_characteristic}{genus}",
+            "boundary loops": self._loops(),
+            "components": f"{len(sizes)}  (of {first_few(sizes)} faces)" if len(sizes) > 1 else len(sizes) or "-",
+            "valence": "-" if self.valence_range is None else "{} to {}".format(*self.valence_range),
+            "UV islands": "no UVs" if self.uv_islands is None else self.uv_islands,
+            **({"sharp": ", ".join(sharp)} if sharp else {}),
+            "problems": len(self.problems) or "none",
+        }
+        lines = [self.name, *(f"  {label:<22}{value}" for label, value in rows.items())]
         lines += [f"  {i}. {problem}" for i, problem in enumerate(self.problems, start=1)]
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
@@ -128,15 +127,3 @@ class MeshReport:
             return "-" if self.boundary_edges is None else f"-  ({count_noun(self.boundary_edges, 'boundary edge')})"
         lengths = sorted((len(loop) for loop in self.boundary_loops), reverse=True)
         return f"{len(lengths)}  (of {first_few(lengths)} edges)" if lengths else "0  (closed)"
-
-    def _sharp(self) -> str:
-        words = ("creased edge", "sharp vertex", "hole")
-        return ", ".join(count_noun(count, word) for count, word in zip(self.sharp, words, strict=True) if count)
-
-    def _components(self) -> str:
-        sizes = self.component_sizes
-        return f"{len(sizes)}  (of {first_few(sizes)} faces)" if len(sizes) > 1 else str(len(sizes) or "-")
-
-
-def _shown(value: int | None) -> str:
-    return "-" if value is None else str(value)

@@ -36,7 +36,7 @@ class Mirror:
 
     def reflect(self, points: FloatArray) -> FloatArray:
         """Mirror images of points, (q, 3)."""
-        return points - 2.0 * np.outer(points @ self.normal - self.offset, self.normal)
+        return _reflect(points, self.normal, self.offset)
 
 
 def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
@@ -60,11 +60,11 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
         normal, offset = settled
         if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in mirrors):
             continue
-        plane = Mirror(np.zeros(0, np.int64), normal, offset, False)
-        if np.mean(_query(tree, plane.reflect(sample))[0] <= MOST_WITHIN * diagonal) < MIN_SAMPLE_SHARE:
+        sampled, _ = _query(tree, _reflect(sample, normal, offset))
+        if np.mean(sampled <= MOST_WITHIN * diagonal) < MIN_SAMPLE_SHARE:
             continue
-        distances, nearest = _query(tree, plane.reflect(positions))
-        image, numbers = nearest, np.arange(len(positions))
+        distances, image = _query(tree, _reflect(positions, normal, offset))
+        numbers = np.arange(len(positions))
         near = np.mean(distances <= MOST_WITHIN * diagonal) >= MIN_SHARE and distances.max() <= ALL_WITHIN * diagonal
         # Reject the plane of a flat mesh: it maps every vertex to itself.
         if near and np.mean(image[image] == numbers) >= MIN_SHARE and not np.array_equal(image, numbers):
@@ -78,8 +78,7 @@ def _settled_plane(
     """Fit a plane to vertices and their nearest mirror images, repeatedly; None if it does not converge."""
     before = np.inf
     for _ in range(STEPS):
-        mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
-        distances, nearest = _query(tree, mirrored)
+        distances, nearest = _query(tree, _reflect(sample, normal, offset))
         median = float(np.median(distances))
         if median > 0.1 * diagonal or median > max(MAX_RATIO * before, NEAR_TOLERANCES * MOST_WITHIN * diagonal):
             return None
@@ -95,6 +94,10 @@ def _settled_plane(
         if settled:
             break
     return normal, offset
+
+
+def _reflect(points: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
+    return points - 2.0 * np.outer(points @ normal - offset, normal)
 
 
 def _query(tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IndexArray]:

@@ -11,7 +11,6 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import Laplacian, MeanTriangulation, assemble_stiffness
@@ -56,7 +55,7 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     if not callable(getattr(laplacian, "face_terms", None)):
         raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")
     finest = refinement.levels[-1]
-    faces = cage_triangles(refinement.control)[0] if finest.faces is None else finest.faces
+    faces = refinement.faces(refinement.n_levels)
     weights, areas = laplacian.face_terms(finest.positions, faces)
     area = float(areas.sum())
     # One complex matrix W + i M: one product restricts both, and they keep the same pattern.

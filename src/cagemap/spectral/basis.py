@@ -109,15 +109,8 @@ class HierarchicalBasis:
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
         """Coefficients (k,) or (k, q) of functions: (Phi~^T M Phi~)^{-1} Phi~^T M f (paper, section 4.4).
 
-        ParameterError if the level does not exist or the number of rows is not that of the level.
-
-        Parameters
-        ----------
-        values : (n_level,) or (n_level, q) array
-            Functions of a level; refined first if the basis has finer bands.
-        level : int
-        count : int, optional
-            Use only so many leading functions of the basis.
+        The functions (n_level,) or (n_level, q) are refined first if the basis has finer bands. With ``count`` only so
+        many leading functions of the basis are used. ParameterError if there is no such level, or rows are missing.
         """
         self._check_level(level)
         size = self.count if count is None else count

@@ -11,7 +11,6 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
@@ -103,8 +102,7 @@ class Surface:
     @property
     def faces(self) -> IndexArray:
         """(m, 4) or (m, 3) faces of the finest level; mixed faces of an unrefined mesh are triangulated."""
-        faces = self.refinement.finest.faces
-        return read_only(cage_triangles(self.control)[0] if faces is None else faces)
+        return read_only(self.refinement.faces(self.refinement.n_levels))
 
     def triangles(self, level: int) -> TriangleSurface:
         """Triangles of a level, with its vertices at their finest positions, at unit area.

@@ -128,21 +128,19 @@ def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
         if step:
             state = state if is_linear(scheme) else next_state(state, scheme)
             layout = _next_layout(layout, scheme)
-        uvs = refine_uvs(layout, uvs, state, scheme)
+        uvs = _layout_matrix(layout, state, scheme) @ uvs
     return uvs, children(layout.topology, scheme).astype(np.int64)
 
 
-def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
-    """UVs (p, 2) of the next level: a linear step if `is_linear`, else a subdivision step on the layout."""
+def _layout_matrix(layout: MeshState, state: MeshState, scheme: Scheme) -> sparse.csr_array:
+    """Matrix from UVs to those of the next level: linear if `is_linear`, else of a subdivision step on the layout."""
     if is_linear(scheme):
-        linear: FloatArray = linear_matrix(layout.topology, not isinstance(scheme, Loop)) @ uvs
-        return linear
+        return linear_matrix(layout.topology, not isinstance(scheme, Loop))
     if state.sharpness is not None:
         around = layout_sharpness(layout, state)
         fixed = layout.topology.boundary & (around.vertices >= INFINITE_SHARPNESS)
         layout = replace(layout, corner=fixed, sharpness=around)
-    refined: FloatArray = subdivision_matrix(layout, scheme) @ uvs
-    return refined
+    return subdivision_matrix(layout, scheme)
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,6 +143,11 @@ class Refinement:
         numbers[self.coarse_vertices] = np.arange(len(self.coarse_vertices))
         return numbers
 
+    def faces(self, level: int) -> IndexArray:
+        """(m, 4) or (m, 3) faces of a level; mixed faces of a control mesh are split into fans."""
+        faces = self.levels[level].faces
+        return cage_triangles(self.control)[0] if faces is None else faces
+
     def holes(self, level: int) -> BoolArray:
         """(m_level,) whether a face is a hole, see `control_holes`."""
         return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
@@ -316,8 +321,7 @@ def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:
     """(t, 3) triangles of a level: quads split by `triangles`, n-gons into fans."""
-    faces = refinement.levels[level].faces
-    return cage_triangles(refinement.control)[0] if faces is None else triangles(faces)
+    return triangles(refinement.faces(level))
 
 
 def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:

@@ -185,7 +185,7 @@ def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
         edges[_edge_numbers(control, topology)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
     if control.corner_vertices is not None and control.corner_sharpness is not None:
         vertices[control.corner_vertices] = np.clip(control.corner_sharpness, 0.0, INFINITE_SHARPNESS)
-    if not edges.any() and not vertices.any():
+    if not (edges > 0).any() and not (vertices > 0).any():
         return MeshState(topology, corner)
     edges[topology.outer_edges] = INFINITE_SHARPNESS
     vertices[corner] = INFINITE_SHARPNESS
