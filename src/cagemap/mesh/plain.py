@@ -40,6 +40,9 @@ from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.kinds import Brief
 from cagemap.surface.triangles import fan_triangles
 
+# Most rounds of removing faces at edges of more than two faces; scans need two.
+MAX_FIN_ROUNDS = 20
+
 
 @dataclass(frozen=True, repr=False)
 class Repairs(Brief):
@@ -212,12 +215,9 @@ def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
     """Remove fins and separate sheets that only touch; also counts of removed faces and cut vertices."""
     n_faces, cut, topology = mesh.n_faces, 0, mesh_topology(mesh)
     surplus = extra_faces(topology)
-    while True:
+    for _ in range(MAX_FIN_ROUNDS):
         if surplus.all():
-            raise InvalidMeshError(
-                f"{mesh.name}: expected a surface, got faces that meet in more than two at all edges. "
-                "Repair it in a modelling program."
-            )
+            break
         mesh = keep_faces(mesh, np.flatnonzero(~surplus)) if surplus.any() else mesh
         mesh, newly_cut = _one_fan_per_vertex(mesh)
         cut, topology = cut + newly_cut, mesh_topology(mesh)
@@ -226,6 +226,10 @@ def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
             return mesh, n_faces - mesh.n_faces, cut
         # Faces joined around the split vertices: it is ambiguous which of them belong together.
         surplus = np.logical_or.reduceat(bad[topology.edges], mesh.face_offsets[:-1])
+    raise InvalidMeshError(
+        f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges. "
+        "Repair it in a modelling program."
+    )
 
 
 def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
