@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -27,20 +26,7 @@ else:
 
 def arrays_accepted(function: Callable[P, R]) -> Callable[P, R]:
     """Check arguments as `kinds_checked`, after conversion of meshes (`MeshLike`) and landmarks (`LandmarksLike`)."""
-    return kinds_checked(function, _conversions)
-
-
-@cache
-def _conversions(function: Callable[..., Any]) -> dict[str, Conversion]:
-    """Conversions of a function's mesh and landmark parameters, by name."""
-    conversions: dict[str, Conversion] = {}
-    for name, hint in get_type_hints(function).items():
-        kinds = [hint, *get_args(hint)]
-        if name != "return" and ControlMesh in kinds:
-            conversions[name] = lambda value, name: control_mesh(value, name) if is_mesh(value) else value
-        elif name != "return" and Landmarks in kinds:
-            conversions[name] = lambda value, name: landmark_pairs(value) if _is_pairs(value) else value
-    return conversions
+    return kinds_checked(function, _CONVERSIONS)
 
 
 def is_mesh(value: object) -> bool:
@@ -82,10 +68,6 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     return converted.with_uvs(uvs, uv_indices.ravel())
 
 
-def _is_pairs(value: object) -> bool:
-    return isinstance(value, tuple | list) or hasattr(value, "__array__")
-
-
 def landmark_pairs(landmarks: Any) -> Landmarks:
     """Landmarks ``point 0``, ... of pairs (p, 2) of target and source vertices; InvalidLandmarksError for others."""
     if isinstance(landmarks, Landmarks):
@@ -99,3 +81,13 @@ def landmark_pairs(landmarks: Any) -> Landmarks:
             f"{pairs.shape}{'. Transpose it.' if pairs.ndim == 2 and len(pairs) == 2 else '.'}"
         )
     return Landmarks(tuple(f"point {i}" for i in range(len(pairs))), pairs[:, 0], pairs[:, 1])
+
+
+def _landmarks_or_value(value: Any, _: str) -> Any:
+    return landmark_pairs(value) if isinstance(value, tuple | list) or hasattr(value, "__array__") else value
+
+
+_CONVERSIONS: dict[type, Conversion] = {
+    ControlMesh: lambda value, name: control_mesh(value, name) if is_mesh(value) else value,
+    Landmarks: _landmarks_or_value,
+}

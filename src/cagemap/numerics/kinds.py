@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from functools import cache, wraps
 from inspect import signature
@@ -43,10 +43,8 @@ _SOURCES = {
 Conversion: TypeAlias = Callable[[Any, str], object]  # a value and the name of its parameter
 
 
-def kinds_checked(
-    function: Callable[P, R], conversions: Callable[[Callable[..., Any]], dict[str, Conversion]] = lambda function: {}
-) -> Callable[P, R]:
-    """Decorator: convert arguments, then check cagemap's classes, numbers, strings and paths by annotation."""
+def kinds_checked(function: Callable[P, R], conversions: Mapping[type, Conversion] = {}) -> Callable[P, R]:
+    """Decorator: check cagemap's classes, numbers, strings and paths by annotation, after conversions to a class."""
     parameters = signature(function)
 
     @wraps(function)
@@ -57,11 +55,11 @@ def kinds_checked(
         except TypeError:  # the function itself names the missing or unknown argument
             return function(*args, **kwargs)
         given = bound.arguments
-        for name, convert in conversions(function).items():
-            if name in given:
-                given[name] = convert(given[name], name)
         for name in (name for name in given if name in expected):
-            value, kinds = given[name], expected[name]
+            kinds = expected[name]
+            for convert in (conversions[kind] for kind in kinds if kind in conversions):
+                given[name] = convert(given[name], name)
+            value = given[name]
             if not any(_is(value, kind) for kind in kinds):
                 names = [_NAMES.get(kind, kind.__name__) for kind in kinds if not (kind is str and Path in kinds)]
                 source = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
