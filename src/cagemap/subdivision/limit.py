@@ -279,37 +279,32 @@ def ring_tangents(
     topology: Topology, scheme: SmoothScheme, corner: BoolArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Two tangents (n, 3) of every vertex without creases; at the boundary the first one is along it."""
-    inner = _inner_tangents(topology, scheme)
-    entries = [[*inner[number], *_boundary_tangents(topology, scheme, corner, number)] for number in range(2)]
-    first, second = (matrix_of(of_tangent, topology.n_vertices) @ positions for of_tangent in entries)
+    sides = zip(_inner_tangents(topology, scheme), _boundary_tangents(topology, scheme, corner), strict=True)
+    first, second = (matrix_of([*inner, *boundary], topology.n_vertices) @ positions for inner, boundary in sides)
     return first, second
 
 
 def _inner_tangents(topology: Topology, scheme: SmoothScheme) -> tuple[list[Entries], list[Entries]]:
     """Entries of the two tangents of interior vertices."""
     rings = rings_of(topology, scheme)
-    # Few (valence, rank) pairs occur: compute each one's weights once.
-    present = np.flatnonzero(np.bincount(topology.valences))
-    first_of = np.zeros(present[-1] + 1, dtype=np.int64)
-    first_of[present] = np.cumsum(present) - present
-    valences = np.repeat(present, present)
-    ranks = np.arange(len(valences)) - first_of[valences]
+    inside = np.flatnonzero(~topology.boundary[topology.vertices])
+    centres = topology.vertices[inside]
+    valences, ranks = topology.valences[centres], topology.ranks[inside]
     masks: tuple[FloatArray, ...] = scheme.tangent_weights(valences, ranks)
     if isinstance(scheme, CatmullClark):  # valence 2 has no tangent plane: use the polygon of the ring
         sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
         polygon = sign, none, none, sign
         masks = tuple(np.where(valences == 2, new, old) for new, old in zip(polygon, masks, strict=True))
-    inside = np.flatnonzero(~topology.boundary[topology.vertices])
-    centres = topology.vertices[inside]
-    mask = first_of[topology.valences[centres]] + topology.ranks[inside]
     entries: list[Entries] = [
-        (centres, ring[inside], weights[mask]) for ring, weights in zip((*rings, *rings), masks, strict=True)
+        (centres, ring[inside], weights) for ring, weights in zip((*rings, *rings), masks, strict=True)
     ]
     return entries[: len(rings)], entries[len(rings) :]
 
 
-def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArray, number: int) -> list[Entries]:
-    """Entries of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
+def _boundary_tangents(
+    topology: Topology, scheme: SmoothScheme, corner: BoolArray
+) -> tuple[list[Entries], list[Entries]]:
+    """Entries of the tangents along the boundary curve and inwards."""
     curve = topology.boundary_corners
     # The boundary goes from vertex `before` over `vertex` to `after`, with faces on its left.
     vertex, after = topology.vertices[curve], topology.vertices[topology.following[curve]]
@@ -317,22 +312,24 @@ def _boundary_tangents(topology: Topology, scheme: SmoothScheme, corner: BoolArr
     before[after] = vertex
     before = before[vertex]
     stays = corner[vertex].astype(np.float64)
-    if number == 0:
-        return [(vertex, after, np.ones(len(vertex))), (vertex, before, stays - 1), (vertex, vertex, -stays)]
+    along: list[Entries] = [
+        (vertex, after, np.ones(len(vertex))),
+        (vertex, before, stays - 1),
+        (vertex, vertex, -stays),
+    ]
     single = topology.valences[vertex] == 1
     # Single face: a corner's tangents are along its two edges, else the curve's first and second derivatives.
-    entries = [
-        (vertex[single], before[single], np.ones(int(single.sum()))),
-        (vertex[single], vertex[single], stays[single] - 2),
-        (vertex[single], after[single], 1 - stays[single]),
+    inwards: list[Entries] = [
+        (vertex, before, single.astype(np.float64)),
+        (vertex, vertex, single * (stays - 2)),
+        (vertex, after, single * (1 - stays)),
     ]
     corners_at = np.flatnonzero(topology.boundary[topology.vertices])
     for valence in np.unique(topology.valences[vertex[~single]]):
         centre, edges, faces = scheme.inward_tangent(int(valence))
-        chosen = topology.valences[vertex] == valence
-        for neighbour, weight in ((vertex, centre), (before, edges[-1])):
-            entries.append((vertex[chosen], neighbour[chosen], np.full(int(chosen.sum()), weight)))
+        chosen = (topology.valences[vertex] == valence).astype(np.float64)
+        inwards += [(vertex, vertex, centre * chosen), (vertex, before, edges[-1] * chosen)]
         corners = corners_at[topology.valences[topology.vertices[corners_at]] == valence]
-        for ring, ring_weight in zip(rings_of(topology, scheme), (edges[:-1], faces), strict=False):
-            entries.append((topology.vertices[corners], ring[corners], ring_weight[topology.ranks[corners]]))
-    return entries
+        for ring, weights in zip(rings_of(topology, scheme), (edges[:-1], faces), strict=False):
+            inwards.append((topology.vertices[corners], ring[corners], weights[topology.ranks[corners]]))
+    return along, inwards
