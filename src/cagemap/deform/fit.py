@@ -112,10 +112,10 @@ def coarse_fit(
     shape: CoarseShape | None = None,
     samples: SourceSamples | None = None,
 ) -> Placement:
-    """Placement of the clusters by the coarse stage, from positions (k, 3), or from landmarks if None.
+    """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 
-    ``shape`` replaces the problem's clusters, with other constraints or smoothing. Source ``samples`` give
-    source-to-target terms, with which limbs reach the ends of the source's limbs.
+    By default of the problem's clusters. Source ``samples`` give source-to-target terms, with which limbs reach the
+    ends of the source's limbs.
 
     Raises
     ------
@@ -130,9 +130,9 @@ def coarse_fit(
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
     first = landmark_start(shape, config) if start is None else start
     terms = cluster_terms(rest, source, shape.constraints, config, samples)
-    positions = minimise(graph, energy.differentials, terms, first, config.coarse)
+    positions = minimise(graph, energy.differentials, terms, first, shape.stage)
     maps, _ = energy.differentials(positions)
-    costs = vertex_costs(rest, source, positions, maps, config)
+    costs = vertex_costs(rest, source, positions, maps, config, shape.stage.smoothing)
     return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
 
 
@@ -170,7 +170,8 @@ def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placeme
     """Placement of the mesh with its costs: `vertex_costs`, distances of source samples, `stretch_costs` if open."""
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
     samples = prepared.source_samples
-    costs = vertex_costs(rest, prepared.source_surface, positions, rest.energy.maps(positions), config)
+    maps, smoothing = rest.energy.maps(positions), config.coarse.smoothing
+    costs = vertex_costs(rest, prepared.source_surface, positions, maps, config, smoothing)
     tree = build_tree(positions, triangles)
     at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
     squared = _capped(distance**2, prepared.mesh, config)
@@ -182,7 +183,12 @@ def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placeme
 
 
 def vertex_costs(
-    rest: RestShape, source: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
+    rest: RestShape,
+    source: TriangleSurface,
+    positions: FloatArray,
+    maps: FloatArray,
+    config: ElasticConfig,
+    smoothing: float,
 ) -> FloatArray:
     """(n,) cost by vertex: squared distance in position and normal, plus the energy at a fixed stiffness."""
     graph = rest.graph
@@ -192,7 +198,7 @@ def vertex_costs(
     squared = ((nearest.positions - positions) ** 2).sum(axis=1)
     turned = 2.0 - 2.0 * np.einsum("nd,nd->n", nearest.normals, normals)
     data = areas * _capped(squared + config.normal_weight**2 * turned, source, config)
-    return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, config.coarse.smoothing))
+    return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, smoothing))
 
 
 def _capped(squared: FloatArray, other: TriangleSurface, config: ElasticConfig) -> FloatArray:

@@ -24,10 +24,6 @@ from cagemap.maps.hypotheses.signs import (
 from cagemap.maps.point_map import PointMap
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
-# Names of alternative answers where landmarks are given.
-AS_GIVEN = "as the landmarks are given"
-EXCHANGED = "with left and right of the landmarks exchanged"
-TURNED = "with a limb turned otherwise about its axis"
 # Reason shown for a result file without signs.
 NOT_JUDGED = "it was matched by an older version of cagemap: match again"
 
@@ -71,12 +67,6 @@ class Confidence:
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
                 f"made {best.name}, another one {others[0].name} (`answer=1`)"
-            )
-        if best.name == AS_GIVEN:
-            times = others[0].cost / max(best.cost, 1e-12)
-            return (
-                f"look at it: a map {others[0].name} fits almost as well, at {times:.2f} times the cost (`answer=1`). "
-                f"A landmark at target vertex {vertex} decides"
             )
         answer = f"the target is aligned with the source {best.name}"
         if self.verdict == SURE:

@@ -20,9 +20,9 @@ from cagemap.deform.multi_start import (
     start_map,
 )
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, Tips
 from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
-from cagemap.maps.hypotheses.limbs import Tips, assigned_limbs, refit_distinct_to_tips
+from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
     AS_FILED_STARTS,
@@ -63,22 +63,22 @@ def fit_small_graph(
     rotated starts are tried unless an assignment is plausible, and their fits get a penalty. ``show`` gets the best fit
     of the starts in the files' axes, then the best of all.
     """
-    small, config = problem.small_graph_problem, problem.prepared.elastic.search
-    graph = small.coarse_shape.rest.graph
+    small, config = problem.small_shape, problem.prepared.elastic.search
+    graph = small.rest.graph
 
     def fit_start(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
-            placed = coarse_fit(small, start, shape)
+            placed = coarse_fit(problem, start, shape)
         rotation = axis_rotation(shape.rest.graph.areas, placed.maps)
         penalty = rotation_penalty(rotation, config) if with_rotations else 1.0
         return replace(placed, name=rotation_name(rotation), penalty=penalty)
 
     def fit_rigid_starts(starts: Sequence[Placement]) -> list[Placement]:
-        return in_threads(lambda start: fit_start(start.positions, small.coarse_shape), starts)
+        return in_threads(lambda start: fit_start(start.positions, small), starts)
 
     def fit_limbs(tips: Tips) -> tuple[Tips, Placement]:
-        shape = small.coarse_shape_with(*tips)
-        return tips, fit_start(start_map(small, shape), shape)
+        shape = problem.coarse_shape_with(tips, config.small_graph_stage, config.small_graph_vertices)
+        return tips, fit_start(start_map(problem, shape), shape)
 
     unmoved = unmoved_start(problem.prepared, graph.positions)
     starts = [*unmoved, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
@@ -178,7 +178,7 @@ def search(
         limb_fits, small_fits = fit_small_graph(problem, not has_start, show)
         progress("rough alignment")
         for tips, small_fit in limb_fits:
-            shape = problem.coarse_shape_with(*tips)
+            shape = problem.coarse_shape_with(tips)
             fine, soft = fit_from_two_starts(problem, shape)
             constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)

@@ -20,7 +20,6 @@ from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import vertex_normals
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,6 @@ SIGNS: dict[str, Sign] = {
     "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
-    # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
-    "limb_turned": Sign(0.08, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
     "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
@@ -61,8 +58,6 @@ JUMP = 0.2
 NEIGHBORS, NEAR_SPACINGS = 24, 1.4
 # Weight of normals, of sqrt(area): keeps images on their side of a thin part.
 FACING = 0.05
-# Angle in degrees between the normals of two maps.
-TURNED_DEGREES = 60.0
 # Beginning of the warning about jumps.
 JUMPING = "the map jumps between parts that only touch"
 
@@ -126,13 +121,6 @@ def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | 
     )
 
 
-def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
-    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
-    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
-    areas = mesh.vertex_areas
-    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
-
-
 def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
     """(m, 2) vertices whose images (n, 3) are near each other and face the same way."""
     radius = NEAR_SPACINGS / np.sqrt(len(places))
@@ -158,15 +146,15 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
     bodies seem mirrored.
     """
-    small, source = problem.small_graph_problem, problem.prepared.source_surface
-    graph, constraints = small.coarse_shape.rest.graph, small.coarse_shape.constraints
+    small, source = problem.small_shape, problem.prepared.source_surface
+    graph, constraints = small.rest.graph, small.constraints
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
     def least_cost(surface: TriangleSurface, constraints: PlacementConstraints, *known: FloatArray) -> float:
         """Least cost of fits to a surface from the nearest rigid starts, and from known ones."""
-        onto = replace(small, prepared=replace(small.prepared, source_surface=surface))
-        shape = replace(small.coarse_shape, constraints=constraints)
+        onto = replace(problem, prepared=replace(problem.prepared, source_surface=surface))
+        shape = replace(small, constraints=constraints)
 
         def squared_distance(start: Placement) -> float:
             return float(graph.areas @ closest_points(surface.tree, start.positions)[2] ** 2)
@@ -179,7 +167,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
         tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    cost = least_cost(source, constraints, positions[small.coarse_shape.vertices])
+    cost = least_cost(source, constraints, positions[small.vertices])
     curves = (
         replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
         for curve in constraints.curves

@@ -1,20 +1,17 @@
-"""Other answers that landmarks do not exclude: a limb turned about its axis, left and right exchanged."""
+"""The other answer of landmarks that are mirrored: with left and right exchanged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, LOOK, TURNED, TWO, Confidence, cost_signs
+from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.confidence import TWO, Confidence, cost_signs
 from cagemap.maps.hypotheses.limbs import mutually_nearest
 from cagemap.maps.hypotheses.search import search
-from cagemap.maps.hypotheses.signs import SIGNS, turned_share
 from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.pair import PointPairs, Progress, no_progress
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -24,22 +21,6 @@ MIRRORED_NOTE = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
-
-
-def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
-    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
-    best = ranked[0]
-    for other in ranked[1:]:
-        share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
-            answers = (
-                Placement(best.map_positions, best.cost, name=AS_GIVEN),
-                Placement(other.positions, other.cost, name=TURNED),
-            )
-            apart = np.linalg.norm(best.positions - other.positions, axis=1)
-            deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
-            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
-    return None
 
 
 def mirrored_answers(
@@ -60,8 +41,13 @@ def mirrored_answers(
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     answers = (
-        Placement(given.map_positions, given.cost, name=AS_GIVEN),
-        Placement(best.map_positions, best.cost, name=EXCHANGED, exchange=tuple(map(tuple, exchange.tolist()))),
+        Placement(given.map_positions, given.cost, name="as the landmarks are given"),
+        Placement(
+            best.map_positions,
+            best.cost,
+            name="with left and right of the landmarks exchanged",
+            exchange=tuple(map(tuple, exchange.tolist())),
+        ),
     )
     return Confidence(TWO, answers, cost_signs(answers)), check
 
