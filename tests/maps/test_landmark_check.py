@@ -357,23 +357,8 @@ def test_landmarks_of_another_mesh_are_asked_about(pair):
     foreign = Landmarks(landmarks.names, moved, landmarks.source, "another", landmarks.source_name)
     result = match(target, source, foreign, QUICK)
     assert result.quality.flipped_area > 0.05
-    (note,) = [note for note in result.landmark_check.notes if "are these landmarks of these meshes?" in note]
-    assert f"{100 * result.quality.flipped_area:.0f} % of the target is folded over" in note
-    assert note in landmark_messages(result.manifest)
-
-
-@pytest.mark.parametrize(
-    ("folded", "count", "asked"), [(0.2, 23, True), (0.02, 23, False), (0.2, 0, False), (0.9, 9, False)]
-)
-def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(
-    folded: float, count: int, asked: bool
-) -> None:
-    suspects = tuple(LandmarkSuspect(name, i, 0.3, 5, 7, DISTANCES) for i, name in enumerate("ab"))
-    check = LandmarkCheck(suspects, ("another note",)).with_folds(folded, count)
-    assert check.with_folds(0.0, count).notes == ("another note",)
-    assert (len(check.notes) == 2) == asked
-    if asked:
-        assert "20 % of the target is folded over and 2 of 23 landmarks were left out" in check.notes[1]
+    (warning,) = [text for text in result.quality.warnings if "Are these landmarks of these meshes?" in text]
+    assert f"{100 * result.quality.flipped_area:.1f} % of the target's area is folded over" in warning
 
 
 def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:

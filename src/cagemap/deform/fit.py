@@ -97,11 +97,11 @@ def mesh_terms(
             masks=rest.masks,
             config=config.data,
         )
-        distance = term.distance(positions)
-        term = term.scaled(received_weights(received, back.weights, config.data, of_parts=of_parts))
-        blocks, right = term.blocks + back.blocks, term.right + back.right
+        shares = received_weights(received, back.weights, config.data, of_parts=of_parts)
+        blocks = shares[:, None, None] * term.blocks + back.blocks
+        right = shares[:, None] * term.right + back.right
         constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, distance, (term.triangles, back.triangles))
+        return VertexTerms(rest.energy, blocks, right, term.distance(positions), (term.triangles, back.triangles))
 
     return terms
 

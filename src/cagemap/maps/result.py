@@ -315,7 +315,7 @@ def result_of_fit(
         point_map,
         quality,
         {**timings, "quality": time.perf_counter() - start},
-        check.with_folds(quality.flipped_area, len(landmarks)),
+        check,
         confidence=confidence,
         prepared=prepared,
         masks=masks,

@@ -24,7 +24,6 @@ from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, Tips
 from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
-    AS_FILED,
     AS_FILED_STARTS,
     nearest_axis_rotation,
     rigid_starts,
@@ -96,7 +95,7 @@ def fit_small_graph(
         rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
         rigid_fits = rank_placements([*rigid_fits, *fit_rigid_starts(rotated)])
     show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
-    as_filed = [placed for placed in rigid_fits if placed.name == AS_FILED][:1]
+    as_filed = [placed for placed in rigid_fits if placed.keeps_axes][:1]
     if not limb_fits:
         distinct = distinct_placements(rigid_fits, graph.areas, config.min_answer_distance)[: config.max_coarse]
         return [], distinct_placements([*distinct, *as_filed], graph.areas, config.min_answer_distance)
@@ -127,7 +126,7 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     distinct = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.min_answer_distance)
     max_cost = config.max_finish_cost * candidates[0][0].penalised_cost
     cheap = [coarse for coarse in candidates if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
-    as_filed = [coarse for coarse in cheap[config.max_finished :] if coarse[0].name == AS_FILED][:1]
+    as_filed = [coarse for coarse in cheap[config.max_finished :] if coarse[0].keeps_axes][:1]
 
     def fit_fine(coarse: list[Placement]) -> Placement:
         most = None if coarse is candidates[0] else 1

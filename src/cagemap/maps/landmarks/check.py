@@ -39,11 +39,6 @@ CONTRADICTION = (
     "the landmark file may belong to other meshes or to the other direction"
 )
 
-# Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
-# out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
-FOREIGN_FOLDED = 0.05, 0.5
-FOREIGN = "are these landmarks of these meshes? "
-
 # Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
 OFFSETS = (0.0, 0.25, 0.5, 0.75)
 
@@ -106,15 +101,6 @@ class LandmarkCheck:
             if pair in places:
                 strains[places[pair]] = strain_before
         return LandmarkCheck(kept, self.notes, strains)
-
-    def with_folds(self, folded: float, count: int) -> LandmarkCheck:
-        """The check with a note if a map of ``count`` landmarks folds much of the target's area."""
-        notes = tuple(note for note in self.notes if not note.startswith(FOREIGN))
-        if count and FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
-            left_out = f" and {len(self.suspects)} of {count} landmarks were left out" if self.suspects else ""
-            folds = f"{100 * folded:.0f} % of the target is folded over{left_out}"
-            notes += (f"{FOREIGN}{folds}. Look at the landmarks on both meshes, and at which file they belong to",)
-        return replace(self, notes=notes)
 
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
