@@ -21,12 +21,11 @@ from cagemap.maps.hypotheses.search import distinct_answers, search, search_both
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
+    check_mirrored,
     check_on_map,
     confirmed_pairs,
     landmark_outliers,
-    landmarks_mirrored,
 )
-from cagemap.maps.landmarks.other_answers import mirrored_answers
 from cagemap.maps.pair import Pair, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
@@ -225,8 +224,7 @@ def _match_elastic(
             if config.check_landmarks:
                 progress("test landmarks on the map")
                 check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
-                if landmarks_mirrored(problem, outliers):
-                    confidence, check = mirrored_answers(problem, placements[0], check, progress)
+                confidence, check = check_mirrored(problem, placements[0], outliers, check, progress)
         shared = SharedArea.of_fit(prepared, placements[0].map_positions)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
     progress("quality")

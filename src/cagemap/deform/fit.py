@@ -7,11 +7,12 @@ point-to-plane, so that only the energy resists tangential motion. Landmarks and
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import PlacementConstraints, constrain_points
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
 from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
 from cagemap.deform.minimise import Differentials, Terms, minimise
@@ -151,7 +152,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
-    constrain_points(constraints.anchors, places, blocks, right, start, config.landmark_weight)
+    replace(constraints, curves=()).add(blocks, right, start, config)
     return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
 
 

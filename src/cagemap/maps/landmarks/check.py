@@ -12,11 +12,16 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
-from cagemap.deform.multi_start import start_map
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, start_map
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.confidence import TWO, Confidence, cost_signs
+from cagemap.maps.hypotheses.limbs import mutually_nearest
+from cagemap.maps.hypotheses.search import search
 from cagemap.maps.landmarks.outliers import (
     Marks,
     exchanged_sides,
@@ -24,8 +29,8 @@ from cagemap.maps.landmarks.outliers import (
     orientation_agreement,
     typical_misfit,
 )
-from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
-from cagemap.maps.pair import Progress, near_vertices, vertices_at
+from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
+from cagemap.maps.pair import PointPairs, Progress, near_vertices, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -33,10 +38,16 @@ from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangle_surface import TriangleSurface
 
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
     "the landmark file may belong to other meshes or to the other direction"
+)
+
+MIRRORED = (
+    "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
+    "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
 
 # Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
@@ -149,14 +160,20 @@ def check_on_map(
     if count < config.fewest_judged:
         return LandmarkCheck(notes=tuple(notes))
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
-    energy, places = landmark_energy(trusted, point_map)
+    images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
+    graph, vertices = problem.prepared.rest.graph, trusted.landmark_vertices[0]
+    energy = reduced_energy(graph, images.positions, images.normals, vertices, config)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained, strain_notes = strained_pair(energy, places, config), list[str]()
     if strained is not None:
         typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
         if typical <= config.max_strain_misfit:
-            strain_notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
+            strain_notes.append(
+                f"landmark '{names[kept[strained]]}' strains the map around it, and only there: let go, it would move "
+                f"by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it was a slip, "
+                "correct it"
+            )
     suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
     return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
@@ -213,14 +230,6 @@ def kept_note(suspected: dict[int, str], names: Sequence[str], why: str) -> str:
     )
 
 
-def strain_note(name: str, distance: float) -> str:
-    """Note about a pair that strains the map."""
-    return (
-        f"landmark '{name}' strains the map around it, and only there: let go, it would move by about "
-        f"{100 * distance:.0f} % of the model's size. It was kept; if it was a slip, correct it"
-    )
-
-
 def check_changes(
     problem: Problem,
     names: Sequence[str],
@@ -267,24 +276,40 @@ def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple
     return float(landmark_errors(point_map, only)[0]), int(np.linalg.norm(control - place, axis=1).argmin())
 
 
-def landmark_energy(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
-    """Reduced energy of the landmarks at a map that meets them, and their positions."""
-    graph = problem.prepared.rest.graph
-    images = point_map.images.at(problem.prepared.vertices)
-    config = problem.prepared.elastic.landmarks
-    energy = reduced_energy(graph, images.positions, images.normals, problem.landmark_vertices[0], config)
-    return energy, problem.landmarks.source.positions
+def check_mirrored(
+    problem: Problem, given: Placement, outliers: Collection[int], check: LandmarkCheck, progress: Progress
+) -> tuple[Confidence | None, LandmarkCheck]:
+    """Two answers if the landmarks are mirrored, as given and exchanged; and the check, with a note about it.
 
-
-def landmarks_mirrored(problem: Problem, left_out: Collection[int]) -> bool:
-    """Whether the landmarks that are not left out surround each other in opposite senses on the two surfaces.
-
-    Distances and strain cannot show this. False if too few landmarks are given.
+    Landmarks are mirrored if they surround each other in opposite senses on the two surfaces, and cost much more than
+    no landmarks. The exchange is that of the best map without landmarks; None if it exchanges too few. Distances and
+    strain show none of this.
     """
-    config = problem.prepared.elastic.landmarks
-    if len(problem.landmarks) < config.fewest_judged:
-        return False
-    return orientation_agreement(*_marks(problem.without(left_out)), config) <= config.mirrored_agreement
+    prepared, landmarks, config = problem.prepared, problem.landmarks, problem.prepared.elastic.landmarks
+    if len(landmarks) < config.fewest_judged:
+        return None, check
+    if orientation_agreement(*_marks(problem.without(outliers)), config) > config.mirrored_agreement:
+        return None, check
+    best = search(problem.without(range(len(landmarks))), progress)[0]
+    if given.cost < config.min_mirrored_cost * best.cost:
+        return None, check
+    check = replace(check, notes=(*check.notes, MIRRORED))
+    exchange = exchanged_pairs(prepared.mesh, landmarks, best.map_positions, config.exchange_distance)
+    if len(exchange) < FEWEST_LANDMARKS:
+        return None, check
+    pairs = tuple(map(tuple, exchange.tolist()))
+    exchanged = "with left and right of the landmarks exchanged"
+    answers = (
+        Placement(given.map_positions, given.cost, name="as the landmarks are given"),
+        Placement(best.map_positions, best.cost, name=exchanged, exchange=pairs),
+    )
+    return Confidence(TWO, answers, cost_signs(answers)), check
+
+
+def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
+    """(q, 2) landmarks i, j with the image of i near the source point of j, one-to-one."""
+    near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
+    return mutually_nearest(images[near], landmarks.source.positions, within)[0]
 
 
 def _marks(problem: Problem) -> tuple[Marks, Marks]:
