@@ -39,8 +39,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
-from cagemap.paper.levels import search_levels
-from cagemap.paper.method import paper_map
+from cagemap.paper.method import paper_map, search_levels
 from cagemap.paper.operators import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface

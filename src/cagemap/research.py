@@ -43,8 +43,16 @@ from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights,
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_full, search_level, search_levels
-from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.method import (
+    PaperConfig,
+    basis_sizes,
+    ladder,
+    paper_map,
+    recover_points,
+    search_full,
+    search_level,
+    search_levels,
+)
 from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
