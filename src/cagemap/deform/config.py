@@ -28,10 +28,6 @@ class Stage:
     factored: int = 1  #: iterations from one factorisation of the matrix to the next; those between reuse its factors
     #: share of vertices whose differentials may be bounded (fold or flatten the surface) at the end
     max_bounded: float = 0.005
-    #: a mesh whose root mean square distance from the source is below this counts as on the source
-    on_surface: float = 2e-5
-    stiffening: float = 2.0  #: factor on the stiffness in each iteration in which the mesh is on the source
-    max_stiffness: float = 5e-2  #: the stiffness does not grow beyond this
     gradients: int = 4  #: conjugate gradient steps of an iteration that reuses factors
     tolerance: float = 1e-9  #: relative residual at which these steps end early
     max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
@@ -146,7 +142,7 @@ class SearchConfig:
     min_answer_distance: float = 0.08  #: placements at a larger mean distance are two answers
     max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
-    max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment
+    max_finished: int = 3  #: candidates of the fine stage
     max_finish_cost: float = 2.5  #: a candidate that costs more times the best one is not finished
     #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
     max_limb_cost: float = 1.5

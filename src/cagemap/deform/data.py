@@ -54,13 +54,6 @@ class DataTerm:
     triangles: IndexArray  # (m,): triangle of every closest point, a guess for the next search
     closest: FloatArray  # (m, 3): the closest points
 
-    def distance(self, positions: FloatArray) -> float:
-        """Root mean square distance of the vertices (n, 3) from their planes."""
-        offsets = positions - self.closest
-        squared = float(np.einsum("na,nab,nb->", offsets, self.blocks, offsets))
-        total = float(self.weights.sum())
-        return float(np.sqrt(max(squared, 0.0) / total)) if total > 0 else float("inf")
-
 
 def target_to_source(
     areas: FloatArray, nearest: SurfacePoints, normals: FloatArray, masks: Masks = WHOLE, *, beyond: bool = False

@@ -102,7 +102,7 @@ def mesh_terms(
         blocks = shares[:, None, None] * term.blocks + back.blocks
         right = shares[:, None] * term.right + back.right
         constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, term.distance(positions), (term.triangles, back.triangles))
+        return VertexTerms(rest.energy, blocks, right, (term.triangles, back.triangles))
 
     return terms
 

@@ -129,7 +129,6 @@ class SampleTerms:
     across: FloatArray
     along: FloatArray
     right: FloatArray
-    distance: float = np.inf
 
     def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
         """The terms themselves: the stiffness is always the fairness."""

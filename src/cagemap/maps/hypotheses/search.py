@@ -126,13 +126,12 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     distinct = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.min_answer_distance)
     max_cost = config.max_finish_cost * candidates[0][0].penalised_cost
     cheap = [coarse for coarse in candidates if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
-    as_filed = [coarse for coarse in cheap[config.max_finished :] if coarse[0].keeps_axes][:1]
 
     def fit_fine(coarse: list[Placement]) -> Placement:
         most = None if coarse is candidates[0] else 1
         return refine_cheapest(problem, coarse, most)[0].with_start_of(coarse[0])
 
-    return in_threads(fit_fine, [*cheap[: config.max_finished], *as_filed])
+    return in_threads(fit_fine, cheap[: config.max_finished])
 
 
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
