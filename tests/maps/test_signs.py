@@ -13,11 +13,13 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.search import ANOTHER_WAY
-from cagemap.maps.hypotheses.signs import (
+from cagemap.maps.hypotheses.confidence import (
     JUMPING,
+    LOOK,
     SIGNS,
+    SURE,
+    TWO,
+    Confidence,
     describe_signs,
     image_pairs,
     jump_lengths,
@@ -25,6 +27,7 @@ from cagemap.maps.hypotheses.signs import (
     jump_warnings,
     median_distortion,
 )
+from cagemap.maps.hypotheses.search import ANOTHER_WAY
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks

@@ -12,8 +12,7 @@ from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import functional_map_of
-from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.maps.hypotheses.signs import jump_warnings
+from cagemap.maps.hypotheses.confidence import Confidence, jump_warnings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import LevelPair, point_pairs

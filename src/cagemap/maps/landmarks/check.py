@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
@@ -30,7 +29,7 @@ from cagemap.maps.landmarks.outliers import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
-from cagemap.maps.pair import PointPairs, Progress, near_vertices, vertices_at
+from cagemap.maps.pair import Progress, near_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -38,7 +37,6 @@ from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangle_surface import TriangleSurface
 
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
@@ -260,9 +258,7 @@ def check_changes(
 
 def _suspect(problem: Problem, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    points = problem.landmarks.source
-    at_vertex, near = vertices_at(points), near_vertices(points, problem.prepared.source)
-    given = int(np.where(at_vertex < 0, near, at_vertex)[place])
+    given = int(near_vertices(problem.landmarks.source, problem.prepared.source)[place])
     return LandmarkSuspect(
         names[place], place, *landmark_miss(problem, found, place), source_vertex=given, evidence=evidence
     )
@@ -285,7 +281,7 @@ def check_mirrored(
     no landmarks. The exchange is that of the best map without landmarks; None if it exchanges too few. Distances and
     strain show none of this.
     """
-    prepared, landmarks, config = problem.prepared, problem.landmarks, problem.prepared.elastic.landmarks
+    landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
     if len(landmarks) < config.fewest_judged:
         return None, check
     if orientation_agreement(*_marks(problem.without(outliers)), config) > config.mirrored_agreement:
@@ -294,7 +290,8 @@ def check_mirrored(
     if given.cost < config.min_mirrored_cost * best.cost:
         return None, check
     check = replace(check, notes=(*check.notes, MIRRORED))
-    exchange = exchanged_pairs(prepared.mesh, landmarks, best.map_positions, config.exchange_distance)
+    images = best.map_positions[problem.landmark_vertices[0]]
+    exchange, _ = mutually_nearest(images, landmarks.source.positions, config.exchange_distance)
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     pairs = tuple(map(tuple, exchange.tolist()))
@@ -304,12 +301,6 @@ def check_mirrored(
         Placement(best.map_positions, best.cost, name=exchanged, exchange=pairs),
     )
     return Confidence(TWO, answers, cost_signs(answers)), check
-
-
-def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray, within: float) -> IndexArray:
-    """(q, 2) landmarks i, j with the image of i near the source point of j, one-to-one."""
-    near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
-    return mutually_nearest(images[near], landmarks.source.positions, within)[0]
 
 
 def _marks(problem: Problem) -> tuple[Marks, Marks]:
