@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cagemap.maps.hypotheses.confidence import LOOK, SURE
-from cagemap.maps.hypotheses.signs import JUMPING, SIGNS
+from cagemap.maps.hypotheses.confidence import JUMPING, LOOK, SIGNS, SURE
 from cagemap.maps.result import MatchResult
 
 # Normal quantile of a two-sided interval of 95 %.

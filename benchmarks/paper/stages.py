@@ -19,8 +19,7 @@ from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
 from cagemap.paper.constraints import DescriptorConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.levels import ladder, recover_points, search_full, search_level
-from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.method import PaperConfig, ladder, paper_map, recover_points, search_full, search_level
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule

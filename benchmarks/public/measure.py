@@ -75,7 +75,7 @@ class Shapes:
         marks = self.public.pair_marks(self.root, target, source, receiving.mesh)
         if marks is not None:
             marks = marks if receiving.numbers is None else marks.renumbered(receiving.numbers)
-            receiving = replace(receiving, marks=marks, places=locate(receiving.surface, marks.points))
+            receiving = replace(receiving, marks=marks, places=locate(receiving.surface.finest_triangles, marks.points))
         return receiving, self[source]
 
     def _prepared(self, name: str) -> Shape:
@@ -89,7 +89,7 @@ class Shapes:
             control = replace(control, scheme=SCHEMES[self.scheme]())
             level = choose_level(control, self.vertices)
         surface = prepare_surface(control, level)
-        return Shape(surface, marks, locate(surface, marks.points), given, numbers)
+        return Shape(surface, marks, locate(surface.finest_triangles, marks.points), given, numbers)
 
 
 def receiver(shape: Shape, points: int) -> Receiver:

@@ -16,32 +16,30 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import Confidence, answer_confidence, prolong_answers
+from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers
 from cagemap.maps.hypotheses.search import distinct_answers, search, search_both_ways
-from cagemap.maps.hypotheses.signs import jump_warnings
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
+    check_mirrored,
     check_on_map,
     confirmed_pairs,
     landmark_outliers,
-    landmarks_mirrored,
 )
-from cagemap.maps.landmarks.other_answers import mirrored_answers, turned_limb_answers
 from cagemap.maps.pair import Pair, Progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
-from cagemap.maps.quality import judge, unshared_warnings
+from cagemap.maps.quality import judge
 from cagemap.maps.result import MatchResult as MatchResult
+from cagemap.maps.result import result_of_fit
 from cagemap.match_config import MatchConfig as MatchConfig
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
+from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
-from cagemap.paper.levels import search_levels
-from cagemap.paper.method import paper_map
+from cagemap.paper.method import paper_map, search_levels
 from cagemap.paper.operators import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
@@ -191,7 +189,7 @@ def _match_elastic(
     timings: dict[str, float],
     preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
-    """Result of an elastic match: the steps of the default method, for landmarks that fit the control meshes."""
+    """Match: the steps of the default method, for landmarks that fit the control meshes."""
     problem = Problem.of_landmarks(prepared, landmarks)
     check, confidence = LandmarkCheck(), None
     placements: Sequence[Placement]
@@ -200,43 +198,36 @@ def _match_elastic(
         if preview is not None:
             preview(map_of_places(problem, coarse.extrapolate_to(prepared.rest.graph, prepared.elastic.graph)))
 
-    def project(trusted: Problem, placement: Placement) -> PointMap:
-        progress("closest points")
-        return map_of_places(trusted, placement.map_positions)
-
-    with one_blas_thread():
-        with _timed(timings, "map"):
-            coincident = coincident_map(problem)
-            if coincident is not None:
-                point_map, confidence = coincident
-                placements = confidence.answers
-            elif len(landmarks) < FEWEST_LANDMARKS:
-                placements = distinct_answers(prepared, search_both_ways(problem, progress, show=show))
-                point_map = project(problem, placements[0])
-                confidence = answer_confidence(problem, point_map, placements)
-            else:
-                outliers, notes = dict[int, str](), list[str]()
-                if config.check_landmarks:
-                    outliers, notes = landmark_outliers(problem, landmarks.names, progress)
+    with one_blas_thread(), _timed(timings, "map"):
+        coincident = coincident_map(problem)
+        if coincident is not None:
+            point_map, confidence = coincident
+            placements = confidence.answers
+        elif len(landmarks) < FEWEST_LANDMARKS:
+            placements = distinct_answers(prepared, search_both_ways(problem, progress, show=show))
+            progress("closest points")
+            point_map = map_of_places(problem, placements[0].map_positions)
+            confidence = answer_confidence(problem, point_map, placements)
+        else:
+            outliers, notes = dict[int, str](), list[str]()
+            if config.check_landmarks:
+                outliers, notes = landmark_outliers(problem, landmarks.names, progress)
+            confirmed: set[int] | None = None
+            while confirmed is None or confirmed:
+                outliers = {pair: why for pair, why in outliers.items() if pair not in (confirmed or ())}
                 trusted = problem.without(outliers)
                 placements = search(trusted, progress)
-                point_map = project(trusted, placements[0])
+                progress("closest points")
+                point_map = map_of_places(trusted, placements[0].map_positions)
                 confirmed = confirmed_pairs(problem, point_map, outliers)
-                if confirmed:
-                    outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
-                    trusted = problem.without(outliers)
-                    placements = search(trusted, progress)
-                    point_map = project(trusted, placements[0])
-                if config.check_landmarks:
-                    progress("test landmarks on the map")
-                    check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
-                    confidence = turned_limb_answers(placements, prepared)
-                    if landmarks_mirrored(problem, outliers):
-                        mirrored, check = mirrored_answers(problem, placements[0], check, progress)
-                        confidence = mirrored or confidence
+            if config.check_landmarks:
+                progress("test landmarks on the map")
+                check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
+                confidence, check = check_mirrored(problem, placements[0], outliers, check, progress)
         shared = SharedArea.of_fit(prepared, placements[0].map_positions)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
-        result = _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
+    progress("quality")
+    result = result_of_fit(prepared, point_map, landmarks, check, timings, shared, confidence)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
@@ -275,22 +266,22 @@ def update_match(
     point_map = before.point_map
     check = before.landmark_check.for_changed(before.landmarks, landmarks)
     timings: dict[str, float] = {}
-    with one_blas_thread():
-        with _timed(timings, "map"):
-            if config.check_landmarks:
-                changed = landmarks.new_since(before.landmarks)
-                all_given = Problem.of_landmarks(prepared, landmarks)
-                check = check_changes(all_given, landmarks.names, changed, check, point_map)
-            problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
-            coincident = coincident_map(problem)
-            if coincident is not None:
-                point_map, _ = coincident
-            else:
-                progress("elastic update")
-                places = linear_update(problem, point_map)
-                progress("closest points")
-                point_map = map_of_places(problem, places)
-        return _assemble_result(prepared, point_map, landmarks, check, timings, progress, before.shared)
+    with one_blas_thread(), _timed(timings, "map"):
+        if config.check_landmarks:
+            changed = landmarks.new_since(before.landmarks)
+            all_given = Problem.of_landmarks(prepared, landmarks)
+            check = check_changes(all_given, landmarks.names, changed, check, point_map)
+        problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
+        coincident = coincident_map(problem)
+        if coincident is not None:
+            point_map, _ = coincident
+        else:
+            progress("elastic update")
+            places = linear_update(problem, point_map)
+            progress("closest points")
+            point_map = map_of_places(problem, places)
+    progress("quality")
+    return result_of_fit(prepared, point_map, landmarks, check, timings, before.shared)
 
 
 @arrays_accepted
@@ -335,14 +326,14 @@ def match_next(
     problem = Problem.of_landmarks(prepared, landmarks)
     # Positions at unit area of the last frame, whose area may differ
     last = before.point_map.images.at(prepared.vertices).positions * (source.scale / before.source.scale)
-    with one_blas_thread():
-        with _timed(timings, "map"):
-            progress("elastic alignment")
-            places = fit_from_shape(problem, last)
-            progress("closest points")
-            point_map = map_of_places(problem, places)
+    with one_blas_thread(), _timed(timings, "map"):
+        progress("elastic alignment")
+        places = fit_from_shape(problem, last)
+        progress("closest points")
+        point_map = map_of_places(problem, places)
         shared = SharedArea.of_fit(prepared, places)
-        found = _assemble_result(prepared, point_map, landmarks, LandmarkCheck(), timings, progress, shared)
+    progress("quality")
+    found = result_of_fit(prepared, point_map, landmarks, LandmarkCheck(), timings, shared)
     followed = found.quality.flipped_area <= config.elastic.refit.max_folded_frame
     return found if followed else match_pair(prepared, landmarks, config, progress=progress)
 
@@ -373,12 +364,11 @@ def other_answer(
         )
     problem = Problem.of_landmarks(prepared, landmarks)
     timings: dict[str, float] = {}
-    with one_blas_thread():
-        with _timed(timings, "map"):
-            point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
+    with one_blas_thread(), _timed(timings, "map"):
+        point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
         shared = SharedArea.of_fit(prepared, answers[index].positions)
-        check, confidence = before.landmark_check, before.confidence
-        return _assemble_result(prepared, point_map, landmarks, check, timings, progress, shared, confidence)
+    progress("quality")
+    return result_of_fit(prepared, point_map, landmarks, before.landmark_check, timings, shared, before.confidence)
 
 
 @arrays_accepted
@@ -395,42 +385,6 @@ def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: 
     if symmetries:
         logger.info("both surfaces are mirrored in %d planes that landmarks agree with: used", len(symmetries))
     return replace(pair, symmetries=symmetries)
-
-
-def _assemble_result(
-    prepared: PreparedPair,
-    point_map: PointMap,
-    landmarks: Landmarks,
-    check: LandmarkCheck,
-    timings: dict[str, float],
-    progress: Progress,
-    shared: SharedArea | None,
-    confidence: Confidence | None = None,
-) -> MatchResult:
-    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted."""
-    target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
-    points, masks = point_pairs(target, source, trusted), prepared.masks
-    progress("quality")
-    with _timed(timings, "quality"), ThreadPool(1) as pool:
-        counted = masks if shared is None else shared.within(masks)
-        jumps = pool.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
-        quality = judge(target, point_map, points, trusted.names, counted)
-        area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
-        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings))
-    check = check.with_folds(quality.flipped_area, len(landmarks))
-    return MatchResult(
-        target,
-        source,
-        landmarks,
-        point_map,
-        quality,
-        timings,
-        check,
-        confidence=confidence,
-        prepared=prepared,
-        masks=masks,
-        shared=shared,
-    )
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from cagemap.maps.functional_maps import (
 )
 from cagemap.maps.hypotheses.search import search
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
-from cagemap.maps.places import cage_points_of
+from cagemap.maps.places import cage_points_of, choose_points
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, map_of_places
 from cagemap.maps.projection.project import project as _project
@@ -43,8 +43,16 @@ from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights,
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_full, search_level, search_levels
-from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.method import (
+    PaperConfig,
+    basis_sizes,
+    ladder,
+    paper_map,
+    recover_points,
+    search_full,
+    search_level,
+    search_levels,
+)
 from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
@@ -355,10 +363,7 @@ def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
     """Points of the control mesh for points of the finest surface."""
-    cage_points, vertices = cage_points_of(surface, points), vertices_at(points)
+    vertices = vertices_at(points)
     exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
     at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
-    return CagePoints(
-        np.where(exact[:, None], at_vertices.corners, cage_points.corners),
-        np.where(exact[:, None], at_vertices.weights, cage_points.weights),
-    )
+    return choose_points(exact, at_vertices, cage_points_of(surface, points))

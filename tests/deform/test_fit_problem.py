@@ -22,7 +22,7 @@ def problem() -> Problem:
 
 def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
     places = problem.prepared.source.finest_triangles.positions
-    shape = problem.coarse_shape_with(np.array([60, 9]), np.array([61, 8]))
+    shape = problem.coarse_shape_with((np.array([60, 9]), np.array([61, 8])))
     np.testing.assert_array_equal(shape.vertices[:5], [*TARGET, 60, 9])
     np.testing.assert_array_equal(shape.constraints.anchors.corners[:, 0], np.arange(5))
     np.testing.assert_array_equal(shape.constraints.places, places[[*SOURCE, 61, 8]])
@@ -39,8 +39,7 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     assert back.prepared is problem.prepared.reverse_pair
     np.testing.assert_array_equal(back.landmark_vertices, (SOURCE, TARGET))
     stage = Stage(3, (1.0, 1e-2), 1e-2)
-    small = problem.with_coarse_stage(stage, 100)
-    assert small.prepared.elastic.coarse is stage
-    assert small.prepared.rest is problem.prepared.rest
-    assert 90 < small.coarse_shape.rest.graph.n < 110 < problem.coarse_shape.rest.graph.n
-    assert problem.with_coarse_stage(stage).coarse_shape.rest.graph.n == problem.coarse_shape.rest.graph.n
+    small = problem.coarse_shape_with(stage=stage, count=100)
+    assert small.stage is stage
+    assert 90 < small.rest.graph.n < 110 < problem.coarse_shape.rest.graph.n
+    assert problem.coarse_shape_with(stage=stage).rest.graph.n == problem.coarse_shape.rest.graph.n

@@ -14,7 +14,7 @@ from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
 from cagemap.deform.multi_start import fit_from_two_starts
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import PreparedPair, Problem, RestShape
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, RestShape
 from cagemap.deform.refit import (
     edge_stiffness,
     finish_placement,
@@ -159,9 +159,9 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     truth, problem = bent.source.finest_triangles.positions, problem_of(bent)
     stages = []
 
-    def fitted(problem: Problem, start: FloatArray) -> Placement:
-        stages.append(problem.prepared.elastic.coarse)
-        return coarse_fit(problem, start)
+    def fitted(problem: Problem, start: FloatArray, shape: CoarseShape) -> Placement:
+        stages.append(shape.stage)
+        return coarse_fit(problem, start, shape)
 
     monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.rest, truth) > POSES_DIFFER

@@ -150,7 +150,7 @@ def test_a_result_with_landmarks_between_vertices_is_written_and_read(itself, tm
     read = read_result(tmp_path / "RESULT")
     for side in (read.landmarks.target_points, read.landmarks.source_points):
         # The inverse of `locate` is iterated; 2e-3 of sqrt(area) is a fortieth of an edge of the control mesh.
-        np.testing.assert_allclose(locate(surface, side).positions, points.positions, atol=2e-3)
+        np.testing.assert_allclose(locate(surface.finest_triangles, side).positions, points.positions, atol=2e-3)
         assert side.vertices[-1] == 5
     np.testing.assert_allclose(read.landmark_errors, 0.0, atol=1e-12)
     assert len(research.result_of_map(research.make_pair(surface, surface), identity).landmarks) == 0

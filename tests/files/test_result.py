@@ -14,8 +14,7 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, assurance, file_hash, landmark_messages, mesh_hash, note_transfer
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.signs import SIGNS
+from cagemap.maps.hypotheses.confidence import LOOK, SIGNS, SURE, TWO, Confidence
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap

@@ -16,7 +16,7 @@ from cagemap.deform.problem import Problem, level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
-from cagemap.maps.landmarks import check, other_answers
+from cagemap.maps.landmarks import check
 from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.outliers import (
     exchanged_sides,
@@ -24,7 +24,7 @@ from cagemap.maps.landmarks.outliers import (
     orientation_agreement,
     place_by_distances,
 )
-from cagemap.maps.pair import Pair, point_pairs
+from cagemap.maps.pair import Pair, no_progress, point_pairs
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.topology import handle_count
 from cagemap.pipeline import prepare_pair
@@ -246,15 +246,17 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     points = Pair(target, source, point_pairs(target, source, landmarks))
     near = np.asarray(followed.point_map.images.positions[: prepared.mesh.n])
     other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
-    monkeypatch.setattr(other_answers, "search", lambda problem, progress: (other,))
+    monkeypatch.setattr(check, "search", lambda problem, progress: (other,))
+    monkeypatch.setattr(check, "orientation_agreement", lambda *given: -1.0)
+    problem = Problem(prepared, points.landmarks)
     known = LandmarkCheck(notes=("another note",))
     dear, cheap = Placement(near, 9e-4), Placement(near, 3.1e-4)
-    doubt, kept = other_answers.mirrored_answers(Problem(prepared, points.landmarks), dear, known)
+    doubt, kept = check.check_mirrored(problem, dear, (), known, no_progress)
     assert doubt.verdict == TWO
-    assert kept.notes == ("another note", other_answers.MIRRORED_NOTE)
+    assert kept.notes == ("another note", check.MIRRORED)
     assert [reading.cost for reading in doubt.answers] == [dear.cost, other.cost]
     assert doubt.signs == {"cost": 1e4 * dear.cost, "turned": 0.0, "runner_up": dear.cost / other.cost}
-    none, kept = other_answers.mirrored_answers(Problem(prepared, points.landmarks), cheap, known)
+    none, kept = check.check_mirrored(problem, cheap, (), known, no_progress)
     assert none is None
     assert kept is known
 
@@ -357,23 +359,8 @@ def test_landmarks_of_another_mesh_are_asked_about(pair):
     foreign = Landmarks(landmarks.names, moved, landmarks.source, "another", landmarks.source_name)
     result = match(target, source, foreign, QUICK)
     assert result.quality.flipped_area > 0.05
-    (note,) = [note for note in result.landmark_check.notes if "are these landmarks of these meshes?" in note]
-    assert f"{100 * result.quality.flipped_area:.0f} % of the target is folded over" in note
-    assert note in landmark_messages(result.manifest)
-
-
-@pytest.mark.parametrize(
-    ("folded", "count", "asked"), [(0.2, 23, True), (0.02, 23, False), (0.2, 0, False), (0.9, 9, False)]
-)
-def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(
-    folded: float, count: int, asked: bool
-) -> None:
-    suspects = tuple(LandmarkSuspect(name, i, 0.3, 5, 7, DISTANCES) for i, name in enumerate("ab"))
-    check = LandmarkCheck(suspects, ("another note",)).with_folds(folded, count)
-    assert check.with_folds(0.0, count).notes == ("another note",)
-    assert (len(check.notes) == 2) == asked
-    if asked:
-        assert "20 % of the target is folded over and 2 of 23 landmarks were left out" in check.notes[1]
+    (warning,) = [text for text in result.quality.warnings if "Are these landmarks of these meshes?" in text]
+    assert f"{100 * result.quality.flipped_area:.1f} % of the target's area is folded over" in warning
 
 
 def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:

@@ -13,8 +13,7 @@ from examples.shapes import voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap.files.meshes.obj import read_obj
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.signs import SIGNS
+from cagemap.maps.hypotheses.confidence import LOOK, SIGNS, SURE, TWO, Confidence
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks

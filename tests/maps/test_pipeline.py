@@ -32,7 +32,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
 from cagemap.maps.pair import Pair
-from cagemap.paper.levels import ladder, search_levels
+from cagemap.paper.method import ladder, search_levels
 from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface
 

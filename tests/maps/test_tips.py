@@ -150,15 +150,15 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     height = cage.positions[:, 1:2]
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
-    problem = Problem.of_landmarks(prepared, Landmarks.none()).with_coarse_stage(CONFIG.tip_stage)
-    sheet, shape = prepared.source_surface, problem.coarse_shape
+    problem = Problem.of_landmarks(prepared, Landmarks.none())
+    sheet, shape = prepared.source_surface, problem.coarse_shape_with(stage=CONFIG.tip_stage)
     start = shape.rest.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
     assert (start[feet, 1] > ground + 0.35).all()
 
     def above_ground(samples: SourceSamples | None) -> float:
-        ended = coarse_fit(problem, start, samples=samples)
+        ended = coarse_fit(problem, start, shape, samples)
         return float((ended.positions[feet, 1] - ground).mean())
 
     assert above_ground(None) > 0.2

@@ -16,7 +16,7 @@ from cagemap.files.npz import write_npz
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, note_transfer
 from cagemap.files.result.maps import read_images
-from cagemap.paper.levels import LevelMap, recover_points
+from cagemap.paper.method import LevelMap, recover_points
 from cagemap.pipeline import MatchConfig, pair_of
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, run_match

@@ -18,8 +18,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import hfm, method
 from cagemap.paper.constraints import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
-from cagemap.paper.levels import search_levels
-from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map
+from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map, search_levels
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.zoomout import ZoomOutSchedule

@@ -24,7 +24,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap, wrapped_transfer
 from cagemap.wrap.fit import fit_net
-from cagemap.wrap.terms import counterpart_mask
+from cagemap.wrap.net import counterpart_mask
 
 from command_line import Run
 from example_result import identity_result

@@ -22,8 +22,7 @@ from cagemap.wrap import wrap
 from cagemap.wrap.config import MendConfig, NetConfig, WrapConfig
 from cagemap.wrap.fit import fit_net
 from cagemap.wrap.mend import mend
-from cagemap.wrap.net import ControlNet, control_net, face_aspects, folded_faces
-from cagemap.wrap.terms import NetTerms, Samples
+from cagemap.wrap.net import ControlNet, NetTerms, Samples, control_net, face_aspects, folded_faces
 
 
 def samples_of(net: ControlNet, images: SurfacePoints) -> Samples:

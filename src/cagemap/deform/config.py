@@ -28,10 +28,6 @@ class Stage:
     factored: int = 1  #: iterations from one factorisation of the matrix to the next; those between reuse its factors
     #: share of vertices whose differentials may be bounded (fold or flatten the surface) at the end
     max_bounded: float = 0.005
-    #: a mesh whose root mean square distance from the source is below this counts as on the source
-    on_surface: float = 2e-5
-    stiffening: float = 2.0  #: factor on the stiffness in each iteration in which the mesh is on the source
-    max_stiffness: float = 5e-2  #: the stiffness does not grow beyond this
     gradients: int = 4  #: conjugate gradient steps of an iteration that reuses factors
     tolerance: float = 1e-9  #: relative residual at which these steps end early
     max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
@@ -71,13 +67,10 @@ class StartConfig(Brief):
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        require_search(self.search_vertices, self.source_search_vertices)
-
-
-def require_search(vertices: int, source_vertices: int) -> None:
-    """Refuse numbers of searched vertices below 0."""
-    if min(vertices, source_vertices) < 0:
-        raise ParameterError(f"expected 0 search vertices or more, got {vertices} and {source_vertices}")
+        if min(self.search_vertices, self.source_search_vertices) < 0:
+            raise ParameterError(
+                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
+            )
 
 
 @dataclass(frozen=True)
@@ -149,7 +142,7 @@ class SearchConfig:
     min_answer_distance: float = 0.08  #: placements at a larger mean distance are two answers
     max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
-    max_finished: int = 3  #: candidates of the fine stage, beside the files' own alignment
+    max_finished: int = 3  #: candidates of the fine stage
     max_finish_cost: float = 2.5  #: a candidate that costs more times the best one is not finished
     #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
     max_limb_cost: float = 1.5
@@ -260,8 +253,6 @@ class LandmarkConfig:
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
     #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
     exchange_distance: float = 0.08
-    #: a placement that costs up to this many times the best one is as good; rotated limbs have 1.06 or more
-    max_answer_cost: float = 1.15
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
@@ -302,52 +293,24 @@ class ProjectionConfig:
 
 @dataclass(frozen=True, repr=False)
 class ElasticConfig(Brief):
-    """Parameters of the fit; the defaults are the measured ones (docs/lab/fit_experiments.md).
+    """Parameters of the fit; the defaults are the measured ones (docs/lab/fit_experiments.md)."""
 
-    Attributes
-    ----------
-    coarse_vertices : int
-        Size of the coarse graph.
-    source_vertices : int
-        Vertices from which on a level of the source is fine enough to fit to.
-    coarse, fine : Stage
-    stiff_coarse : Stage
-        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`.
-    landmark_start : Stage
-        Positions from the landmarks alone; differentials are smoothed as in the stage that starts there.
-    normal_weight : float
-        Closest points count position and this length times the normal.
-    fine_normal_weight : float
-        The same for those of the fine stage's vertices.
-    projection_normal_weights : (float, float)
-        The same in the last projection, see `facing_points`.
-    landmark_weight : float
-        Of a landmark, against a data weight of 1 for the whole surface.
-    curve_weight : float
-        Of a curve, by its length in sqrt(area), against the same.
-    cost_stiffness : float
-        Stiffness alpha at which placements are compared.
-    stretch_weight : float
-        Of the variance of logarithmic stretches, where placements of open surfaces are compared.
-    response : Stage
-        What changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`).
-    graph, data, search, refit, coincidence, landmarks, projection
-        Numbers of the parts of the method.
-    """
-
-    coarse_vertices: int = 1500
-    source_vertices: int = 15_000
+    coarse_vertices: int = 1500  #: size of the coarse graph
+    source_vertices: int = 15_000  #: vertices from which on a level of the source is fine enough to fit to
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
+    #: instead of `coarse` where its placements from both starts agree (`cagemap.deform.multi_start`)
     stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
     fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
+    #: positions from landmarks alone; differentials are smoothed as in the stage that starts there
     landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)
-    normal_weight: float = 0.03
-    fine_normal_weight: float = 0.01
-    projection_normal_weights: tuple[float, float] = (0.002, 0.02)
-    landmark_weight: float = 1e2
-    curve_weight: float = 1.0
-    cost_stiffness: float = 1e-3
-    stretch_weight: float = 3e-3
+    normal_weight: float = 0.03  #: length of a unit normal in the search of closest points
+    fine_normal_weight: float = 0.01  #: the same for vertices in the fine stage
+    projection_normal_weights: tuple[float, float] = (0.002, 0.02)  #: the same in the last projection (`facing_points`)
+    landmark_weight: float = 1e2  #: of a landmark, against a data weight of 1 for the whole surface
+    curve_weight: float = 1.0  #: of a curve, by its length in sqrt(area), against the same
+    cost_stiffness: float = 1e-3  #: stiffness alpha at which placements are compared
+    stretch_weight: float = 3e-3  #: of the variance of logarithmic stretches in costs of placements of open surfaces
+    #: what changed landmarks do to a map, on the coarse graph (`cagemap.deform.update`)
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
     graph: GraphConfig = GraphConfig()
     data: DataConfig = DataConfig()

@@ -30,29 +30,6 @@ def points_on_level(
     return on_level
 
 
-def constrain_points(
-    points: CagePoints,
-    places: FloatArray,
-    blocks: FloatArray,
-    right: FloatArray,
-    positions: FloatArray,
-    weight: float,
-) -> None:
-    """Add the term ``weight |sum_k b_k x_k - y|^2`` of points to be at places y to a data term (n, 3, 3), (n, 3).
-
-    At a vertex it replaces other terms. Between vertices every corner gets the residual with weight b_k,
-    as in `source_to_target`.
-    """
-    at_vertex = points.weights[:, 0] == 1.0
-    vertices = points.corners[at_vertex, 0]
-    blocks[vertices] = weight * np.eye(3)
-    right[vertices] = weight * places[at_vertex]
-    between = points.at(np.flatnonzero(~at_vertex))
-    moved = places[~at_vertex] - between.of(positions)
-    terms = np.tile(weight * np.eye(3), (len(moved), 1, 1))
-    add_to_corners(between, terms, weight * moved, blocks, right, positions)
-
-
 def add_to_corners(
     points: CagePoints,
     terms: FloatArray,
@@ -106,15 +83,6 @@ class CurveConstraint:
         return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)
 
 
-def add_curves(
-    curves: Sequence[CurveConstraint], blocks: FloatArray, right: FloatArray, positions: FloatArray, weight: float
-) -> None:
-    """Add the weighted term of every curve to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-    for curve in curves:
-        terms, forces = curve.terms(positions)
-        add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
-
-
 def constrained_clusters(
     curves: Sequence[CurveConstraint], constrained: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
@@ -140,6 +108,20 @@ class PlacementConstraints:
     curves: tuple[CurveConstraint, ...] = ()
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the constraints' terms to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-        add_curves(self.curves, blocks, right, positions, config.curve_weight)
-        constrain_points(self.anchors, self.places, blocks, right, positions, config.landmark_weight)
+        """Add the constraints' terms to a data term (n, 3, 3), (n, 3) at positions (n, 3).
+
+        A point at a vertex replaces the vertex's other terms. Between vertices, ``|sum_k b_k x_k - y|^2`` gives every
+        corner the residual with weight b_k, as in `source_to_target`.
+        """
+        for curve in self.curves:
+            terms, forces = curve.terms(positions)
+            weight = config.curve_weight
+            add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
+        weight, at_vertex = config.landmark_weight, self.anchors.weights[:, 0] == 1.0
+        vertices = self.anchors.corners[at_vertex, 0]
+        blocks[vertices] = weight * np.eye(3)
+        right[vertices] = weight * self.places[at_vertex]
+        between = self.anchors.at(np.flatnonzero(~at_vertex))
+        missed = self.places[~at_vertex] - between.of(positions)
+        terms = np.tile(weight * np.eye(3), (len(missed), 1, 1))
+        add_to_corners(between, terms, weight * missed, blocks, right, positions)

@@ -8,7 +8,7 @@ return to it. Both stages of `deform.fit` sum these terms (`cluster_terms`, `mes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -53,22 +53,6 @@ class DataTerm:
     weights: FloatArray  # (n,): area weight of every vertex in the term
     triangles: IndexArray  # (m,): triangle of every closest point, a guess for the next search
     closest: FloatArray  # (m, 3): the closest points
-
-    def distance(self, positions: FloatArray) -> float:
-        """Root mean square distance of the vertices (n, 3) from their planes."""
-        offsets = positions - self.closest
-        squared = float(np.einsum("na,nab,nb->", offsets, self.blocks, offsets))
-        total = float(self.weights.sum())
-        return float(np.sqrt(max(squared, 0.0) / total)) if total > 0 else float("inf")
-
-    def scaled(self, factors: FloatArray) -> DataTerm:
-        """The term with every vertex's part times a factor (n,)."""
-        return replace(
-            self,
-            blocks=factors[:, None, None] * self.blocks,
-            right=factors[:, None] * self.right,
-            weights=factors * self.weights,
-        )
 
 
 def target_to_source(

@@ -99,7 +99,6 @@ class VertexTerms:
     energy: ElasticEnergy
     blocks: FloatArray  # (n, 3, 3): B_i
     right: FloatArray  # (n, 3): b_i
-    distance: float = np.inf  # see `cagemap.deform.minimise.Quadratic`
     # Triangles of the closest points that were found, both ways, or None
     guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)
     constant: bool = False  # the same in all iterations: one factorisation, in double precision

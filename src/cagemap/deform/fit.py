@@ -7,11 +7,12 @@ point-to-plane, so that only the energy resists tangential motion. Landmarks and
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import PlacementConstraints, constrain_points
+from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
 from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
 from cagemap.deform.minimise import Differentials, Terms, minimise
@@ -97,11 +98,11 @@ def mesh_terms(
             masks=rest.masks,
             config=config.data,
         )
-        distance = term.distance(positions)
-        term = term.scaled(received_weights(received, back.weights, config.data, of_parts=of_parts))
-        blocks, right = term.blocks + back.blocks, term.right + back.right
+        shares = received_weights(received, back.weights, config.data, of_parts=of_parts)
+        blocks = shares[:, None, None] * term.blocks + back.blocks
+        right = shares[:, None] * term.right + back.right
         constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, distance, (term.triangles, back.triangles))
+        return VertexTerms(rest.energy, blocks, right, (term.triangles, back.triangles))
 
     return terms
 
@@ -112,10 +113,10 @@ def coarse_fit(
     shape: CoarseShape | None = None,
     samples: SourceSamples | None = None,
 ) -> Placement:
-    """Placement of the clusters by the coarse stage, from positions (k, 3), or from landmarks if None.
+    """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 
-    ``shape`` replaces the problem's clusters, with other constraints or smoothing. Source ``samples`` give
-    source-to-target terms, with which limbs reach the ends of the source's limbs.
+    By default of the problem's clusters. Source ``samples`` give source-to-target terms, with which limbs reach the
+    ends of the source's limbs.
 
     Raises
     ------
@@ -130,9 +131,9 @@ def coarse_fit(
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
     first = landmark_start(shape, config) if start is None else start
     terms = cluster_terms(rest, source, shape.constraints, config, samples)
-    positions = minimise(graph, energy.differentials, terms, first, config.coarse)
+    positions = minimise(graph, energy.differentials, terms, first, shape.stage)
     maps, _ = energy.differentials(positions)
-    costs = vertex_costs(rest, source, positions, maps, config)
+    costs = vertex_costs(rest, source, positions, maps, config, shape.stage.smoothing)
     return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
 
 
@@ -151,7 +152,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
-    constrain_points(constraints.anchors, places, blocks, right, start, config.landmark_weight)
+    replace(constraints, curves=()).add(blocks, right, start, config)
     return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
 
 
@@ -170,7 +171,8 @@ def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placeme
     """Placement of the mesh with its costs: `vertex_costs`, distances of source samples, `stretch_costs` if open."""
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
     samples = prepared.source_samples
-    costs = vertex_costs(rest, prepared.source_surface, positions, rest.energy.maps(positions), config)
+    maps, smoothing = rest.energy.maps(positions), config.coarse.smoothing
+    costs = vertex_costs(rest, prepared.source_surface, positions, maps, config, smoothing)
     tree = build_tree(positions, triangles)
     at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
     squared = _capped(distance**2, prepared.mesh, config)
@@ -182,7 +184,12 @@ def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placeme
 
 
 def vertex_costs(
-    rest: RestShape, source: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
+    rest: RestShape,
+    source: TriangleSurface,
+    positions: FloatArray,
+    maps: FloatArray,
+    config: ElasticConfig,
+    smoothing: float,
 ) -> FloatArray:
     """(n,) cost by vertex: squared distance in position and normal, plus the energy at a fixed stiffness."""
     graph = rest.graph
@@ -192,7 +199,7 @@ def vertex_costs(
     squared = ((nearest.positions - positions) ** 2).sum(axis=1)
     turned = 2.0 - 2.0 * np.einsum("nd,nd->n", nearest.normals, normals)
     data = areas * _capped(squared + config.normal_weight**2 * turned, source, config)
-    return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, config.coarse.smoothing))
+    return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, smoothing))
 
 
 def _capped(squared: FloatArray, other: TriangleSurface, config: ElasticConfig) -> FloatArray:

@@ -35,10 +35,6 @@ class Quadratic(Protocol):
     def right(self) -> FloatArray:
         """(n, 3) b."""
 
-    @property
-    def distance(self) -> float:
-        """Root mean square distance of the target from the source, of sqrt(area); infinite if not needed."""
-
     def system(self, alpha: float, stage: Stage, before: Any) -> System:
         """System ``alpha L + B``; reuses the factors of the system ``before``, if any."""
 
@@ -58,24 +54,20 @@ def minimise(
 ) -> FloatArray:
     """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials A.
 
-    Momentum makes the alternation three times faster. Where the mesh is on the source, the stiffness is the largest
-    that keeps it there (Morozov's discrepancy principle): a softer mesh would slide. ``adjust`` is applied to the
-    positions of every iteration, to keep a symmetry.
+    Momentum makes the alternation three times faster. ``adjust`` is applied to the positions of every iteration, to
+    keep a symmetry.
     """
     positions, before = start, start
     quadratic: Quadratic | None = None
     system: System | None = None
-    alpha = 0.0
+    last_alpha = 0.0
     with ThreadPool(1) as pool:
-        for iteration, ramped in enumerate(stage.ramped(), start=1):
-            softer, alpha = alpha, float(ramped)
-            if quadratic is not None and quadratic.distance <= stage.on_surface:
-                alpha = float(max(ramped, min(stage.stiffening * softer, stage.max_stiffness)))
+        for iteration, alpha in enumerate(stage.ramped().tolist(), start=1):
             pending = pool.submit(differentials, positions)
             last, quadratic = quadratic, terms(positions, pending, alpha, quadratic)
-            if system is None or quadratic is not last or alpha != softer:
+            if system is None or quadratic is not last or alpha != last_alpha:
                 anew = (iteration - 1) % stage.factored == 0
-                system = quadratic.system(alpha, stage, None if anew else system)
+                system, last_alpha = quadratic.system(alpha, stage, None if anew else system), alpha
             maps, bounded = pending.result()
             right = quadratic.right + alpha * graph.divergence(maps)
             after = adjust(system.solve(right, positions))

@@ -118,12 +118,11 @@ def fit_from_two_starts(
     points, the start is the only one.
     """
     elastic = problem.prepared.elastic
-    # The smoothing of a stage also decides its start from the constrained points.
-    stages = (problem, shape), (problem.stiff_problem, shape.with_smoothing(elastic.stiff_coarse.smoothing))
+    shapes = shape, shape.with_stage(elastic.stiff_coarse)
 
     def both_stages(positions: FloatArray | None) -> list[Placement]:
         """Placements of the soft and of the stiff coarse stage."""
-        return in_threads(lambda stage: coarse_fit(stage[0], positions, stage[1]), stages)
+        return in_threads(lambda clusters: coarse_fit(problem, positions, clusters), shapes)
 
     if start is not None and len(shape.constrained_vertices[0]) < FEWEST_LANDMARKS:
         return refine_placements(problem, both_stages(start)), []

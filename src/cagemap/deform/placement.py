@@ -36,6 +36,11 @@ class Placement:
         return self.positions if self.finished_positions is None else self.finished_positions
 
     @property
+    def keeps_axes(self) -> bool:
+        """Whether the files' axes are kept."""
+        return self.penalty == 1.0
+
+    @property
     def penalised_cost(self) -> float:
         """Cost times penalty."""
         return self.penalty * self.cost

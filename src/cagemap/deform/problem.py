@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
 from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters, points_on_level
 from cagemap.deform.data import SourceSamples
-from cagemap.deform.energy import ElasticEnergy, bounded_maps
+from cagemap.deform.energy import NONE, ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
@@ -26,6 +26,9 @@ from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
+
+# Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
+Tips = tuple[IndexArray, IndexArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ class RestShape:
 
 @dataclass(frozen=True, eq=False)
 class CoarseShape:
-    """Clusters of a mesh's vertices, for the stage that moves whole limbs."""
+    """Clusters of a mesh's vertices, and the coarse stage that moves them."""
 
     rest: RestShape  # of the k clusters
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
@@ -75,11 +78,12 @@ class CoarseShape:
     constraints: PlacementConstraints
     # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
     constrained_vertices: tuple[IndexArray, IndexArray]
+    stage: Stage
 
-    def with_smoothing(self, smoothing: float) -> CoarseShape:
-        """The clusters with another smoothing of differentials."""
-        energy = ElasticEnergy.build(self.rest.graph, smoothing, self.rest.energy.admissible)
-        return replace(self, rest=replace(self.rest, energy=energy))
+    def with_stage(self, stage: Stage) -> CoarseShape:
+        """The clusters with another coarse stage."""
+        energy = ElasticEnergy.build(self.rest.graph, stage.smoothing, self.rest.energy.admissible)
+        return replace(self, rest=replace(self.rest, energy=energy), stage=stage)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -241,23 +245,29 @@ class Problem:
     @kept
     def coarse_shape(self) -> CoarseShape:
         """Clusters of the target's mesh, with a cluster for every landmark."""
-        none = np.zeros(0, dtype=np.int64)
-        return self.coarse_shape_with(none, none)
+        return self.coarse_shape_with()
 
-    def coarse_shape_with(self, target_tips: IndexArray, source_tips: IndexArray) -> CoarseShape:
-        """Clusters with tips of limbs (q,) as constraints, besides the landmarks: vertices of the searched levels."""
+    @kept
+    def small_shape(self) -> CoarseShape:
+        """The small graph on which many starts are tried, with a cluster for every landmark."""
+        config = self.prepared.elastic.search
+        return self.coarse_shape_with(stage=config.small_graph_stage, count=config.small_graph_vertices)
+
+    def coarse_shape_with(
+        self, tips: Tips = (NONE, NONE), stage: Stage | None = None, count: int | None = None
+    ) -> CoarseShape:
+        """About ``count`` clusters with tips of limbs as constraints, besides the landmarks."""
         prepared, rest, landmarks = self.prepared, self.prepared.rest, self.landmarks
-        config, (on_target, on_source) = prepared.elastic, self.landmark_vertices
-        constrained = np.concatenate([on_target, target_tips]), np.concatenate([on_source, source_tips])
-        places = prepared.source.triangles(prepared.levels[1]).positions[source_tips]
-        every, curves = constrained_clusters(
-            prepared.curves(landmarks), constrained[0], config.coarse_vertices, config.data
-        )
-        coarse, chosen = cluster_graph(rest.graph, config.coarse_vertices, every, config.graph)
-        clusters = RestShape.build(coarse, None, config.coarse.smoothing, config, rest.masks.for_vertices(chosen))
-        anchors = CagePoints.of_vertices(np.arange(len(constrained[0])))
+        config = prepared.elastic
+        stage, count = stage or config.coarse, count or config.coarse_vertices
+        on_target, on_source = (np.concatenate(both) for both in zip(self.landmark_vertices, tips, strict=True))
+        places = prepared.source.triangles(prepared.levels[1]).positions[tips[1]]
+        every, curves = constrained_clusters(prepared.curves(landmarks), on_target, count, config.data)
+        coarse, chosen = cluster_graph(rest.graph, count, every, config.graph)
+        clusters = RestShape.build(coarse, None, stage.smoothing, config, rest.masks.for_vertices(chosen))
+        anchors = CagePoints.of_vertices(np.arange(len(on_target)))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        return CoarseShape(clusters, chosen, constraints, constrained)
+        return CoarseShape(clusters, chosen, constraints, (on_target, on_source), stage)
 
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
@@ -286,20 +296,3 @@ class Problem:
     def without(self, left_out: Collection[int]) -> Problem:
         """The problem without some of the landmarks; itself if none is left out."""
         return replace(self, landmarks=self.landmarks.without(left_out)) if left_out else self
-
-    @kept
-    def stiff_problem(self) -> Problem:
-        """The problem with the stiff coarse stage."""
-        return self.with_coarse_stage(self.prepared.elastic.stiff_coarse)
-
-    @kept
-    def small_graph_problem(self) -> Problem:
-        """The problem on the small graph on which many starts are tried."""
-        config = self.prepared.elastic.search
-        return self.with_coarse_stage(config.small_graph_stage, config.small_graph_vertices)
-
-    def with_coarse_stage(self, coarse: Stage, vertices: int | None = None) -> Problem:
-        """The problem with another coarse stage, and about ``vertices`` clusters for it."""
-        elastic = self.prepared.elastic
-        elastic = replace(elastic, coarse=coarse, coarse_vertices=vertices or elastic.coarse_vertices)
-        return replace(self, prepared=replace(self.prepared, elastic=elastic))

@@ -50,11 +50,12 @@ def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = Non
 
 
 def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
-    """(n, 3) positions of the target's mesh after the coarse and fine stages, with ``shape`` the rest shape and start."""
-    stiff, prepared = problem.stiff_problem, problem.prepared
+    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
+    prepared = problem.prepared
     rest = prepared.rest.moved_to(shape, prepared.elastic.fine.smoothing)
-    alike = replace(stiff, prepared=replace(stiff.prepared, rest=rest))
-    return fine_fit(alike, coarse_fit(alike, shape[alike.coarse_shape.vertices]))
+    alike = replace(problem, prepared=replace(prepared, rest=rest))
+    clusters = alike.coarse_shape_with(stage=prepared.elastic.stiff_coarse)
+    return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
 
 
 def pose_difference(rest: RestShape, positions: FloatArray) -> float:

@@ -126,7 +126,7 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     source_points, point_sets = _read_on(request, first.control)
     sizes = [len(points.corners) for points in point_sets]
     joined = CagePoints.joined(point_sets)
-    start = locate(first, joined)
+    start = locate(first.finest_triangles, joined)
     end = start
     for step in steps:
         end = step.map_points(end.positions, end.normals)

@@ -37,7 +37,8 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     if coincidence is None:
         return None
     point_map = PointMap(target, coincidence.images(source))
-    missed = _largest_miss(point_map, landmarks)
+    curve_misses = [curve_miss(curve, point_map).worst for curve in landmarks.curves]
+    missed = float(max([*landmark_errors(point_map, landmarks), *curve_misses], default=0.0))
     if missed > prepared.elastic.landmarks.max_confirmed_miss or not _joint(point_map, masks):
         return None
     if missed > SAME:
@@ -65,12 +66,6 @@ def same_surface(landmarks: PointPairs, masks: Masks = WHOLE) -> bool:
     marks = landmarks.target.positions - landmarks.source.positions
     rest = np.concatenate([moved, marks]) - moved.mean(axis=0)
     return not landmarks.curves and bool(np.abs(rest).max() < SAME)
-
-
-def _largest_miss(point_map: PointMap, landmarks: PointPairs) -> float:
-    """Largest distance by which a map misses a landmark or curve."""
-    misses = [curve_miss(curve, point_map).worst for curve in landmarks.curves]
-    return float(max([*landmark_errors(point_map, landmarks), *misses], default=0.0))
 
 
 def _joint(point_map: PointMap, masks: Masks) -> bool:

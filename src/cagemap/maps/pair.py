@@ -171,6 +171,6 @@ def vertices_at(points: SurfacePoints) -> IndexArray:
 
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:
     """Landmarks of control meshes as points, and their curves as curves, of the finest surfaces."""
-    sides = (target, landmarks.target_points), (source, landmarks.source_points)
+    sides = (target.finest_triangles, landmarks.target_points), (source.finest_triangles, landmarks.source_points)
     on_target, on_source = in_threads(lambda side: locate(*side), sides)
     return PointPairs(on_target, on_source, curve_pairs(target, source, landmarks.curves))

@@ -33,12 +33,7 @@ CURVE_VERTICES = 15_000
 STRAIGHT_PIECES = 8
 
 
-def locate(surface: Surface, points: CagePoints) -> SurfacePoints:
-    """Points of a control mesh on the finest surface, see `on_surface`."""
-    return on_surface(surface.finest_triangles, points)
-
-
-def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
+def locate(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
 
     A point between vertices is placed on the line along its mean normal: the closest point is searched again from where
@@ -72,19 +67,19 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
     for _ in range(INVERSE_STEPS):
         near = SurfacePoints.nearest(cage, aims, points.normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
         tried = CagePoints(near.corners, near.barycentric)
-        missed = points.positions - locate(surface, tried).positions
+        missed = points.positions - locate(finest, tried).positions
         distance = np.linalg.norm(missed, axis=1)
         better = distance < least
-        best = tried if best is None else _better_points(better, tried, best)
+        best = tried if best is None else choose_points(better, tried, best)
         least, aims = np.minimum(distance, least), near.positions + missed
     assert best is not None
     return best
 
 
-def _better_points(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
-    """Points of one set where it is better, else of the other."""
+def choose_points(chosen: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
+    """Points of one set where chosen (p,), else of the other."""
     return CagePoints(
-        np.where(better[:, None], one.corners, other.corners), np.where(better[:, None], one.weights, other.weights)
+        np.where(chosen[:, None], one.corners, other.corners), np.where(chosen[:, None], one.weights, other.weights)
     )
 
 
@@ -146,7 +141,7 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
     # An edge of a plain mesh is straight already.
     chains = np.full((len(ends), 1), -1) if refinement.is_plain else refined_edges(refinement, ends, level)
     on_edge = chains[:, -1] >= 0
-    at_ends = on_surface(finest, curves.points)
+    at_ends = locate(finest, curves.points)
     surface_lines = []
     for i, closed in enumerate(curves.closed.tolist()):
         curve_segments = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)

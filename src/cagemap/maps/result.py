@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -11,17 +12,17 @@ from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import functional_map_of
-from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.hypotheses.confidence import Confidence, jump_warnings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import LevelPair, point_pairs
 from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import QualityFigures, measure_quality
+from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, kept, one_blas_thread
+from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
 from cagemap.subdivision.level_meshes import truncate_refinement
 
@@ -286,3 +287,36 @@ class MatchResult:
             "bases": {"target": asdict(self.target.config), "source": asdict(self.source.config)},
             **self.provenance,
         }
+
+
+def result_of_fit(
+    prepared: PreparedPair,
+    point_map: PointMap,
+    landmarks: Landmarks,
+    check: LandmarkCheck,
+    timings: dict[str, float],
+    shared: SharedArea | None,
+    confidence: Confidence | None = None,
+) -> MatchResult:
+    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted."""
+    target, source, trusted, start = prepared.target, prepared.source, check.trusted(landmarks), time.perf_counter()
+    points, masks = point_pairs(target, source, trusted), prepared.masks
+    with one_blas_thread(), ThreadPool(1) as pool:
+        counted = masks if shared is None else shared.within(masks)
+        jumps = pool.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
+        quality = judge(target, point_map, points, trusted.names, counted)
+        area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
+        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings))
+    return MatchResult(
+        target,
+        source,
+        landmarks,
+        point_map,
+        quality,
+        {**timings, "quality": time.perf_counter() - start},
+        check,
+        confidence=confidence,
+        prepared=prepared,
+        masks=masks,
+        shared=shared,
+    )

@@ -78,14 +78,13 @@ def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights:
 
 def split_operators(data: SpectralData, low: int) -> SpectralData:
     """Cut tridiagonal operators between low and high functions (eq. 15); denser ones are unchanged."""
-    operators = tuple(_block_diagonal(operator, low) for operator in data.operators)
-    return SpectralData(data.eigenvalues, data.descriptors, operators)
 
+    def cut(operator: FloatArray) -> FloatArray:
+        if np.any(np.triu(operator, 2)) or np.any(np.tril(operator, -2)):
+            return operator
+        return np.asarray(linalg.block_diag(operator[:low, :low], operator[low:, low:]))
 
-def _block_diagonal(operator: FloatArray, low: int) -> FloatArray:
-    blocks = linalg.block_diag(operator[:low, :low], operator[low:, low:])
-    tridiagonal = not (np.any(np.triu(operator, 2)) or np.any(np.tril(operator, -2)))
-    return np.asarray(blocks) if tridiagonal else operator
+    return SpectralData(data.eigenvalues, data.descriptors, tuple(map(cut, data.operators)))
 
 
 def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, weight: float) -> FloatArray:

@@ -27,7 +27,7 @@ from cagemap.numerics.kinds import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.levels import FEWEST_FUNCTIONS, ladder, search_levels, start_map
+from cagemap.paper.method import FEWEST_FUNCTIONS, ladder, search_levels, start_map
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fit_functional_map, nearest_rows
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -6,26 +6,36 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import MapLike
+from cagemap.maps.functional_maps import MapLike, check_map, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
-from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.levels import (
-    FEWEST_FUNCTIONS,
-    basis_sizes,
-    ladder,
-    recover_points,
-    refit_map,
-    search_full,
-    search_level,
-    start_map,
+from cagemap.paper.embeddings import (
+    Rows,
+    nearest_candidates,
+    spectral_rows,
+    strongest_parents,
+    vertex_blocks,
+    vertex_to_point,
 )
+from cagemap.paper.equations import extend_functional_map, solve_functional_map
+from cagemap.spectral.surface import Surface
+from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
+
+# Least number of basis functions of search levels on both sides, if the bases have so many.
+ENOUGH_FUNCTIONS = 50
+# Both sides are refined in the same step while neither has so many times the other's vertices.
+COMPARABLE = 2.5
+# Least number of basis functions: fewer cannot represent three coordinates.
+FEWEST_FUNCTIONS = 3
+# Most vertices used to refit C; of larger levels so many are sampled.
+SAMPLE_VERTICES = 30_000
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,3 +133,131 @@ def nearest_orthonormal(functional_map: FloatArray) -> FloatArray:
     """Nearest matrix to C with orthonormal rows or columns, by singular vectors (2.1.4)."""
     left, _, right = np.linalg.svd(functional_map, full_matrices=False)
     return np.asarray(left @ right)
+
+
+def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:
+    """Numbers (k~1, k~2) of basis functions of a pair of levels."""
+    return pair.target.basis.size(levels[0]), pair.source.basis.size(levels[1])
+
+
+def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> IndexArray:
+    """(n1,) nearest of all source vertices to every target vertex of a level (paper, 5.4)."""
+    target, source = _both_rows(pair, functional_map, levels)
+    return nearest_rows(
+        target(np.arange(_size(pair.target, levels[0]))), source(np.arange(_size(pair.source, levels[1])))
+    )
+
+
+def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
+    """(n1,) nearest candidate source vertex of every target vertex of a level (paper, Fig. 9).
+
+    If a side keeps its level, target vertices are their own parents, source vertices' neighbours their children.
+    """
+    stays = [fine == before for fine, before in zip(levels, coarse.levels, strict=True)]
+    if stays[0]:
+        parents = sparse.csr_array(sparse.eye_array(_size(pair.target, levels[0])))
+    else:
+        parents = strongest_parents(pair.target.hierarchy.matrices[coarse.levels[0]])
+    if stays[1]:
+        children = _neighbours(pair.source, levels[1])
+    else:
+        children = pair.source.hierarchy.matrices[coarse.levels[1]]
+    rows = _both_rows(pair, functional_map, levels)
+    return nearest_candidates(*rows, vertex_blocks(pair.target, levels[0]), parents, children, coarse.match)
+
+
+def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, int] | None = None) -> FloatArray:
+    """Refit C12 = Phi~1^+ P12 Phi~2 to a match (n,) of two levels, on a sample of vertices (paper, 2.1.2).
+
+    ``sizes`` are the numbers of basis functions (k1, k2); default: those of the levels.
+    """
+    k1, k2 = basis_sizes(pair, levels) if sizes is None else sizes
+    chosen = evenly_spaced_vertices(len(match), SAMPLE_VERTICES)
+    rows = spectral_rows(pair.target, levels[0], k1)(chosen).astype(np.float64)
+    values = spectral_rows(pair.source, levels[1], k2)(match[chosen]).astype(np.float64)
+    operators = pair.target.operators
+    on_level = levels[0] <= operators.finest
+    areas = operators.areas(levels[0]) if on_level else pair.target.triangles(levels[0]).vertex_areas
+    return fit_functional_map(rows, areas[chosen], values)
+
+
+def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
+    """Functional map to start from: as given, or fitted to a point or vertex map.
+
+    A vertex map is fitted with ``sizes`` basis functions; other maps may have any size.
+
+    Raises
+    ------
+    ParameterError
+        If the start is no map of the pair.
+    """
+    given = check_map(pair, start)
+    if isinstance(given, PointMap) or given.ndim == 2:
+        return functional_map_from(pair, given)
+    level = [len(level_mesh.positions) for level_mesh in pair.target.hierarchy.levels].index(len(given))
+    return refit_map(pair, (level, pair.source.finest), given.astype(np.int64), sizes)
+
+
+def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
+    """Vertex-to-point map of a pair of levels from its vertex matches."""
+    rows = _both_rows(pair, matched.functional_map, matched.levels)
+    target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
+    projected = vertex_to_point(*rows, vertex_blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
+    return PointMap.from_arrays(target, source, *projected)
+
+
+def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[Rows, Rows]:
+    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T."""
+    k1, k2 = functional_map.shape
+    target = spectral_rows(pair.target, levels[0], k1)
+    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)
+
+
+def _neighbours(surface: Surface, level: int) -> sparse.csr_array:
+    """Sparse (n, n) matrix with entries where two vertices of a level share a face."""
+    faces = surface.hierarchy.levels[level].faces
+    corners = surface.triangles(level).triangles if faces is None else faces
+    faces_of = np.repeat(np.arange(len(corners)), corners.shape[1])
+    on = sparse.csr_array(
+        (np.ones(corners.size), (faces_of, corners.ravel())), shape=(len(corners), _size(surface, level))
+    )
+    return sparse.csr_array(on.T @ on)
+
+
+def _size(surface: Surface, level: int) -> int:
+    return surface.hierarchy.levels[level].n_vertices
+
+
+def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
+    """Coarsest levels with enough vertices and basis functions, for the full search.
+
+    ``source_vertices`` is the number for the source; 0: as for the target.
+    """
+
+    def first(surface: Surface, wanted: int) -> int:
+        functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
+        enough = (
+            i
+            for i, level in enumerate(surface.hierarchy.levels)
+            if len(level.positions) >= wanted and surface.basis.size(i) >= functions
+        )
+        return next(enough, surface.finest)
+
+    return first(target, vertices), first(source, source_vertices or vertices)
+
+
+def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
+    """Pairs of levels from ``start`` (excluded) to the finest, each side at most one level per step.
+
+    Both sides are refined together while their sizes are comparable; otherwise only the coarser one.
+    """
+    steps = []
+    l1, l2 = start
+    while (l1, l2) != (pair.target.finest, pair.source.finest):
+        n1, n2 = pair.target.triangles(l1).n, pair.source.triangles(l2).n
+        target_may, source_may = l1 < pair.target.finest, l2 < pair.source.finest
+        move_target = target_may and (not source_may or n1 < COMPARABLE * n2)
+        move_source = source_may and (not target_may or n2 < COMPARABLE * n1)
+        l1, l2 = l1 + move_target, l2 + move_source
+        steps.append((l1, l2))
+    return steps

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cagemap.maps.places import LANDMARK_NORMAL_WEIGHT, on_surface
+from cagemap.maps.places import LANDMARK_NORMAL_WEIGHT, locate
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place
@@ -25,9 +25,9 @@ def hit_place(shape: Shape, hit: Hit) -> Place:
 
 
 def nearest_place(shape: Shape, position: FloatArray, normal: FloatArray | None = None) -> Place:
-    """Place nearest to a position in file units; inverse of `on_surface`.
+    """Place nearest to a position in file units; inverse of `locate`.
 
-    `on_surface` moves a point of the control mesh along the mean of its corners' normals. The inverse iterates: the
+    `locate` moves a point of the control mesh along the mean of its corners' normals. The inverse iterates: the
     line through the position along the last direction meets the control mesh, whose mean normal there is the next
     direction.
     """
@@ -52,7 +52,7 @@ def nearest_place(shape: Shape, position: FloatArray, normal: FloatArray | None 
         np.concatenate([candidate.corners for candidate in candidates]),
         np.concatenate([candidate.weights for candidate in candidates]),
     )
-    errors = np.linalg.norm(on_surface(shape.surface, points).positions - point, axis=1)
+    errors = np.linalg.norm(locate(shape.surface, points).positions - point, axis=1)
     return cage_places(shape, points.at(errors.argmin(keepdims=True)))[0]
 
 
@@ -63,7 +63,7 @@ def vertex_place(shape: Shape, vertex: int) -> Place:
 
 def cage_places(shape: Shape, points: CagePoints) -> tuple[Place, ...]:
     """Places of points of the control mesh."""
-    positions = on_surface(shape.surface, points).positions / shape.surface.scale
+    positions = locate(shape.surface, points).positions / shape.surface.scale
     rows = zip(positions.tolist(), points.corners.tolist(), points.weights.tolist(), strict=True)
     return tuple(Place((x, y, z), (a, b, c), (u, v, w)) for (x, y, z), (a, b, c), (u, v, w) in rows)
 

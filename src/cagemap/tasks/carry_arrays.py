@@ -26,7 +26,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skin import carry_skin
-from cagemap.wrap.terms import counterpart_mask
+from cagemap.wrap.net import counterpart_mask
 
 # Least trust; control vertices below it take their weights from the vertices around them.
 _TRUSTED = 0.1

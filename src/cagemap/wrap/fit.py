@@ -1,7 +1,7 @@
 """Fit a control net: control points whose *refined* surface lies on the source.
 
 The map gives the image P of every point of the target's refined surface. The net starts at the minimum of
-``||S X - P||^2``. It is then fitted to the source's tangent planes at closest points (`cagemap.wrap.terms`), so that it
+``||S X - P||^2``. It is then fitted to the source's tangent planes at closest points (`cagemap.wrap.net`), so that it
 can slide along the surface. The as-affine-as-possible energy of the net keeps the flow of edge loops, prevents crossing
 faces, and places parts without a counterpart.
 """
@@ -22,8 +22,7 @@ from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, nearest_rotations
 from cagemap.wrap.config import NetConfig, WrapConfig
-from cagemap.wrap.net import ControlNet
-from cagemap.wrap.terms import NetTerms, Samples
+from cagemap.wrap.net import ControlNet, NetTerms, Samples
 
 Adjust = Callable[[FloatArray], FloatArray]
 

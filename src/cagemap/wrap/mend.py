@@ -22,8 +22,7 @@ from cagemap.wrap.fit import (
     moved_locally,
     whole_pieces,
 )
-from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
-from cagemap.wrap.terms import Samples
+from cagemap.wrap.net import ControlNet, Samples, face_aspects, folded_faces
 
 
 def mend(

@@ -1,4 +1,14 @@
-"""The control net that is fitted: one level of the target, its rest shape and its checks."""
+"""The control net that is fitted: its rest shape, its samples, and their terms for `cagemap.deform.minimise`.
+
+With S the refinement from the net's level to the finest and P the images of the finest vertices by the map, the terms
+are distances of surface samples from the source:
+
+    sum_i w_i ( (n_i . (S X - q)_i)^2 + anchor |(S X - P)_i|^2 )
+
+with closest points q and normals n of the source. The system couples the three coordinates through the tangent planes.
+It is solved by conjugate gradients from the current positions; the system without planes, ``S^T w S + fairness L``,
+is the preconditioner, the same for all coordinates and all rounds.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +16,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import linalg
+from scipy.spatial import cKDTree
 
+from cagemap.deform.config import Stage
 from cagemap.deform.energy import ElasticEnergy
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.relax import label_patches
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import Refinement, finest_mesh, level_triangles
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import triangle_normals
-from cagemap.wrap.config import NetConfig
+from cagemap.surface.triangles import corner_sums, triangle_areas, triangle_normals
+from cagemap.wrap.config import NetConfig, WrapConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,3 +102,176 @@ def face_aspects(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(corner[mesh.next_corners] - corner, axis=1)
     begin = mesh.face_offsets[:-1]
     return np.asarray(np.maximum.reduceat(lengths, begin) / np.maximum(np.minimum.reduceat(lengths, begin), 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Vertices of the refined surface and their images by the map, at unit area of the source."""
+
+    rows: sparse.csr_array  # (s, n_l) of S: the samples from the net's points
+    images: SurfacePoints  # images by the map
+    reach: FloatArray  # (s,): how far from its image a sample may slide
+    weights: FloatArray  # (s,): areas times follow weights
+    held: NDArray[np.bool_]  # (s,): samples that stay at their image (boundaries), instead of sliding along the surface
+
+    @classmethod
+    def choose(
+        cls, net: ControlNet, images: SurfacePoints, follow: FloatArray, held: NDArray[np.bool_], config: NetConfig
+    ) -> Samples:
+        """Sample vertices of a level finer than the net; images, follow and held (n_f,) are of finest vertices."""
+        refinement, graph = net.refinement, net.graph
+        level = min(net.level + 1, refinement.n_levels)
+        while level < min(net.level + config.levels_below, refinement.n_levels):
+            if refinement.levels[level + 1].n_vertices > config.max_samples:
+                break
+            level += 1
+        sampled = refinement.levels[level]
+        count = sampled.n_vertices
+        rows = refinement.rows(slice(count), refinement.n_levels, net.level)
+        faces = level_triangles(refinement, level) if sampled.faces is None else sampled.faces
+        areas = vertex_areas(sampled.positions, faces)
+        lengths = np.linalg.norm(graph.edges, axis=1)
+        around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
+        weights = follow[:count] * areas / areas.sum()
+        return cls(rows, images.at(slice(count)), config.reach * (rows @ around), weights, held[:count])
+
+    def of_part(self, seen: IndexArray, part: IndexArray) -> Samples:
+        """The samples ``seen``, as functions of the points ``part`` only."""
+        rows = self.rows[seen][:, part]
+        return Samples(rows, self.images.at(seen), self.reach[seen], self.weights[seen], self.held[seen])
+
+
+@dataclass(frozen=True, eq=False)
+class NetTerms:
+    """Terms of a net, or of a part of it, with moving points (m,)."""
+
+    samples: Samples
+    config: WrapConfig
+    moving: IndexArray
+    transposed: sparse.csr_array
+    laplacian: sparse.csr_array
+    factors: Factorization
+
+    @classmethod
+    def build(
+        cls, graph: ElasticGraph, samples: Samples, config: WrapConfig, moving: IndexArray | None = None
+    ) -> NetTerms:
+        """Factor the preconditioner of all rounds; by default all points move."""
+        transposed = sparse.csr_array(samples.rows.T)
+        weighted = transposed @ sparse.diags_array(samples.weights) @ samples.rows
+        matrix = sparse.csr_array(weighted + config.fairness * graph.laplacian)
+        if moving is None:
+            moving = np.arange(graph.n)
+        else:
+            matrix = matrix[moving][:, moving]
+        return cls(samples, config, moving, transposed, graph.laplacian, factor(sparse.csc_array(matrix)))
+
+    def start(self, energy: ElasticEnergy) -> FloatArray:
+        """(n, 3) net that minimises ``||S X - P||^2`` with a little energy; fixed points stay at rest."""
+        samples, moving, positions = self.samples, self.moving, energy.graph.positions.copy()
+        right = self.transposed @ (samples.weights[:, None] * samples.images.positions)
+        positions[moving] = self.factors.solve(right[moving])
+        elastic = self.config.fairness * energy.graph.divergence(energy.differentials(positions)[0])
+        positions[moving] = self.factors.solve((right + elastic)[moving])
+        return positions
+
+    def at(self, positions: FloatArray, found: object, alpha: float, before: SampleTerms | None) -> SampleTerms:
+        """Terms with the source's closest points to positions (n, 3)."""
+        samples, images = self.samples, self.samples.images
+        guess = images.triangle if before is None else before.closest.triangle
+        weight = self.config.net.normal_weight
+        places = samples.rows @ positions
+        closest = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=weight, guess=guess)
+        held = samples.held | (np.linalg.norm(closest.positions - images.positions, axis=1) > samples.reach)
+        across = np.where(held, 0.0, samples.weights)
+        along = np.where(held, 1.0, self.config.anchor) * samples.weights
+        heights = np.einsum("sd,sd->s", closest.normals, closest.positions)
+        wanted = (across * heights)[:, None] * closest.normals + along[:, None] * images.positions
+        return SampleTerms(self, closest, across, along, self.transposed @ wanted)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleTerms:
+    """Terms of one round: weights (s,) of distances to planes (``across``) and to images (``along``)."""
+
+    terms: NetTerms
+    closest: SurfacePoints
+    across: FloatArray
+    along: FloatArray
+    right: FloatArray
+
+    def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
+        """The terms themselves: the stiffness is always the fairness."""
+        return self
+
+    def times(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) the system's matrix times positions (n, 3)."""
+        terms, normals = self.terms, self.closest.normals
+        places = terms.samples.rows @ positions
+        heights = np.einsum("sd,sd->s", normals, places)
+        wanted = (self.across * heights)[:, None] * normals + self.along[:, None] * places
+        return np.asarray(terms.transposed @ wanted + terms.config.fairness * (terms.laplacian @ positions))
+
+    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
+        """(n, 3) solution for a right side (n, 3) in the moving points, from positions (n, 3)."""
+        terms, moving, shape = self.terms, self.terms.moving, positions.shape
+
+        def times(flat: FloatArray) -> FloatArray:
+            spread = np.zeros(shape)
+            spread[moving] = flat.reshape(-1, 3)
+            return self.times(spread)[moving].ravel()
+
+        def precondition(flat: FloatArray) -> FloatArray:
+            return terms.factors.solve(flat.reshape(-1, 3)).ravel()
+
+        size = (3 * len(moving), 3 * len(moving))
+        step, _ = linalg.cg(
+            linalg.LinearOperator(size, matvec=times, dtype=np.float64),
+            (right - self.times(positions))[moving].ravel(),
+            rtol=terms.config.net.accuracy,
+            maxiter=terms.config.net.max_steps,
+            M=linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
+        )
+        moved = positions.copy()
+        moved[moving] += step.reshape(-1, 3)
+        return moved
+
+
+def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
+    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps."""
+    target = point_map.target
+    image = triangle_areas(point_map.images.positions, target.triangles)
+    sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
+    # A vertex in a squeezed part has squeezed neighbours as well; single slivers do not count.
+    for _ in range(2):
+        sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
+    ratio = np.divide(sums[:, 1], sums[:, 0], out=np.ones(target.n), where=sums[:, 0] > 0)
+    mask = np.clip((ratio - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
+    mask[_hollow_parts(point_map, mask >= 0.5, config)] = 0.0
+    return mask
+
+
+def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
+    """(n1,) squeezed parts (not ``whole``) and the area behind them, if its images overlap the rest."""
+    target, images = point_map.target, point_map.images.positions
+    nowhere = np.zeros(target.n, dtype=np.bool_)
+    if whole.all():
+        return nowhere
+    part, piece = (
+        label_patches(target.triangles, whole),
+        label_patches(target.triangles, np.ones(target.n, dtype=np.bool_)),
+    )
+    areas = np.bincount(part, np.where(whole, target.vertex_areas, 0.0))
+    largest = np.zeros(int(piece.max()) + 1)
+    np.maximum.at(largest, piece, areas[part])
+    behind = whole & (areas[part] < largest[piece])
+    if target.vertex_areas[behind].sum() < config.min_area:
+        return nowhere
+    distance, _ = cKDTree(images[whole & ~behind]).query(images[behind])
+    near = np.bincount(part[behind], distance <= config.among, len(areas)) > 0.5 * np.bincount(
+        part, minlength=len(areas)
+    )
+    laid_over = behind & near[part]
+    hollow = label_patches(target.triangles, ~whole | laid_over)
+    share = np.bincount(hollow, np.where(laid_over, target.vertex_areas, 0.0))
+    return np.asarray(share[hollow] >= config.min_area)

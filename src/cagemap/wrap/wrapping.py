@@ -22,8 +22,7 @@ from cagemap.transfer.detail import Detail, detail_over, own_transfer
 from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.fit import fit_net, keep_positions
 from cagemap.wrap.mend import mend
-from cagemap.wrap.net import control_net, face_aspects, folded_faces
-from cagemap.wrap.terms import Samples, counterpart_mask
+from cagemap.wrap.net import Samples, control_net, counterpart_mask, face_aspects, folded_faces
 
 # Message for a target without a cage.
 NO_CAGE = (

@@ -34,8 +34,7 @@ from cagemap.files.schema import (
     to_json,
 )
 from cagemap.files.text import read_text
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence
-from cagemap.maps.hypotheses.signs import describe_signs
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, describe_signs
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures

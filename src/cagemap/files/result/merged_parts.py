@@ -12,8 +12,7 @@ from scipy.linalg import block_diag
 
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
-from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.maps.hypotheses.signs import JUMPING
+from cagemap.maps.hypotheses.confidence import JUMPING, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import point_pairs

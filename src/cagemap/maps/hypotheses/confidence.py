@@ -1,4 +1,7 @@
-"""Confidence in a map with few landmarks or none: the verdict, and other possible alignments."""
+"""Confidence in a map with few landmarks or none: signs of a wrong map, the verdict, other possible alignments.
+
+Signs are measured without ground truth; each has a bound (`SIGNS`).
+"""
 
 from __future__ import annotations
 
@@ -9,25 +12,62 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.placement import Placement
+from cagemap.deform.constraints import PlacementConstraints
+from cagemap.deform.fit import coarse_fit
+from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.shared_area import SharedArea
-from cagemap.maps.hypotheses.signs import (
-    SIGNS,
-    TIE,
-    describe_signs,
-    jump_lengths,
-    jump_share,
-    median_distortion,
-    mirrored_gain,
-)
+from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import distortion, stretches, weighted_percentiles
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads, thread_limit
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.polylines import Polyline
+from cagemap.surface.triangle_surface import TriangleSurface
 
+
+@dataclass(frozen=True)
+class Sign:
+    """One sign of a wrong map."""
+
+    bound: float  # largest value for the verdict "sure"
+    finding: str  # message to the user above the bound, with ``{value}`` or ``{percent}``
+
+
+# In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
+SIGNS: dict[str, Sign] = {
+    # Cost of the target on the source, divided by its cost on the source's mirror image.
+    "mirrored": Sign(
+        1.2,
+        "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
+        "and right exchanged. If so, mirror one of the files",
+    ),
+    # Share of the target's area at which the map jumps.
+    "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    # Median `distortion`, by the target's area.
+    "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
+    "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
+    # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
+    "cost": Sign(7.0, "the shapes differ much"),
+    # Cost divided by that of the best different alignment; 0 if there is none.
+    "runner_up": Sign(1 / 1.3, "another alignment fits almost as well"),
+}
+# Least `runner_up` for the verdict of two answers.
+TIE = 1 / 1.12
+# Least jump, of sqrt(area): a distance along one surface, less twice the distance along the other.
+JUMP = 0.2
+# Number of images that each image is compared with, and the largest distance in mean vertex spacings; opposite
+# normals count as twice this distance.
+NEIGHBORS, NEAR_SPACINGS = 24, 1.4
+# Weight of normals, of sqrt(area): keeps images on their side of a thin part.
+FACING = 0.05
+# Beginning of the warning about jumps.
+JUMPING = "the map jumps between parts that only touch"
+
+ACROSS = np.array([-1.0, 1.0, 1.0])
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
-# Names of alternative answers where landmarks are given.
-AS_GIVEN = "as the landmarks are given"
-EXCHANGED = "with left and right of the landmarks exchanged"
-TURNED = "with a limb turned otherwise about its axis"
 # Reason shown for a result file without signs.
 NOT_JUDGED = "it was matched by an older version of cagemap: match again"
 
@@ -71,12 +111,6 @@ class Confidence:
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
                 f"made {best.name}, another one {others[0].name} (`answer=1`)"
-            )
-        if best.name == AS_GIVEN:
-            times = others[0].cost / max(best.cost, 1e-12)
-            return (
-                f"look at it: a map {others[0].name} fits almost as well, at {times:.2f} times the cost (`answer=1`). "
-                f"A landmark at target vertex {vertex} decides"
             )
         answer = f"the target is aligned with the source {best.name}"
         if self.verdict == SURE:
@@ -135,7 +169,7 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     best, *different = answers
     cost = 1e4 * best.cost
     runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
-    return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
+    return {"cost": cost, "turned": 0.0 if best.keeps_axes else cost, "runner_up": runner_up}
 
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
@@ -152,3 +186,115 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
         return replace(answer, positions=places)
 
     return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))
+
+
+def describe_signs(signs: Mapping[str, float]) -> list[str]:
+    """Messages to the user about the signs above their bounds."""
+    beyond = [(sign, signs[name]) for name, sign in SIGNS.items() if signs.get(name, 0.0) > sign.bound]
+    return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
+
+
+def median_distortion(found: PointMap, counts: FloatArray | None = None) -> float:
+    """Median `distortion` of a map, weighted by area and ``counts`` (n1,); 1 for an isometry."""
+    target = found.target
+    sigma = stretches(target.positions, found.images.positions, target.triangles)
+    areas = target.areas if counts is None else target.areas * counts[target.triangles].mean(axis=1)
+    return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
+
+
+def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
+    """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
+
+    A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
+    Only finest vertices with ``counts`` (n1,) above 0 are compared, by default the unmasked ones.
+    """
+    target, source = prepared.graphs
+    images = found.images.at(prepared.vertices)
+    places, normals = images.positions, images.normals
+    once = target.heads < target.tails
+    edges = np.column_stack([target.heads[once], target.tails[once]])
+    tree = cKDTree(np.hstack([source.positions, FACING * source.normals]))
+    at = tree.query(np.hstack([places, FACING * normals]))[1]
+    pairs = np.concatenate([edges, image_pairs(places, normals)])
+    counts = prepared.masks.of_target(found.target.n) if counts is None else counts
+    pairs = pairs[(counts[prepared.vertices] > 0)[pairs].all(axis=1)]
+    on_target = distances_apart(target.station_distances, pairs)
+    on_source = distances_apart(source.station_distances[:, at], pairs)
+    beyond = np.maximum(on_target, on_source) - 2 * np.minimum(on_target, on_source)
+    farthest = np.zeros(target.n)
+    np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
+    return farthest
+
+
+def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
+    """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
+    return float(prepared.rest.graph.areas[farthest > 0].sum())
+
+
+def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> tuple[str, ...]:
+    """A warning if the map jumps on more area than the bound allows; see `jump_lengths`."""
+    farthest = jump_lengths(prepared, found, counts)
+    share = jump_share(prepared, farthest)
+    if share <= SIGNS["jumps"].bound:
+        return ()
+    mesh = prepared.mesh
+    place = ", ".join(f"{x:.4g}" for x in mesh.positions[farthest.argmax()] / mesh.scale)
+    return (
+        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at ({place}) of the target's file. Add "
+        "landmarks on these parts",
+    )
+
+
+def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
+    """(m, 2) vertices whose images (n, 3) are near each other and face the same way."""
+    radius = NEAR_SPACINGS / np.sqrt(len(places))
+    facing = np.hstack([places, radius * normals])
+    count = min(NEIGHBORS, len(places))
+    distance, neighbours = cKDTree(facing).query(facing, k=count, distance_upper_bound=radius)
+    first = np.repeat(np.arange(len(places)), count)
+    pairs = np.column_stack([first, np.ravel(neighbours)])
+    return pairs[np.isfinite(np.ravel(distance)) & (pairs[:, 0] != pairs[:, 1])]
+
+
+def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
+    """(m,) lower bounds of geodesic distances of pairs (m, 2), by distances (s, n) from stations; 0 if unknown."""
+    apart = np.zeros(len(pairs))
+    for row in np.where(np.isfinite(distances), distances, np.nan):
+        apart = np.fmax(apart, np.abs(row[pairs[:, 0]] - row[pairs[:, 1]]))
+    return apart
+
+
+def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
+    """Cost on the source divided by cost on its mirror image, both on the small graph.
+
+    A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
+    bodies seem mirrored.
+    """
+    small, source = problem.small_shape, problem.prepared.source_surface
+    graph, constraints = small.rest.graph, small.constraints
+    config = problem.prepared.elastic.search
+    mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
+
+    def least_cost(surface: TriangleSurface, constraints: PlacementConstraints, *known: FloatArray) -> float:
+        """Least cost of fits to a surface from the nearest rigid starts, and from known ones."""
+        onto = replace(problem, prepared=replace(problem.prepared, source_surface=surface))
+        shape = replace(small, constraints=constraints)
+
+        def squared_distance(start: Placement) -> float:
+            return float(graph.areas @ closest_points(surface.tree, start.positions)[2] ** 2)
+
+        def cost(start: FloatArray) -> float:
+            with thread_limit(1):
+                return coarse_fit(onto, start, shape).cost
+
+        nearest = sorted(rigid_starts(graph.positions, surface.positions), key=squared_distance)
+        tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]
+        return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
+
+    cost = least_cost(source, constraints, positions[small.vertices])
+    curves = (
+        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
+        for curve in constraints.curves
+    )
+    mirrored_constraints = replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves))
+    return cost / least_cost(mirrored, mirrored_constraints)

@@ -18,23 +18,19 @@ from cagemap.deform.data import SourceSamples
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import Problem, Tips
 from cagemap.maps.hypotheses.rigid_starts import units_of_larger
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Least length of a limb, of sqrt(area).
 LEAST_LENGTH = 0.01
-# Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
-Tips = tuple[IndexArray, IndexArray]
 # Measures of e limbs and p landmarks, in sqrt(area): geodesic distances (p + e, p + e) between the roots of limbs,
 # landmarks first (they count as limbs); and girths (e,), area divided by length.
 LimbMeasures = tuple[FloatArray, FloatArray]
 
 
-def find_tips(
-    problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)
-) -> tuple[IndexArray, IndexArray]:
+def find_tips(problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
     """Tips of limbs (e,), (e2,) of a least height in ``units``, highest first: vertices of both searched levels.
 
     None is masked, at a landmark or at a boundary.
@@ -84,7 +80,7 @@ def refit_distinct_to_tips(problem: Problem, ranked: Sequence[Placement]) -> lis
     return in_threads(refit, ranked)
 
 
-def refit_to_tips(problem: Problem, tips: tuple[IndexArray, IndexArray], placed: Placement) -> Placement:
+def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     """Refit a placement with mutually nearest tips as constraints of the coarse stage; unchanged if much costlier.
 
     Only landmarks are constraints of the fine stage, so that tips that do not correspond can separate.
@@ -93,11 +89,10 @@ def refit_to_tips(problem: Problem, tips: tuple[IndexArray, IndexArray], placed:
     pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
     if not len(pairs):
         return placed
-    staged = problem.with_coarse_stage(config.tip_stage)
-    shape = staged.coarse_shape_with(tips[0][pairs[:, 0]], tips[1][pairs[:, 1]])
+    shape = problem.coarse_shape_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), config.tip_stage)
     samples = SourceSamples.choose(prepared.source_surface, config.tip_samples, prepared.rest.masks)
     with thread_limit(1):
-        coarse = coarse_fit(staged, placed.positions[shape.vertices], shape, samples)
+        coarse = coarse_fit(problem, placed.positions[shape.vertices], shape, samples)
     refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).with_start_of(placed)
     return refitted if refitted.cost <= config.max_refit_cost * placed.cost else placed
 

@@ -20,11 +20,10 @@ from cagemap.deform.multi_start import (
     start_map,
 )
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, Tips
 from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
-from cagemap.maps.hypotheses.limbs import Tips, assigned_limbs, refit_distinct_to_tips
+from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
-    AS_FILED,
     AS_FILED_STARTS,
     nearest_axis_rotation,
     rigid_starts,
@@ -63,22 +62,22 @@ def fit_small_graph(
     rotated starts are tried unless an assignment is plausible, and their fits get a penalty. ``show`` gets the best fit
     of the starts in the files' axes, then the best of all.
     """
-    small, config = problem.small_graph_problem, problem.prepared.elastic.search
-    graph = small.coarse_shape.rest.graph
+    small, config = problem.small_shape, problem.prepared.elastic.search
+    graph = small.rest.graph
 
     def fit_start(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
-            placed = coarse_fit(small, start, shape)
+            placed = coarse_fit(problem, start, shape)
         rotation = axis_rotation(shape.rest.graph.areas, placed.maps)
         penalty = rotation_penalty(rotation, config) if with_rotations else 1.0
         return replace(placed, name=rotation_name(rotation), penalty=penalty)
 
     def fit_rigid_starts(starts: Sequence[Placement]) -> list[Placement]:
-        return in_threads(lambda start: fit_start(start.positions, small.coarse_shape), starts)
+        return in_threads(lambda start: fit_start(start.positions, small), starts)
 
     def fit_limbs(tips: Tips) -> tuple[Tips, Placement]:
-        shape = small.coarse_shape_with(*tips)
-        return tips, fit_start(start_map(small, shape), shape)
+        shape = problem.coarse_shape_with(tips, config.small_graph_stage, config.small_graph_vertices)
+        return tips, fit_start(start_map(problem, shape), shape)
 
     unmoved = unmoved_start(problem.prepared, graph.positions)
     starts = [*unmoved, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
@@ -96,7 +95,7 @@ def fit_small_graph(
         rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
         rigid_fits = rank_placements([*rigid_fits, *fit_rigid_starts(rotated)])
     show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
-    as_filed = [placed for placed in rigid_fits if placed.name == AS_FILED][:1]
+    as_filed = [placed for placed in rigid_fits if placed.keeps_axes][:1]
     if not limb_fits:
         distinct = distinct_placements(rigid_fits, graph.areas, config.min_answer_distance)[: config.max_coarse]
         return [], distinct_placements([*distinct, *as_filed], graph.areas, config.min_answer_distance)
@@ -127,13 +126,12 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     distinct = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.min_answer_distance)
     max_cost = config.max_finish_cost * candidates[0][0].penalised_cost
     cheap = [coarse for coarse in candidates if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
-    as_filed = [coarse for coarse in cheap[config.max_finished :] if coarse[0].name == AS_FILED][:1]
 
     def fit_fine(coarse: list[Placement]) -> Placement:
         most = None if coarse is candidates[0] else 1
         return refine_cheapest(problem, coarse, most)[0].with_start_of(coarse[0])
 
-    return in_threads(fit_fine, [*cheap[: config.max_finished], *as_filed])
+    return in_threads(fit_fine, cheap[: config.max_finished])
 
 
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
@@ -178,7 +176,7 @@ def search(
         limb_fits, small_fits = fit_small_graph(problem, not has_start, show)
         progress("rough alignment")
         for tips, small_fit in limb_fits:
-            shape = problem.coarse_shape_with(*tips)
+            shape = problem.coarse_shape_with(tips)
             fine, soft = fit_from_two_starts(problem, shape)
             constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)

@@ -15,8 +15,12 @@ import numpy as np
 
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
-from cagemap.deform.multi_start import start_map
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, start_map
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.confidence import TWO, Confidence, cost_signs
+from cagemap.maps.hypotheses.limbs import mutually_nearest
+from cagemap.maps.hypotheses.search import search
 from cagemap.maps.landmarks.outliers import (
     Marks,
     exchanged_sides,
@@ -24,8 +28,8 @@ from cagemap.maps.landmarks.outliers import (
     orientation_agreement,
     typical_misfit,
 )
-from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
-from cagemap.maps.pair import Progress, near_vertices, vertices_at
+from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
+from cagemap.maps.pair import Progress, near_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -39,10 +43,10 @@ CONTRADICTION = (
     "the landmark file may belong to other meshes or to the other direction"
 )
 
-# Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
-# out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
-FOREIGN_FOLDED = 0.05, 0.5
-FOREIGN = "are these landmarks of these meshes? "
+MIRRORED = (
+    "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
+    "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
+)
 
 # Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
 OFFSETS = (0.0, 0.25, 0.5, 0.75)
@@ -107,15 +111,6 @@ class LandmarkCheck:
                 strains[places[pair]] = strain_before
         return LandmarkCheck(kept, self.notes, strains)
 
-    def with_folds(self, folded: float, count: int) -> LandmarkCheck:
-        """The check with a note if a map of ``count`` landmarks folds much of the target's area."""
-        notes = tuple(note for note in self.notes if not note.startswith(FOREIGN))
-        if count and FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
-            left_out = f" and {len(self.suspects)} of {count} landmarks were left out" if self.suspects else ""
-            folds = f"{100 * folded:.0f} % of the target is folded over{left_out}"
-            notes += (f"{FOREIGN}{folds}. Look at the landmarks on both meshes, and at which file they belong to",)
-        return replace(self, notes=notes)
-
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
         return {
@@ -163,14 +158,20 @@ def check_on_map(
     if count < config.fewest_judged:
         return LandmarkCheck(notes=tuple(notes))
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
-    energy, places = landmark_energy(trusted, point_map)
+    images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
+    graph, vertices = problem.prepared.rest.graph, trusted.landmark_vertices[0]
+    energy = reduced_energy(graph, images.positions, images.normals, vertices, config)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained, strain_notes = strained_pair(energy, places, config), list[str]()
     if strained is not None:
         typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
         if typical <= config.max_strain_misfit:
-            strain_notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
+            strain_notes.append(
+                f"landmark '{names[kept[strained]]}' strains the map around it, and only there: let go, it would move "
+                f"by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it was a slip, "
+                "correct it"
+            )
     suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
     return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
@@ -227,14 +228,6 @@ def kept_note(suspected: dict[int, str], names: Sequence[str], why: str) -> str:
     )
 
 
-def strain_note(name: str, distance: float) -> str:
-    """Note about a pair that strains the map."""
-    return (
-        f"landmark '{name}' strains the map around it, and only there: let go, it would move by about "
-        f"{100 * distance:.0f} % of the model's size. It was kept; if it was a slip, correct it"
-    )
-
-
 def check_changes(
     problem: Problem,
     names: Sequence[str],
@@ -265,9 +258,7 @@ def check_changes(
 
 def _suspect(problem: Problem, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    points = problem.landmarks.source
-    at_vertex, near = vertices_at(points), near_vertices(points, problem.prepared.source)
-    given = int(np.where(at_vertex < 0, near, at_vertex)[place])
+    given = int(near_vertices(problem.landmarks.source, problem.prepared.source)[place])
     return LandmarkSuspect(
         names[place], place, *landmark_miss(problem, found, place), source_vertex=given, evidence=evidence
     )
@@ -281,24 +272,35 @@ def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple
     return float(landmark_errors(point_map, only)[0]), int(np.linalg.norm(control - place, axis=1).argmin())
 
 
-def landmark_energy(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
-    """Reduced energy of the landmarks at a map that meets them, and their positions."""
-    graph = problem.prepared.rest.graph
-    images = point_map.images.at(problem.prepared.vertices)
-    config = problem.prepared.elastic.landmarks
-    energy = reduced_energy(graph, images.positions, images.normals, problem.landmark_vertices[0], config)
-    return energy, problem.landmarks.source.positions
+def check_mirrored(
+    problem: Problem, given: Placement, outliers: Collection[int], check: LandmarkCheck, progress: Progress
+) -> tuple[Confidence | None, LandmarkCheck]:
+    """Two answers if the landmarks are mirrored, as given and exchanged; and the check, with a note about it.
 
-
-def landmarks_mirrored(problem: Problem, left_out: Collection[int]) -> bool:
-    """Whether the landmarks that are not left out surround each other in opposite senses on the two surfaces.
-
-    Distances and strain cannot show this. False if too few landmarks are given.
+    Landmarks are mirrored if they surround each other in opposite senses on the two surfaces, and cost much more than
+    no landmarks. The exchange is that of the best map without landmarks; None if it exchanges too few. Distances and
+    strain show none of this.
     """
-    config = problem.prepared.elastic.landmarks
-    if len(problem.landmarks) < config.fewest_judged:
-        return False
-    return orientation_agreement(*_marks(problem.without(left_out)), config) <= config.mirrored_agreement
+    landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
+    if len(landmarks) < config.fewest_judged:
+        return None, check
+    if orientation_agreement(*_marks(problem.without(outliers)), config) > config.mirrored_agreement:
+        return None, check
+    best = search(problem.without(range(len(landmarks))), progress)[0]
+    if given.cost < config.min_mirrored_cost * best.cost:
+        return None, check
+    check = replace(check, notes=(*check.notes, MIRRORED))
+    images = best.map_positions[problem.landmark_vertices[0]]
+    exchange, _ = mutually_nearest(images, landmarks.source.positions, config.exchange_distance)
+    if len(exchange) < FEWEST_LANDMARKS:
+        return None, check
+    pairs = tuple(map(tuple, exchange.tolist()))
+    exchanged = "with left and right of the landmarks exchanged"
+    answers = (
+        Placement(given.map_positions, given.cost, name="as the landmarks are given"),
+        Placement(best.map_positions, best.cost, name=exchanged, exchange=pairs),
+    )
+    return Confidence(TWO, answers, cost_signs(answers)), check
 
 
 def _marks(problem: Problem) -> tuple[Marks, Marks]:

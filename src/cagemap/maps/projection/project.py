@@ -14,7 +14,6 @@ from cagemap.maps.projection.flatten import flatten_folded_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.subdivision import Refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
@@ -133,20 +132,15 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     """
     refinement, level = prepared.target.hierarchy, prepared.levels[0]
     if not refinement.is_plain:
-        return refined_positions(refinement, level, fitted)
+        chosen = sparse.csr_array(sparse.eye_array(len(fitted), refinement.finest.n_vertices, format="csr"))
+        for matrix in reversed(refinement.matrices[level:]):
+            chosen = sparse.csr_array(chosen @ matrix)
+        return refinement.prolong(control_points(chosen, fitted), level, refinement.n_levels)
     maps, _ = prepared.rest.energy.differentials(fitted)
     rest = prepared.target.finest_triangles.positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
     blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)
     return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), rest))
-
-
-def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:
-    """(n_f, 3) finest vertices of the subdivision surface that passes through points (n_l, 3) of a level's vertices."""
-    chosen = sparse.csr_array(sparse.eye_array(len(points), refinement.finest.n_vertices, format="csr"))
-    for matrix in reversed(refinement.matrices[level:]):
-        chosen = sparse.csr_array(chosen @ matrix)
-    return refinement.prolong(control_points(chosen, points), level, refinement.n_levels)
 
 
 def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 12) -> FloatArray:
