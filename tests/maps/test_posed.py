@@ -18,6 +18,8 @@ from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.projection.project import map_of_places
 from cagemap.pipeline import match, other_answer
 
+from quick_match import SEARCHED
+
 
 @pytest.mark.slow
 def test_limbs_keep_their_turn_about_their_axis_in_strong_poses(shared_data: Path) -> None:
@@ -41,11 +43,11 @@ def test_mirrored_landmarks_are_met_and_the_other_answer_is_offered(shared_data:
     ]
     mirrored = landmarks.exchanged(list(enumerate(other)))
     surfaces = bodies.surface(target), bodies.surface(source)
-    found = match(*surfaces, mirrored)
+    found = match(*surfaces, mirrored, SEARCHED)
     assert found.quality.landmark_errors.max() < 1e-9
     assert found.confidence.verdict == TWO
     assert "`answer=1`" in found.confidence.message
-    chosen = other_answer(found, 1)
+    chosen = other_answer(found, 1, SEARCHED)
     assert len(chosen.landmarks) >= 20
     assert chosen.confidence is None
     assert 100 * compare_with_truth(chosen.point_map, bodies.truth(target, source)).mean < 1.0
