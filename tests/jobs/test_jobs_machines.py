@@ -101,7 +101,9 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
     commands = [
         [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
     ]
-    commands += [[*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard"]] * workers
+    commands += [
+        [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    ] * workers
     with ExitStack() as stack:
         for command in commands:
             process = stack.enter_context(
