@@ -67,6 +67,15 @@ def one_start() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def jobs_in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers of a job are threads of this process, where a test asks for something else: no imports of their own."""
+    import distributed
+
+    cluster = distributed.LocalCluster
+    monkeypatch.setattr(distributed, "LocalCluster", lambda **options: cluster(**options | {"processes": False}))
+
+
 @pytest.fixture(scope="module")
 def fbx_server() -> Iterator[None]:
     """FBX files are converted by processes that have the library loaded: a tenth of the time."""

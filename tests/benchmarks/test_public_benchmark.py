@@ -239,6 +239,7 @@ def test_parts_are_one_piece_and_keep_their_points(pfaust: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick")
 def test_maps_and_parts_are_measured(shrec19: Path, pfaust: Path, tmp_path: Path) -> None:
     (row,) = run("shrec19", shrec19, tmp_path / "out", "--landmarks", "6", "--scheme", "none")
     assert row["mean"] < 11.0
@@ -250,6 +251,7 @@ def test_maps_and_parts_are_measured(shrec19: Path, pfaust: Path, tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick")
 def test_rows_are_measured_once_and_one_table_is_written(
     faust_r: Path, shrec: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

@@ -225,6 +225,7 @@ def test_a_job_is_exported_for_farms_and_runs_nothing(folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("jobs_in_threads")
 def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Path) -> None:
     runner = CliRunner()
     job = ["run", str(folder / "job.toml"), "--workers", "2"]

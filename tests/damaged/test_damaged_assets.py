@@ -64,14 +64,14 @@ def _use(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"])
 def test_changed_bytes(name: str, tmp_path: Path) -> None:
-    """200 cases of each."""
+    """200 cases of each; a package holds the crate, and fewer cases change the package itself."""
     rng = np.random.default_rng([7, *name.encode()])
     path = tmp_path / name
     _write(path)
     content, beside = path.read_bytes(), set(tmp_path.iterdir())
     assert outcome(lambda: _use(path))
     refused = 0
-    for _ in range(200):
+    for _ in range(60 if path.suffix == ".usdz" else 200):
         path.write_bytes(mutated_bytes(content, rng))
         refused += not outcome(lambda: _use(path))
     assert refused > 20

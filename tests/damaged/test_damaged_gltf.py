@@ -135,7 +135,7 @@ def test_damaged_copies_of_files_as_they_come(name: str, tmp_path: Path, shared_
     path.write_bytes((shared_data / "characters" / "foreign" / name).read_bytes())
     raw = json.loads(path.read_bytes()) if path.suffix == ".gltf" else _json_of(path.read_bytes())
     blob = read_document(path).buffers[0]
-    count, refused = _mutate(path, Document(raw, (blob,), path), 15 if "draco" in name else 80)
+    count, refused = _mutate(path, Document(raw, (blob,), path), 8 if "draco" in name else 80)
     assert 0 < refused < count
 
 

@@ -20,6 +20,8 @@ from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
+from quick_match import QUICK
+
 # Height on the unit sphere where the cap is cut off; the share of the sphere's area above it is 0.6.
 HEIGHT = -0.2
 TURN, SCALE = Rotation.from_euler("xyz", [20, 70, -40], degrees=True).as_matrix(), 3.0
@@ -115,9 +117,9 @@ def found() -> dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]:
         wanted = [[0, 0, 1], [1, 0, 0.2], [-0.5, 0.8, 0.2], [-0.5, -0.8, 0.2], [0.3, 0.3, 0.6]]
         marks = np.array([np.argmax(part_points @ direction) for direction in wanted])
         pairs = np.column_stack([marks, kept[marks]])
-        made[name] = match(part, whole, pairs), part_points, kept
+        made[name] = match(part, whole, pairs, QUICK), part_points, kept
         if order is None:
-            made["whole"] = match(whole, part, pairs[:, ::-1]), moved, kept
+            made["whole"] = match(whole, part, pairs[:, ::-1], QUICK), moved, kept
     return made
 
 

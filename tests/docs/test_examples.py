@@ -1,4 +1,4 @@
-"""The scripts of examples/ run as they are, are short, and are all in docs/gallery.md."""
+"""The scripts of examples/ run, are short, and are all in docs/gallery.md."""
 
 from __future__ import annotations
 
@@ -29,10 +29,14 @@ WRITES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_a_script_of_the_gallery_runs_and_writes_what_it_says(script: Path, tmp_path: Path) -> None:
-    if "from pyFM" in script.read_text(encoding="utf-8"):
+    """At level 1, which has a quarter or a sixteenth of the vertices; `make demo` matches as many as the scripts do."""
+    text = script.read_text(encoding="utf-8")
+    if "from pyFM" in text:
         pytest.importorskip("pyFM")
+    text = re.sub(r"level=[23]", "level=1", text.replace("levels=(2, 2)", "levels=(1, 1)"))
+    (tmp_path / script.name).write_text(text, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, check=True, stdout=subprocess.PIPE)
+    subprocess.run([sys.executable, script.name], cwd=tmp_path, env=environment, check=True, stdout=subprocess.PIPE)
     assert [name for name in WRITES[script.stem] if not (tmp_path / name).is_file()] == []
 
 

@@ -52,15 +52,20 @@ def folder(pair_files: Path, built_in_pair: ExamplePair) -> Path:
     return pair_files
 
 
+ALONE: dict[str, np.ndarray] = {}
+
+
 def single(folder: Path, target: str, source: str, landmarks: str) -> np.ndarray:
-    """Images of a match by its own command."""
+    """Images of a match by its own command, which is done once for all tests."""
+    if target in ALONE:
+        return ALONE[target]
     result = folder / f"alone-{target}"
     given = ["match", "--vertices", "1500", "-o", str(result)]
     files = {"-t": f"{target}.obj", "-s": f"{source}.obj", "--landmarks": landmarks}
     given += [word for option, name in files.items() for word in (option, str(folder / name))]
     said = CliRunner().invoke(app, given)
     assert said.exit_code == 0, said.output
-    return read_result(result).image()
+    return ALONE.setdefault(target, read_result(result).image())
 
 
 def test_a_disk_that_fills_costs_only_what_does_not_fit(folder: Path) -> None:
@@ -96,7 +101,9 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
     commands = [
         [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
     ]
-    commands += [[*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard"]] * workers
+    commands += [
+        [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    ] * workers
     with ExitStack() as stack:
         for command in commands:
             process = stack.enter_context(

@@ -258,6 +258,10 @@ def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_an_address_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import distributed
+
+    client = distributed.Client
+    monkeypatch.setattr(distributed, "Client", lambda address, timeout: client(address, timeout="1s"))
     with (
         open_client("tcp://127.0.0.1:9") as connect,
         pytest.raises(ParameterError, match=r"127\.0\.0\.1:9 does not answer"),

@@ -53,12 +53,12 @@ def test_sides_are_kept(creatures, names):
 def test_six_landmarks_on_humans(shared_data):
     humans = shared_data / "humans"
     names = "male1591_female_old_heavy", "female1605_male_young"
-    target, source = (prepare_surface(read_mesh(humans / f"{name}.obj"), 2, BasisConfig(count=300)) for name in names)
+    target, source = (prepare_surface(read_mesh(humans / f"{name}.obj"), 1, BasisConfig(count=300)) for name in names)
     file = humans / "landmarks" / "female1605__male1591_fps30.json"
     landmarks, _ = read_landmarks(file, "male1591", "female1605")
     six = landmarks.without(range(6, len(landmarks)))
     found = match(target, source, six)
-    neutral = (refine(read_mesh(humans / f"{name}_neutral.obj"), 2).finest for name in ("male1591", "female1605"))
+    neutral = (refine(read_mesh(humans / f"{name}_neutral.obj"), 1).finest for name in ("male1591", "female1605"))
     truth = true_map(*(TriangleSurface.from_faces(side.positions, side.faces) for side in neutral))
     figures = compare_with_truth(found.point_map, truth)
     assert figures.mean < 0.01

@@ -67,7 +67,7 @@ def test_landmarks_whose_fits_agree_and_starts_that_are_given_decide_alone(
 
 @pytest.mark.slow
 def test_correct_landmarks_do_not_make_the_rest_worse(shared_data: Path) -> None:
-    """Nose, two feet and three more: the other places were 3.1 and 3.5 off then, and 1.9 without landmarks."""
+    """Nose, two feet and three more: the other places were 3.1 and 3.5 off then, and are 1.50 without landmarks."""
     animals = shared_data / "animals"
     cow, horse = (prepare_surface(read_mesh(animals / f"{name}.obj"), 2) for name in ("cow", "horse"))
     named = read_landmarks(animals / "landmarks" / "horse__cow.json", "cow.obj", "horse.obj")[0]
@@ -78,7 +78,6 @@ def test_correct_landmarks_do_not_make_the_rest_worse(shared_data: Path) -> None
         images = match(cow, horse, landmarks).point_map.images.positions[rest.target]
         return float(np.linalg.norm(images - horse.finest_triangles.positions[rest.source], axis=1).mean())
 
-    without = error(Landmarks.none())
     for count in (3, 6):
         given = named.without([i for i, name in enumerate(named.names) if name not in feet[:count]])
-        assert error(given) < 1.05 * without, count
+        assert 100 * error(given) < 1.05 * 1.50, count

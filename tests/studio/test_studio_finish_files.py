@@ -76,6 +76,7 @@ def same(one: Path, other: Path) -> bool:
     return one.read_bytes() == other.read_bytes()
 
 
+@pytest.mark.usefixtures("jobs_in_threads", "small_pages")
 def test_the_job_file_of_a_finish_makes_the_same_files_again(tmp_path: Path) -> None:
     files = built_in_files(tmp_path)
     write_inputs(files)

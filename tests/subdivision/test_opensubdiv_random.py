@@ -298,7 +298,7 @@ def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=250)
+@settings(deadline=None, max_examples=150)
 @given(data=st.data())
 def test_many_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
     _compare(data, opensubdiv)
