@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from cagemap.errors import ParameterError
+from cagemap.files.atomic import write_whole
 from cagemap.jobs import Plan, Task, TaskOutcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.plan import content_hash
 from cagemap.jobs.run import execute, kept_outcome
@@ -141,6 +142,24 @@ def test_a_task_that_only_comes_after_a_failed_one_is_done(tmp_path: Path) -> No
     failed = TaskOutcome("one", "failed", "no texture")
     assert execute(replace(task(tmp_path, "two"), predecessors=("one",)), tmp_path, write_name, failed).state == "done"
     assert execute(task(tmp_path, "three", ("one",)), tmp_path, write_name, failed).state == "skipped"
+
+
+def test_a_table_of_an_earlier_run_is_replaced_unless_edited(tmp_path: Path) -> None:
+    def write_table(told: Task) -> dict[str, Any]:
+        write_whole(tmp_path / "one" / "out.txt", told.key, force=told.request.get("force", False))
+        if told.key == "bad":
+            raise ParameterError("bad")
+        return {}
+
+    table = tmp_path / "one" / "out.txt"
+    for key, state in (("k", "done"), ("changed", "done"), ("bad", "failed")):
+        assert execute(task(tmp_path, "one", key=key), tmp_path, write_table).state == state
+        assert table.read_text() == key
+    table.write_text("changed")  # as the last finished run left it
+    assert execute(task(tmp_path, "one", key="mended"), tmp_path, write_table).state == "done"
+    table.write_text("edited")
+    assert execute(task(tmp_path, "one", key="again"), tmp_path, write_table).state == "failed"
+    assert table.read_text() == "edited"
 
 
 @pytest.mark.parametrize(

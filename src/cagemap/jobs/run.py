@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import files_written, leftovers, write_whole
-from cagemap.files.ownership import mark
+from cagemap.files.ownership import is_own, mark
+from cagemap.files.result.manifest import file_hash
 from cagemap.files.schema import own_note
 from cagemap.jobs.plan import DETOUR_FOLDER, RESULT_FOLDER, STATE_FOLDER, Plan, Task, content_hash
 from cagemap.numerics.threads import core_count
@@ -144,10 +145,11 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             if kept is not None:
                 return kept
             _remove_leftovers(root, task)
-            if own_note(_note_path(root, task)) is not None:
-                _note_path(root, task).unlink()  # its files are replaced below
+            earlier = own_note(_note_path(root, task))
+            if earlier is not None:  # its files are replaced below: no key fits, their hashes stay
+                write_whole(_note_path(root, task), json.dumps({**earlier, "written_by": mark(), "key": ""}, indent=1))
             with files_written() as written:
-                figures = runner(task)
+                figures = runner(_replacing(root, task, earlier or {}))
             for path, expected_hash in task.input_hashes.items():
                 if content_hash(path) != expected_hash:
                     raise FormatError(
@@ -161,6 +163,7 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
                 "key": task.key,
                 "seconds": seconds,
                 "outputs": outputs,
+                "hashes": {path: file_hash(root / path) for path in outputs if not is_own(root / path)},
                 "figures": figures,
             }
             write_whole(_note_path(root, task), json.dumps(note, indent=1))
@@ -335,6 +338,17 @@ def _output_sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]
     if task.outputs and not sizes:
         raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")
     return sizes
+
+
+def _replacing(root: Path, task: Task, note: dict[str, Any]) -> Task:
+    """The task, told to replace files without a mark (tables) if they are as the noted run left them."""
+    hashes = note.get("hashes", {})
+    known = {root / path: value for path, value in hashes.items() if (root / path).is_file()}
+    others = {root / path for path in (*task.outputs, *note.get("outputs", ()))} - known.keys()
+    if not known or any(file.is_file() and not is_own(file) for file in others):
+        return task
+    unchanged = all(file_hash(file) == value for file, value in known.items())
+    return replace(task, request={**task.request, "force": True}) if unchanged else task
 
 
 def _remove_leftovers(root: Path, task: Task) -> None:
