@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
 from cagemap.files.gltf.parts import read_scene
@@ -185,6 +186,35 @@ def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Charact
         assert greys["my_eye"] == [20]
         assert (greys["body"] == [10]) == bool(words)
         assert greys["hat"] == []
+
+
+def test_a_kept_texture_keeps_its_layout(run: Run, files: Character, body: ControlMesh) -> None:
+    """A character without materials: the body keeps its own, and its UVs in several unit squares."""
+    spread = replace(body, uvs=3 * body.uvs)
+    image = png_bytes(Image(np.zeros((4, 4, 3), np.uint8)))
+    own = character_glb(Character((Part("body", with_material(spread)),)), images={("body", "baseColorTexture"): image})
+    write_document("B.glb", own, force=True)
+    plain = replace(files.parts[0], mesh=replace(body, name="body"))
+    write_document("C.glb", character_glb(replace(files, parts=(plain,))), force=True)
+    mesh = _part(_rig(run), "body").mesh
+    assert [one.name for one in mesh.all_uv_sets] == ["TEXCOORD_0"]
+    np.testing.assert_allclose(np.ptp(mesh.uvs, axis=0), np.ptp(spread.uvs, axis=0), atol=1e-5)
+
+
+def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
+    write_character(Path("C.glb"), Character(tuple(replace(part, weights=None) for part in files.parts)))
+    document = read_document("C.glb")
+    (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "body")
+    binary = Binary(document)
+    times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
+    sampler = {"input": times, "output": binary.accessor(np.array([0.25, 0.75], "<f4"))}
+    channel = {"sampler": 0, "target": {"node": node, "path": "weights"}}
+    animation = {"name": "talk", "samplers": [sampler], "channels": [channel]}
+    write_document("C.glb", binary.document(document.json | {"animations": [animation]}), force=True)
+    _rig(run)
+    ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
+    np.testing.assert_allclose(times_found, [0.0, 1.0])
+    np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
 
 
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:

@@ -66,7 +66,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     body_document, target = read_body(request.body)
     to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
-    laid_out = to.mesh if of.mesh.uvs is None or request.keep_textures else _in_one_square(to.mesh)
+    keeps = request.keep_textures or of.mesh.face_materials is None
+    laid_out = to.mesh if keeps or of.mesh.uvs is None else _in_one_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
     source, of = _with_mesh(source, of, replace(of.mesh, name=request.like.name))
     carried = carry_character(
@@ -80,7 +81,6 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         stages=stages,
     )
     stages("textures")
-    keeps = request.keep_textures or of.mesh.face_materials is None
     dressed, document = _with_own_materials(carried, document, body_document, body=keeps)
     baked, notes = _Images(), list[str]()
     if not keeps:
