@@ -27,13 +27,14 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, body_in, read_body
+from cagemap.tasks.rig_character import _in_one_square, _kinds, _landmarks, body_in, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -199,6 +200,15 @@ def test_a_kept_texture_keeps_its_layout(run: Run, files: Character, body: Contr
     mesh = _part(_rig(run), "body").mesh
     assert [one.name for one in mesh.all_uv_sets] == ["TEXCOORD_0"]
     np.testing.assert_allclose(np.ptp(mesh.uvs, axis=0), np.ptp(spread.uvs, axis=0), atol=1e-5)
+
+
+def test_uv_sets_of_a_body_in_tiles_stay(body: ControlMesh) -> None:
+    own = replace(
+        body, uvs=3 * body.uvs, uv_name="TEXCOORD_0", uv_sets=(UvSet("TEXCOORD_1", body.uvs, body.uv_indices),)
+    )
+    packed = _in_one_square(own)
+    assert [one.name for one in packed.all_uv_sets] == ["TEXCOORD_0", "TEXCOORD_1", "TEXCOORD_2"]
+    assert [one.uvs is given.uvs for one, given in zip(packed.uv_sets, own.all_uv_sets, strict=True)] == [True, True]
 
 
 def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:

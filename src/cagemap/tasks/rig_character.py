@@ -198,7 +198,7 @@ def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
 def _in_one_square(mesh: ControlMesh) -> ControlMesh:
     """A mesh with UVs in the unit square, as glTF needs: unwrapped, or with its tiles side by side.
 
-    The UVs in tiles are kept as a second set.
+    The UVs in tiles are kept as a second set, further sets follow.
     """
     if mesh.uvs is None or mesh.uv_indices is None:
         return unwrap(mesh)
@@ -212,9 +212,10 @@ def _in_one_square(mesh: ControlMesh) -> ControlMesh:
     shift = np.column_stack([np.arange(len(tiles)) % side, np.arange(len(tiles)) // side]) - tiles
     of_corner = np.repeat(number.ravel(), mesh.face_sizes)
     keys, indices = np.unique(np.column_stack([mesh.uv_indices, of_corner]), axis=0, return_inverse=True)
-    before = UvSet("TEXCOORD_1", mesh.uvs, mesh.uv_indices)
+    before = UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets
+    others = tuple(replace(one, name=f"TEXCOORD_{number}") for number, one in enumerate(before, 1))
     packed = mesh.with_uvs((mesh.uvs[keys[:, 0]] + shift[keys[:, 1]]) / side, indices.ravel().astype(np.int64))
-    return replace(packed, uv_name="TEXCOORD_0", uv_sets=(before,))
+    return replace(packed, uv_name="TEXCOORD_0", uv_sets=others)
 
 
 def _names(words: str | None) -> list[str] | None:
