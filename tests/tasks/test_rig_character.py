@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
 from cagemap.files.gltf.parts import read_scene
@@ -26,13 +27,14 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, body_in, read_body
+from cagemap.tasks.rig_character import _in_one_square, _kinds, _landmarks, body_in, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -185,6 +187,44 @@ def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Charact
         assert greys["my_eye"] == [20]
         assert (greys["body"] == [10]) == bool(words)
         assert greys["hat"] == []
+
+
+def test_a_kept_texture_keeps_its_layout(run: Run, files: Character, body: ControlMesh) -> None:
+    """A character without materials: the body keeps its own, and its UVs in several unit squares."""
+    spread = replace(body, uvs=3 * body.uvs)
+    image = png_bytes(Image(np.zeros((4, 4, 3), np.uint8)))
+    own = character_glb(Character((Part("body", with_material(spread)),)), images={("body", "baseColorTexture"): image})
+    write_document("B.glb", own, force=True)
+    plain = replace(files.parts[0], mesh=replace(body, name="body"))
+    write_document("C.glb", character_glb(replace(files, parts=(plain,))), force=True)
+    mesh = _part(_rig(run), "body").mesh
+    assert [one.name for one in mesh.all_uv_sets] == ["TEXCOORD_0"]
+    np.testing.assert_allclose(np.ptp(mesh.uvs, axis=0), np.ptp(spread.uvs, axis=0), atol=1e-5)
+
+
+def test_uv_sets_of_a_body_in_tiles_stay(body: ControlMesh) -> None:
+    own = replace(
+        body, uvs=3 * body.uvs, uv_name="TEXCOORD_0", uv_sets=(UvSet("TEXCOORD_1", body.uvs, body.uv_indices),)
+    )
+    packed = _in_one_square(own)
+    assert [one.name for one in packed.all_uv_sets] == ["TEXCOORD_0", "TEXCOORD_1", "TEXCOORD_2"]
+    assert [one.uvs is given.uvs for one, given in zip(packed.uv_sets, own.all_uv_sets, strict=True)] == [True, True]
+
+
+def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
+    write_character(Path("C.glb"), Character(tuple(replace(part, weights=None) for part in files.parts)))
+    document = read_document("C.glb")
+    (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "body")
+    binary = Binary(document)
+    times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
+    sampler = {"input": times, "output": binary.accessor(np.array([0.25, 0.75], "<f4"))}
+    channel = {"sampler": 0, "target": {"node": node, "path": "weights"}}
+    animation = {"name": "talk", "samplers": [sampler], "channels": [channel]}
+    write_document("C.glb", binary.document(document.json | {"animations": [animation]}), force=True)
+    _rig(run)
+    ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
+    np.testing.assert_allclose(times_found, [0.0, 1.0])
+    np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
 
 
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:

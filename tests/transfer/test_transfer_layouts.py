@@ -99,6 +99,17 @@ def test_texture_coordinates_outside_the_square_repeat_or_clamp() -> None:
     np.testing.assert_array_equal(clamped, np.broadcast_to(texture[-1, -1], clamped.shape))
 
 
+@pytest.mark.parametrize("square", [(1, 0), (-2, 3), (1e-6, -1e-6)])
+def test_the_edge_of_a_repeated_square_is_not_its_opposite_edge(square: tuple[float, float]) -> None:
+    # The padding around the target's island takes the source's border, at u = 2 of a square from 1 to 2.
+    texture = noise(32, 32, 3, "uint8")
+    target, inside = plane(8, 8, lambda points: 0.17 + 0.61 * points), plane(8, 8)
+    shifted = plane(8, 8, lambda points: points + np.array(square))
+    expected = bake_texture(prepare_transfer(target, inside, identity_map(target)), texture, size=64)
+    baked = bake_texture(prepare_transfer(target, shifted, identity_map(target)), texture, size=64)
+    assert np.abs(baked.astype(int) - expected.astype(int)).max() <= 1
+
+
 def test_border_texels_never_mix_with_the_opposite_border() -> None:
     texture = np.zeros((8, 8, 1), dtype=np.uint8)
     texture[:, 0] = 255

@@ -15,7 +15,7 @@ from cagemap.character.passengers import carry_passengers
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body, passenger_word
 from cagemap.character.skeleton import carry_rig
-from cagemap.character.values import Animation, Character, Part
+from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
@@ -108,7 +108,7 @@ def carry_character(
         )
         for part, one in zip(to_carry, carried, strict=True)
     ]
-    rig, animations = None, tuple[Animation, ...]()
+    rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
         rig = carry_rig(result.point_map, source.rig)

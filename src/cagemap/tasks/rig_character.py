@@ -66,7 +66,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     body_document, target = read_body(request.body)
     to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
-    laid_out = to.mesh if of.mesh.uvs is None or request.keep_textures else _in_one_square(to.mesh)
+    keeps = request.keep_textures or of.mesh.face_materials is None
+    laid_out = to.mesh if keeps or of.mesh.uvs is None else _in_one_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
     source, of = _with_mesh(source, of, replace(of.mesh, name=request.like.name))
     carried = carry_character(
@@ -80,7 +81,6 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         stages=stages,
     )
     stages("textures")
-    keeps = request.keep_textures or of.mesh.face_materials is None
     dressed, document = _with_own_materials(carried, document, body_document, body=keeps)
     baked, notes = _Images(), list[str]()
     if not keeps:
@@ -198,7 +198,7 @@ def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
 def _in_one_square(mesh: ControlMesh) -> ControlMesh:
     """A mesh with UVs in the unit square, as glTF needs: unwrapped, or with its tiles side by side.
 
-    The UVs in tiles are kept as a second set.
+    The UVs in tiles are kept as a second set, further sets follow.
     """
     if mesh.uvs is None or mesh.uv_indices is None:
         return unwrap(mesh)
@@ -212,9 +212,10 @@ def _in_one_square(mesh: ControlMesh) -> ControlMesh:
     shift = np.column_stack([np.arange(len(tiles)) % side, np.arange(len(tiles)) // side]) - tiles
     of_corner = np.repeat(number.ravel(), mesh.face_sizes)
     keys, indices = np.unique(np.column_stack([mesh.uv_indices, of_corner]), axis=0, return_inverse=True)
-    before = UvSet("TEXCOORD_1", mesh.uvs, mesh.uv_indices)
+    before = UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets
+    others = tuple(replace(one, name=f"TEXCOORD_{number}") for number, one in enumerate(before, 1))
     packed = mesh.with_uvs((mesh.uvs[keys[:, 0]] + shift[keys[:, 1]]) / side, indices.ravel().astype(np.int64))
-    return replace(packed, uv_name="TEXCOORD_0", uv_sets=(before,))
+    return replace(packed, uv_name="TEXCOORD_0", uv_sets=others)
 
 
 def _names(words: str | None) -> list[str] | None:

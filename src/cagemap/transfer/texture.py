@@ -289,10 +289,9 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 u += barycentric[s, k] * uvs[uv_triangles[t, k], 0]
                 v += barycentric[s, k] * uvs[uv_triangles[t, k], 1]
             if repeat:
-                if u < 0.0 or u > 1.0:
-                    u -= np.floor(u)
-                if v < 0.0 or v > 1.0:
-                    v -= np.floor(v)
+                i, j, k = uv_triangles[t, 0], uv_triangles[t, 1], uv_triangles[t, 2]
+                u = _wrapped(u, (uvs[i, 0] + uvs[j, 0] + uvs[k, 0]) / 3.0)
+                v = _wrapped(v, (uvs[i, 1] + uvs[j, 1] + uvs[k, 1]) / 3.0)
             x = min(max(u * width - 0.5, 0.0), width - 1.0)
             y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
             if nearest:
@@ -314,6 +313,13 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 lower = _value(pixels, halves, r1, c0, channel)
                 lower += fx * (_value(pixels, halves, r1, c1, channel) - lower)
                 result[texel, channel] += upper + fy * (lower - upper)
+
+
+@numba.njit(cache=True, nogil=True)
+def _wrapped(place, centre):  # type: ignore[no-untyped-def]
+    """A coordinate moved into 0 to 1 with its triangle's centre; the right edge of that square stays 1, not 0."""
+    place -= np.floor(centre)
+    return place - np.floor(place) if place < -OVERHANG or place > 1.0 + OVERHANG else place
 
 
 @numba.njit(cache=True, nogil=True)
