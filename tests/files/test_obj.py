@@ -176,6 +176,16 @@ def test_materials_with_blanks_accents_and_missing_colours(tmp_path: Path) -> No
     assert np.isnan(mesh.material_colors[[0, 3, 4]]).all()
 
 
+def test_materials_of_one_name_stay_two(tmp_path: Path) -> None:
+    names = ("red", "red", "red.001", "red")
+    colors = np.array([[1.0, 0, 0], [0.5, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
+    mesh = replace(cube(), face_materials=np.array([0, 1, 2, 3, 1, 0]), material_names=names, material_colors=colors)
+    write_obj(tmp_path / "mesh.obj", mesh)
+    found = read_obj(tmp_path / "mesh.obj")
+    assert found.material_names == ("red", "red.002", "red.001", "red.003")
+    np.testing.assert_array_equal(found.material_colors[found.face_materials], colors[mesh.face_materials])
+
+
 def test_missing_material_file_leaves_colours_unknown(tmp_path: Path) -> None:
     mesh = read_text(tmp_path, "mtllib gone.mtl\n" + SQUARE + "usemtl a\nf 1 2 3\n")
     assert mesh.material_colors is not None
