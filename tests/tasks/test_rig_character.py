@@ -224,6 +224,7 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
         (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
+        (["--size", "64", "--keep-textures"], "--size: expected without --keep-textures"),
     ],
 )
 def test_refusals_name_what_is_wrong(run: Run, files: Character, words: list[str], said: str) -> None:

@@ -87,6 +87,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         dressed, document, baked, notes = _textured(
             replace(carried, character=dressed), source, of, document, request.size
         )
+    elif request.size is not None:
+        notes.append(f"--size is not used: {of.name} of {request.like} has no material whose textures could be baked")
     stages("write")
     rigged_document = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
     if request.report is not None:
@@ -102,6 +104,10 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
 
 
 def _require_paths(request: RigRequest) -> None:
+    if request.keep_textures and request.size is not None:
+        raise ParameterError(
+            "--size: expected without --keep-textures, which bakes no textures. Leave one of them out."
+        )
     _require_suffix(request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES), "Export it as GLB")
     require_output(request.output)
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
