@@ -132,11 +132,11 @@ def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], Cont
     try:
         scheme = options.get(f"{side}_scheme") or job.assets[name].scheme or options.get("scheme")
         control = SubdivisionRequest(scheme).applied(read(name))
-        level, vertices = options.get(f"{side}_level"), options.get(f"{side}_vertices")
-        if level is None and vertices is None and not isinstance(control.scheme, Plain):
-            level = options.get("level")
+        stated, vertices = options.get(f"{side}_level"), options.get(f"{side}_vertices")
+        if stated is None and vertices is None and not isinstance(control.scheme, Plain):
+            stated = options.get("level")
         wanted = int(vertices or options.get("vertices") or DEFAULT_VERTICES)
-        level = choose_level(control, wanted) if level is None else int(level)
+        level = choose_level(control, wanted) if stated is None else int(stated)
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
     except CagemapError as error:
         return AssetSize(problem=str(error))
