@@ -165,7 +165,7 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
-    number[part.file_vertices] = np.arange(part.n_vertices)
+    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[::-1]  # the first copy of a split vertex
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded
