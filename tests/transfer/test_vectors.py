@@ -227,6 +227,7 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     for words, message in (
         (("--normal-map", "n.png", "--space", "world"), "tangent or object"),
         (("--normal-map", "n.png", "--green", "left"), "up or down"),
+        (("--normal-map", "n.png", "--space", "object", "--green", "down"), "--green: expected with --space tangent"),
     ):
         run.refused("transfer R", *words, "-o", "w.png", says=message)
     assert not (place / "w.png").exists()

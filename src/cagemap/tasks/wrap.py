@@ -28,7 +28,14 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
-from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
+from cagemap.tasks.detail_bakes import (
+    bake_wrapped,
+    outputs_beside,
+    require_bakeable,
+    require_green,
+    textures_read,
+    wrap_bakes,
+)
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
@@ -121,6 +128,7 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     if request.map is not None and len(request.results) > 1:
         raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
+    require_green(request)
     bakes = wrap_bakes(request)
     bakes.check()
     images = outputs_beside(request)

@@ -54,7 +54,7 @@ def bake_normal_map(
     space : "tangent" or "object"
         Tangent space is MikkTSpace's, of both refined surfaces.
     green : "up" or "down"
-        Whether green grows with v (OpenGL, Blender) or against it (DirectX), in both images.
+        Tangent space: whether green grows with v (OpenGL, Blender) or against it (DirectX), in both images.
     dtype, options
         As in `bake_texture`.
 
