@@ -250,7 +250,8 @@ def _chosen(
     columns = np.array([names.index(word) for word in words])
     chosen = chosen_joints(carried, _own(base, control, names, rows), columns)
     limited = normalised(pruned(chosen, request.influences or None), chosen.sum(axis=1))
-    return np.where(carried[:, columns].any(axis=1)[:, None], limited, chosen)
+    mixed = np.any(carried[:, columns], axis=1, keepdims=True)
+    return np.where(mixed, limited, chosen)
 
 
 def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:
