@@ -7,6 +7,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -103,13 +104,17 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
 
 def write_numbered(file: Path, data: bytes) -> Path:
     """Write a file; its name gets a number if a file of that name has another content. Returns the path."""
-    with tempfile.TemporaryDirectory() as folder:
-        sealed = Path(folder) / file.name
-        sealed.write_bytes(data)
-        seal(sealed)
-        contents = data, sealed.read_bytes()
+
+    @cache
+    def sealed() -> bytes:  # the content of the file if it was written before
+        with tempfile.TemporaryDirectory() as folder:
+            written = Path(folder) / file.name
+            written.write_bytes(data)
+            seal(written)
+            return written.read_bytes()
+
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
-    free = next(file for file in files if not file.exists() or file.read_bytes() in contents)
+    free = next(path for path in files if not path.exists() or path.read_bytes() in (data, sealed()))
     if not free.exists():
         write_whole(free, data)
     return free
