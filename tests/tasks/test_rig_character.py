@@ -323,7 +323,9 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
     _, target = read_body(Path("B.glb"))
     _, source = read_body(Path("C.glb"))
     parts = body_in(target, None, Path("B.glb")), body_in(source, "body", Path("C.glb"))
-    landmarks = _landmarks(RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), *parts)
+    landmarks = _landmarks(
+        RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), parts, (target, source)
+    )
     assert (landmarks.names, landmarks.curves.names) == (("spot",), ("rim",))
     sides = (landmarks.target_points, landmarks.curves.target), (landmarks.source_points, landmarks.curves.source)
     for (points, curves), part, mesh, corner in zip(sides, parts, meshes, corners, strict=True):
