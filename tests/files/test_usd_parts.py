@@ -235,9 +235,7 @@ def test_new_points_over_a_mesh_have_none_of_its_normals(tmp_path: Path) -> None
         assert complaints(tmp_path / f"{name}.usda") == []
 
 
-def test_stand_ins_and_primvars_that_say_nothing_are_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
     mesh = usd_mesh(stage, "/A/m", cube())
     for purpose in ("guide", "proxy"):

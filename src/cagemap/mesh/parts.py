@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
+from unicodedata import normalize
 
 import numpy as np
 
@@ -90,8 +91,9 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     if name == LARGEST:
         return max(connected_parts(mesh), key=lambda part: len(part.faces))
     matching = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
-    # A USD object is named by its whole path; its end is accepted too.
+    # A USD object is named by its whole path; its end is accepted too, and accents in both forms of Unicode.
     matching = matching or [part for part in parts if part.name.endswith(f"/{name}")]
+    matching = matching or [part for part in parts if normalize("NFC", name) in _composed(part)]
     different = {part.faces.tobytes() for part in matching}
     if len(different) > 1:
         titles = ", ".join(part.title for part in matching)
@@ -105,6 +107,11 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
             f"{', ...' if len(parts) > 12 else ''}; `cagemap check` lists all."
         )
     return matching[0]
+
+
+def _composed(part: Part) -> tuple[str, str]:
+    """Name and title of a part with composed accents."""
+    return normalize("NFC", part.name), normalize("NFC", part.title)
 
 
 def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:

@@ -13,7 +13,7 @@ from cagemap.errors import DirectionError, FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.landmarks.curves import pair_curves, pair_entries
 from cagemap.files.ownership import mark
-from cagemap.files.text import read_text, whole_characters
+from cagemap.files.text import composed, read_text
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import shown
 from cagemap.numerics.kinds import kinds_checked
@@ -111,7 +111,7 @@ def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
     name = data.get(side, "")
     if not isinstance(name, str):
         raise FormatError(f"{path}: expected the file name of the {side} mesh, got {shown(name)}. The form is {_FORM}.")
-    return whole_characters(name)
+    return composed(name)
 
 
 def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
@@ -133,7 +133,7 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
                 "vertices; weights are not negative and sum to 1."
             )
         ends.append(end)
-    return whole_characters(name), ends[0], ends[1]
+    return composed(name), ends[0], ends[1]
 
 
 def _end(value: Any) -> End | None:
@@ -202,7 +202,7 @@ def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -
 
 
 def _stem(name: str) -> str:
-    return Path(name.replace("\\", "/")).stem.casefold()
+    return Path(composed(name).replace("\\", "/")).stem.casefold()
 
 
 def _cage(stem: str) -> str:

@@ -25,7 +25,7 @@ from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
-from cagemap.files.text import read_text
+from cagemap.files.text import file_in, read_text
 from cagemap.files.usd.read import USD_SUFFIXES, is_usd, other_files, read_usd
 from cagemap.files.usd.space import stage_space, to_standard
 from cagemap.files.usd.write import write_usd
@@ -118,8 +118,7 @@ def referred_files(path: Path) -> list[Path]:
             text = read_text(path, "a glTF file") if suffix == ".gltf" else json_text(path)
             words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', text)
             names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
-            # Unlike `Path.is_file`, false for names that are too long, such as embedded data.
-            return [file for name in names if os.path.isfile(file := path.parent / name)]
+            return [file for name in names if os.path.isfile(file := file_in(path.parent, name))]
         if suffix == ".fbx":
             return named_textures(path)
         return other_files(path) if suffix in USD_SUFFIXES else []
