@@ -67,11 +67,6 @@ def whole_characters(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
-def composed(text: str) -> str:
-    """A text without lone surrogates, its accents composed (NFC); macOS decomposes those of file names."""
-    return unicodedata.normalize("NFC", whole_characters(text))
-
-
 def file_in(folder: Path, name: str) -> Path:
     """The path of a name in a folder; its accents as the disk has them, composed or decomposed."""
     forms = (name, unicodedata.normalize("NFC", name), unicodedata.normalize("NFD", name))

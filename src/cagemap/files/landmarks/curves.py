@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError, InvalidLandmarksError
-from cagemap.files.text import composed
+from cagemap.files.text import whole_characters
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges
 from cagemap.numerics.arrays import IndexArray, shown
@@ -101,7 +101,7 @@ def _named(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str
     name = item.get("name", f"curve {number}") if isinstance(item, dict) else None
     if not isinstance(name, str) or not isinstance(item.get("closed", False), bool):
         raise FormatError(f"{path}: curve {number} (0-based): expected {form}, got {shown(item)}.")
-    return composed(name), item
+    return whole_characters(name), item
 
 
 def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, form: str) -> tuple[IndexArray, bool]:

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from cagemap.errors import DirectionError, FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.landmarks.curves import pair_curves, pair_entries
 from cagemap.files.ownership import mark
-from cagemap.files.text import composed, read_text
+from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import shown
 from cagemap.numerics.kinds import kinds_checked
@@ -111,7 +112,7 @@ def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
     name = data.get(side, "")
     if not isinstance(name, str):
         raise FormatError(f"{path}: expected the file name of the {side} mesh, got {shown(name)}. The form is {_FORM}.")
-    return composed(name)
+    return whole_characters(name)
 
 
 def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
@@ -133,7 +134,7 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
                 "vertices; weights are not negative and sum to 1."
             )
         ends.append(end)
-    return composed(name), ends[0], ends[1]
+    return whole_characters(name), ends[0], ends[1]
 
 
 def _end(value: Any) -> End | None:
@@ -202,7 +203,7 @@ def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -
 
 
 def _stem(name: str) -> str:
-    return Path(composed(name).replace("\\", "/")).stem.casefold()
+    return Path(normalize("NFC", name).replace("\\", "/")).stem.casefold()
 
 
 def _cage(stem: str) -> str:

@@ -21,7 +21,7 @@ from cagemap.errors import FormatError
 from cagemap.files.landmarks.curves import MESH_FORM, curve_through, mesh_curves
 from cagemap.files.npz import read_npy
 from cagemap.files.schema import parse_json
-from cagemap.files.text import composed, read_bytes, read_text
+from cagemap.files.text import read_bytes, read_text, whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.faces import cage_triangles
@@ -60,10 +60,10 @@ def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoint
 def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -> NamedPoints:
     unknown = (math.nan,) * 3
     return NamedPoints(
-        tuple(composed(name) for name, _, _ in found),
+        tuple(whole_characters(name) for name, _, _ in found),
         np.array([vertex for _, vertex, _ in found], dtype=np.int64),
         np.array([unknown if at is None else at for _, _, at in found], dtype=np.float64).reshape(-1, 3),
-        composed(mesh_name),
+        whole_characters(mesh_name),
         curves,
     )
 
@@ -131,7 +131,7 @@ def _markups(path: Path, markups: list[Any]) -> NamedPoints:
             named.append((name, -1, _in_lps(_place(path, name, point.get("position")), turned)))
         kind = str(markup.get("type", ""))
         if kind in ("Curve", "ClosedCurve"):
-            title = composed(str(markup.get("name") or path.name.partition(".")[0]))
+            title = whole_characters(str(markup.get("name") or path.name.partition(".")[0]))
             curves.append(curve_through(path, title, [place for _, _, place in named], kind == "ClosedCurve"))
         else:
             every += named
