@@ -103,11 +103,13 @@ def set_positions(thing, shapes):
 
 
 def set_uvs(thing, layers):
-    """Write UV layers (c, 2) by name; corners without values keep what they have."""
+    """Write UV layers (c, 2) by name; corners without values keep what they have, in new layers 0."""
     claim(thing, "UV map", layers)
     for name, uvs in layers.items():
         layer = thing.data.uv_layers.get(name) or thing.data.uv_layers.new(name=name, do_init=False)
-        layer.uv.foreach_set("vector", np.nan_to_num(uvs).astype(np.float32).ravel())
+        kept = np.zeros(uvs.shape, dtype=np.float32)
+        layer.uv.foreach_get("vector", kept.ravel())
+        layer.uv.foreach_set("vector", np.where(np.isnan(uvs), kept, uvs).astype(np.float32).ravel())
 
 
 def set_colors(thing, colors):

@@ -297,7 +297,7 @@ def match_next(
 
     The fit starts from the map to the last frame; no other starts are tried, and errors add up from frame to frame
     (docs/lab/sequences.md). If the map folds more than ``max_folded_frame`` of `RefitConfig`, the frame is matched
-    without the last one.
+    without the last one; without landmarks only such a result has a ``confidence``.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ import tomllib
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,21 @@ def client(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setitem(sys.modules, "cagemap_blender", package)
     monkeypatch.delitem(sys.modules, "cagemap_blender.client", raising=False)
     return importlib.import_module("cagemap_blender.client")
+
+
+def test_uvs_without_values_stay(client: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "bpy", ModuleType("bpy"))
+    monkeypatch.setitem(sys.modules, "mathutils", ModuleType("mathutils"))
+    writing = importlib.import_module("cagemap_blender.writing")
+    stored = np.array([[0.25, 0.5], [0.75, 1.0]], dtype=np.float32)
+    uv = SimpleNamespace(
+        foreach_get=lambda _, values: np.copyto(values, stored.ravel()),
+        foreach_set=lambda _, values: np.copyto(stored, values.reshape(2, 2)),
+    )
+    monkeypatch.setattr(writing, "claim", lambda *_: None)
+    layers = {"map": SimpleNamespace(uv=uv)}
+    writing.set_uvs(SimpleNamespace(data=SimpleNamespace(uv_layers=layers)), {"map": np.array([[np.nan] * 2, [0, 0]])})
+    np.testing.assert_array_equal(stored, [[0.25, 0.5], [0.0, 0.0]])
 
 
 @pytest.fixture

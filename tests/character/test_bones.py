@@ -17,6 +17,7 @@ from cagemap.character.bones import (
     humanoid_joints,
     mirrored_joints,
 )
+from cagemap.character.roles import passenger_word
 from cagemap.character.values import Rig
 
 # Names and parents as the programs write them.
@@ -137,6 +138,29 @@ def test_joints_of_the_other_side() -> None:
     names = ["hips", "LeftArm", "RightArm", "CC_Base_L_Thigh", "CC_Base_R_Thigh", "calf_r", "calf_l", "toe.L", "Lid"]
     assert mirrored_joints(names).tolist() == [0, 2, 1, 4, 3, 6, 5, 7, 8]
     assert mirrored_joints(["finger1-1.L", "spine", "finger1-1.R"]).tolist() == [2, 1, 0]
+    camel = ["lThigh", "rThigh", "rig:rFoot", "rig:lFoot", "HandR", "HandL", "lid", "Tail"]
+    assert mirrored_joints(camel).tolist() == [1, 0, 3, 2, 5, 4, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("anybody", ""),
+        ("panther_body", ""),
+        ("Hatchling", ""),
+        ("Shortfin", ""),
+        ("Legume", ""),
+        ("male_bodysuit01", "suit"),
+        ("TopHat", "top"),
+        ("pants", "pant"),
+        ("Shorts_02", "short"),
+        ("cap01", "cap"),
+        ("LeftEye", "eye"),
+        ("CoatMesh", "coat"),
+    ],
+)
+def test_words_of_passengers(name: str, word: str) -> None:
+    assert passenger_word(name) == word
 
 
 def test_parents_are_bones() -> None:

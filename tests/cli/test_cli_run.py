@@ -23,6 +23,7 @@ from cagemap.files.result.manifest import code_version
 from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
 from cagemap.jobs.farm import farm_steps
 from cagemap.jobs.page import PairRow
+from cagemap.subdivision import refine
 from cagemap.tasks import dry_run
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.run_job import in_words
@@ -99,6 +100,22 @@ def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None
     assert said.exit_code == 0, said.output
     shown = {int(count) for count in re.findall(r"prepare \w+ \w+: ([0-9,]+) vertices", said.output)}
     assert shown == {0, *(read_mesh(folder / f"{name}.obj").n_vertices for name in ("pony", "deer"))}
+
+
+@pytest.mark.parametrize(("option", "levels"), [("target_level = 1", (None, 1)), ("source_level = 0", (0, None))])
+def test_a_dry_run_counts_each_side_by_its_own_options(
+    folder: Path, option: str, levels: tuple[int | None, int | None]
+) -> None:
+    job = folder / "job.toml"
+    job.write_text(JOB.replace("vertices = 1500", f"level = 2\n{option}"))
+    said = CliRunner().invoke(app, ["run", str(job), "--dry-run"])
+    assert said.exit_code == 0, said.output
+    (found,) = re.findall(r"match pony -> deer: ([0-9,]+) \+ ([0-9,]+) vertices", said.output)
+    for name, count, level in zip(("pony", "deer"), found, levels, strict=True):
+        expected = refine(read_mesh(folder / f"{name}.obj"), 2 if level is None else level).finest
+        assert int(count.replace(",", "")) == expected.n_vertices
+        assert f"prepare {name} " in said.output
+        assert re.search(rf"prepare {name} \w+: {count} vertices", said.output)
 
 
 def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,7 +62,9 @@ def test_help_of_match_is_in_groups() -> None:
 
 def test_settings_reach_the_request_and_the_last_of_one_name_counts(tmp_path: Path, asked: list[MatchRequest]) -> None:
     file = tmp_path / "basis.toml"
-    file.write_text('schedule = "9,5"\nliteral = true\n[source]\nk = 12\n[method]\nrounds = 3\nheat = 4\n')
+    file.write_text(
+        'schedule = "9,5"\nliteral = true\n[source]\nk = 12\nsymmetry = ["own.npy"]\n[method]\nrounds = 3\nheat = 4\n'
+    )
     words = [str(file), "schedule=100,50", "target.level=3", "accuracy=1e-8", "method.heat=6"]
     words += ["source.symmetry=a.npy", "source.symmetry=b.npy"]
     typed(*(word for one in words for word in ("--set", one)))
@@ -71,7 +73,7 @@ def test_settings_reach_the_request_and_the_last_of_one_name_counts(tmp_path: Pa
     assert request.literal is True
     assert (request.source_k, request.target_level, request.accuracy) == (12, 3, 1e-8)
     assert request.parameter == ("rounds=3", "heat=6")
-    assert request.source_symmetry == (Path("a.npy"), Path("b.npy"))
+    assert request.source_symmetry == (tmp_path / "own.npy", Path("a.npy"), Path("b.npy"))
     typed("--set", "source.k=12")
     assert asked[1] == MatchRequest(Path("t.obj"), Path("s.obj"), None, Path("R"), source_k=12)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import write_document
@@ -15,7 +17,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
-from cagemap.files.values.rigs import read_shapes, read_skeleton
+from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes
 from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.tasks.mesh_commands import check_files, check_values
 
@@ -43,6 +45,16 @@ def test_weights_and_shapes_of_the_whole_and_of_a_part(file: Path) -> None:
     assert read_shapes([file], whole)["raise"].shape == (9, 3)
     with pytest.raises(FormatError, match="'raise'"):
         read_shapes([file], part)
+
+
+@pytest.mark.parametrize("output", ["shapes", "cube.npz"])
+def test_written_shapes_come_back_without_the_cage_at_rest(tmp_path: Path, output: str) -> None:
+    cage = replace(cube(), name="cube.obj")
+    shapes = {"smile": np.ones((8, 3)), "none": np.zeros((8, 3))}
+    write_shapes(tmp_path / output, shapes, cage, [])
+    found = read_shapes([tmp_path if output.endswith(".npz") else tmp_path / output], cage)
+    assert sorted(found) == ["none", "smile"]
+    np.testing.assert_allclose(found["smile"], 1.0)
 
 
 def test_joints(file: Path) -> None:

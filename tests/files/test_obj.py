@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import unicodedata
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +16,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.meshes.formats import check_mesh_path, read_mesh, write_mesh
+from cagemap.files.landmarks.points import read_points
+from cagemap.files.meshes.formats import check_mesh_path, read_mesh, referred_files, write_mesh
 from cagemap.files.meshes.obj import read_obj
 from cagemap.files.meshes.obj_write import write_obj, write_obj_layout, write_obj_positions
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import pair_by_name
+from cagemap.mesh.parts import find_part
 
 from example_result import textured_cube
 
@@ -174,6 +180,35 @@ def test_materials_with_blanks_accents_and_missing_colours(tmp_path: Path) -> No
     assert mesh.face_materials.tolist() == [0, 1, 2, 3, 4]
     np.testing.assert_array_equal(mesh.material_colors[1:3], [[0.1, 0.2, 0.3], [0.5, 0.5, 0.5]])
     assert np.isnan(mesh.material_colors[[0, 3, 4]]).all()
+
+
+@pytest.mark.parametrize("stored", ["NFC", "NFD"])
+@pytest.mark.parametrize("stated", ["NFC", "NFD"])
+def test_accents_are_found_in_both_forms_of_unicode(tmp_path: Path, stored: str, stated: str) -> None:
+    """Files copied from a Mac have names whose accents are decomposed, texts that name them seldom."""
+    on_disk, in_text = (partial(unicodedata.normalize, form) for form in (stored, stated))
+    (tmp_path / on_disk("Kör per.mtl")).write_text("newmtl a\nKd 1 0 0\n")
+    mesh = read_text(tmp_path, f"mtllib {in_text('Kör per.mtl')}\n{SQUARE}g {on_disk('Füße')}\nusemtl a\nf 1 2 3\n")
+    assert mesh.material_colors.tolist() == [[1.0, 0.0, 0.0]]
+    assert find_part(mesh, in_text("Füße")).faces.tolist() == [0]
+    (tmp_path / on_disk("größe.bin")).write_bytes(b"1")
+    (tmp_path / "a.gltf").write_text(json.dumps({"buffers": [{"uri": in_text("größe.bin")}]}))
+    assert referred_files(tmp_path / "a.gltf") == [tmp_path / on_disk("größe.bin")]
+    for name, form in (("t", stored), ("s", stated)):
+        point = {"name": unicodedata.normalize(form, "Öse"), "vertex": 0}
+        (tmp_path / f"{name}.json").write_text(json.dumps({"points": [point]}, ensure_ascii=False), "utf-8")
+    target, source = (read_points(tmp_path / f"{name}.json") for name in ("t", "s"))
+    assert pair_by_name(target, source, cube(), cube())[0].names == ("Öse",)
+
+
+def test_materials_of_one_name_stay_two(tmp_path: Path) -> None:
+    names = ("red", "red", "red.001", "red")
+    colors = np.array([[1.0, 0, 0], [0.5, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
+    mesh = replace(cube(), face_materials=np.array([0, 1, 2, 3, 1, 0]), material_names=names, material_colors=colors)
+    write_obj(tmp_path / "mesh.obj", mesh)
+    found = read_obj(tmp_path / "mesh.obj")
+    assert found.material_names == ("red", "red.002", "red.001", "red.003")
+    np.testing.assert_array_equal(found.material_colors[found.face_materials], colors[mesh.face_materials])
 
 
 def test_missing_material_file_leaves_colours_unknown(tmp_path: Path) -> None:

@@ -67,6 +67,9 @@ def test_rows_of_a_part_in_any_order() -> None:
         below = -np.ones(count, dtype=np.int64)
         np.testing.assert_array_equal(rows.to_file(own, below)[own], own)
         assert (np.delete(rows.to_file(own, below), own) == -1).all()
+        fractions = rows.to_file(own, below + 0.5)  # whole numbers over fractions
+        assert (np.delete(fractions, own) == -0.5).all()
+        np.testing.assert_array_equal(fractions[own], own)
     corners = np.arange(len(scene.face_indices))
     np.testing.assert_array_equal(scene.face_indices[rows.to_part(corners)], rows.vertices[rows.part.face_indices])
     np.testing.assert_array_equal(rows.placed(rows.part.positions), scene.positions)
@@ -97,6 +100,34 @@ def test_values_of_the_whole_file_come_back_in_its_numbers(folder: Path, suffix:
     np.save(folder / "under.npy", np.full(scene.n_vertices - 1, 0.5))
     with pytest.raises(ParameterError, match=r"of shape \(\d+,\), one row a vertex of hero.obj, got"):
         run_transfer(over, Stages())
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".usda"])
+def test_a_base_without_the_carried_values_is_refused(folder: Path, suffix: str) -> None:
+    scene = _scene()
+    np.savez(folder / "two.npz", a=np.ones(scene.n_vertices), b=np.ones(scene.n_vertices))
+    base = folder / f"base{suffix}"
+    if suffix == ".usda":
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+        write_mesh(base, scene)
+    else:
+        np.savez(base, a=np.ones(scene.n_vertices), c=np.ones(scene.n_vertices))
+    request = TransferRequest(folder / "R", folder / "never.npz", attribute=folder / "two.npz", bases=(("", base),))
+    with pytest.raises(ParameterError, match=r"--base .* expected values of (a, )?b, as what is carried, got"):
+        run_transfer(request, Stages())
+    assert not (folder / "never.npz").exists()
+
+
+def test_the_columns_of_a_base_of_one_table_are_in_the_carried_order(folder: Path) -> None:
+    scene = _scene()
+    body = np.arange(scene.n_vertices) >= scene.n_vertices - creature().n_vertices
+    np.savez(folder / "pair.npz", a=np.ones(scene.n_vertices), b=np.ones(scene.n_vertices))
+    np.save(folder / "table.npy", np.tile([0.25, 0.75], (scene.n_vertices, 1)))
+    bases = (("", folder / "table.npy"),)
+    request = TransferRequest(folder / "R", folder / "o.npz", attribute=folder / "pair.npz", bases=bases)
+    run_transfer(request, Stages())
+    for name, expected in (("a", 0.25), ("b", 0.75)):
+        assert (read_attributes(folder / "o.npz")[name][~body] == expected).all()
 
 
 def test_values_at_faces_and_corners_too(folder: Path) -> None:

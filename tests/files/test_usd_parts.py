@@ -235,11 +235,13 @@ def test_new_points_over_a_mesh_have_none_of_its_normals(tmp_path: Path) -> None
         assert complaints(tmp_path / f"{name}.usda") == []
 
 
-def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) -> None:
+def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
     mesh = usd_mesh(stage, "/A/m", cube())
     for purpose in ("guide", "proxy"):
         UsdGeom.Imageable(usd_mesh(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
+    UsdGeom.Imageable(UsdGeom.Xform.Define(stage, "/A/off")).MakeInvisible()
+    usd_mesh(stage, "/A/off/hidden", cube())
     api, names = UsdGeom.PrimvarsAPI(mesh), Sdf.ValueTypeNames
     api.CreatePrimvar("empty", names.FloatArray, "vertex").Set([])
     api.CreatePrimvar("frames", names.Matrix4dArray, "vertex").Set([Gf.Matrix4d(1)] * 8)
@@ -247,6 +249,7 @@ def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) ->
     stage.Save()
     (read,) = read_usd_meshes(tmp_path / "asset.usda")
     assert read.path == "/A/m"
+    assert "left out meshes that are invisible or for previews: /A/guide, /A/proxy, /A/off/hidden" in caplog.text
     assert list(read.attributes) == ["height"]
 
 

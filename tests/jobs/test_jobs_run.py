@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 import threading
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ import pytest
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.jobs import Plan, Task, TaskOutcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.plan import content_hash
 from cagemap.jobs.run import execute, kept_outcome
@@ -64,13 +66,21 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
 
 
 @pytest.mark.parametrize("stated", [r"gr\u00f6\u00dfe 1.bin", "gr%C3%B6%C3%9Fe%201.bin", r"maps\\..\/größe 1.bin"])
-def test_the_hash_of_a_gltf_depends_on_its_buffer_however_it_is_named(stated: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("file", ["a.gltf", "a.glb", "a.VRM"])
+def test_the_hash_of_a_gltf_depends_on_its_buffer_however_it_is_named(stated: str, file: str, tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
-    (tmp_path / "a.gltf").write_text(f'{{"buffers": [{{"uri": "{stated}"}}, {{"uri": "data:,{"x" * 2000}"}}]}}')
-    (tmp_path / "größe 1.bin").write_bytes(b"as it was")
-    before = content_hash(str(tmp_path / "a.gltf"))
-    (tmp_path / "größe 1.bin").write_bytes(b"as it is")
-    assert content_hash(str(tmp_path / "a.gltf")) != before
+    text = f'{{"buffers": [{{"uri": "{stated}"}}, {{"uri": "data:,{"x" * 2000}"}}]}}'.encode()
+    head = b"" if file == "a.gltf" else struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")
+    (tmp_path / file).write_bytes(head + text)
+    hashes = []
+    for content in (b"as it was", b"as it is"):
+        (tmp_path / "größe 1.bin").write_bytes(content)
+        hashes.append(
+            (content_hash(str(tmp_path / file)), stated_inputs({"m": tmp_path / file}, tmp_path)["m"]["sha256"])
+        )
+    assert not set(hashes[0]) & set(hashes[1])
+    (tmp_path / file).write_bytes(head[:-1])  # cut short: its reader says so
+    assert content_hash(str(tmp_path / file))
 
 
 @pytest.mark.parametrize(

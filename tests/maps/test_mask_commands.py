@@ -210,6 +210,10 @@ def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:
     assert np.any(weight == 0)
     np.testing.assert_array_equal(kept[weight == 0], own[weight == 0])
     assert kept[weight > 0.9].min() > 4
+    np.savez(scene / "zeros.npz", weight=np.zeros(control.n_vertices, dtype=np.int64))
+    _run_transfer(scene, "mixed.npz", attribute=scene / "given.npz", bases=(("", scene / "zeros.npz"),))
+    mixed = read_attributes(scene / "mixed.npz")["weight"]  # whole numbers in a base are mixed as others are
+    np.testing.assert_allclose(mixed, kept - (1 - weight) * own, atol=1e-12)
     np.savez(scene / "shape.npz", up=np.tile([0.0, 1.0, 0.0], (control.n_vertices, 1)))
     _run_transfer(scene, "shapes.npz", blend_shapes=(scene / "shape.npz",))
     offsets = np.load(scene / "shapes.npz")["up"]

@@ -13,6 +13,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.pipeline import MatchConfig, MatchResult, match_next, match_pair, prepare_pair, prepare_surface
+from cagemap.spectral.surface import prepare_checked
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.wrap import run_wrap
@@ -92,6 +93,22 @@ def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkey
         run_wrap(WrapRequest(frames, output, target=cage, source=frames[0], blend_shapes=True), Stages())
     with pytest.raises(ParameterError, match="got frames"):
         run_wrap(WrapRequest(frames, output, target=cage, map=tmp_path / "m.npz", blend_shapes=True), Stages())
-    run_wrap(WrapRequest(frames, output, target=cage, blend_shapes=True), Stages())
+    (tmp_path / "again").mkdir()
+    write_mesh(tmp_path / "again" / "frame0.obj", frame(ANGLES[0], 0)[0])
+    again = (*frames, tmp_path / "again" / "frame0.obj")
+    with monkeypatch.context() as no_work:
+        no_work.delattr("cagemap.tasks.wrap.match_files")
+        with pytest.raises(ParameterError, match="different names"):
+            run_wrap(WrapRequest(again, output, target=cage, blend_shapes=True), Stages())
+    stages, notes, prepared = Stages(), list[str](), list[str]()
+    monkeypatch.setattr(stages, "note", notes.append)
+    monkeypatch.setattr(
+        "cagemap.tasks.match.prepare_checked",
+        lambda mesh, *options: prepared.append(mesh.name) or prepare_checked(mesh, *options),
+    )
+    run_wrap(WrapRequest(frames, output, target=cage, blend_shapes=True), stages)
+    assert sorted(prepared) == ["cage.obj", "frame0.obj", "frame1.obj"]  # the target once
+    assert [note.partition(": ")[0] for note in notes] == ["frame 1 of 2, frame0.obj", "frame 2 of 2, frame1.obj"]
+    assert "follows the last frame" in notes[1]
     written = read_mesh(output / "frame1.obj")
     assert np.abs(written.positions - moved(body.positions, ANGLES[1])).mean() < 0.03

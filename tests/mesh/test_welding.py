@@ -189,6 +189,11 @@ def test_every_copy_of_a_welded_vertex_has_its_number() -> None:
     welded = weld_mesh(mesh)
     assert welded.mesh.n_vertices < mesh.n_vertices
     np.testing.assert_array_equal(numbers_on_part(welded.mesh, mesh), welded.vertex_of)
+    sheet = grid(8, 8)  # a vertex where two places of the sheet touch becomes two
+    touching = replace(sheet, face_indices=np.where(sheet.face_indices == 10, 50, sheet.face_indices))
+    plain = plain_mesh(touching)
+    assert len(np.unique(plain.mesh.file_vertices)) < plain.mesh.n_vertices
+    np.testing.assert_array_equal(numbers_on_part(plain.mesh, touching), plain.vertex_of)
 
 
 def test_plain_pieces_set_aside_are_said_with_the_tolerance_that_joins_them() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from examples import shapes
@@ -63,6 +65,8 @@ def test_box_has_three_planes_and_a_cut_lid_makes_them_inexact():
     assert len(mirrors) == 3
     assert sum(mirror.exact for mirror in mirrors) < 3
     assert not is_symmetry(box, np.roll(np.arange(8), 1))
+    # A hole in one side: two planes cut it, the third one would move it to the other side.
+    assert sum(mirror.exact for mirror in mirror_symmetries(replace(box, hole_faces=np.array([2])))) == 2
 
 
 @pytest.mark.parametrize("turned", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])

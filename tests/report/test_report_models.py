@@ -35,6 +35,7 @@ from cagemap.report import (
     report_models,
     write_report,
 )
+from cagemap.report.looks import _index_uvs
 from cagemap.report.marks import SOURCE, TARGET, find_marks, name_marks
 from cagemap.report.models import pack_models
 from cagemap.report.page import MAX_TEXTURE_BYTES, encode_texture
@@ -169,6 +170,15 @@ def test_troubles_are_marked_where_they_are(result: MatchResult) -> None:
     assert away[0][first.vertex] < 0.7
     assert away[1][second.vertex] < 0.7
     assert (first.number, second.number) == (1, 2)
+
+
+@pytest.mark.parametrize(("shift", "moved"), [(0.0, False), (1.0, False), (1000.0, True), (-300.0, True)])
+def test_texture_coordinates_far_outside_the_square_stay_fine(shift: float, moved: bool) -> None:
+    corners = shift + np.random.default_rng(0).uniform(0.0, 0.9, (50, 3, 2))
+    keys, values = _index_uvs(corners)
+    apart = values[keys] - corners
+    np.testing.assert_allclose(apart, np.round(apart), atol=1e-9)
+    assert np.abs(values).max() <= 1.0 if moved else np.array_equal(values[keys], corners), values.max()
 
 
 def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:

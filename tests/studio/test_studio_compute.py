@@ -187,7 +187,7 @@ def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
 ) -> None:
     """One that has ended already, or is named no more, disturbs no other."""
     _, task = opened
-    unwanted, wanted = FindMap(task.pair_files, LandmarkList()), ShowBaked(task.pair_files, Path(), None, None)
+    unwanted, wanted = FindMap(task.pair_files, LandmarkList()), ShowBaked(task.pair_files, Path(), None, None, None)
     here, there = Pipe()
     worker = Worker(lambda stage: worker.cancel(unwanted))
     monkeypatch.setattr(worker, "_connect", lambda: here)

@@ -17,8 +17,9 @@ from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
 from cagemap.files.images.image import write_image
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.studio.autosave import FileTracker
 from cagemap.studio.compute import (
@@ -142,7 +143,7 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
         paths = tmp_path / "a.obj", tmp_path / "b.obj"
         opening = PairFiles(*paths, None, 300, tmp_path, schemes=(scheme, scheme), ups=("z", None))
         cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
-        task = ShowBaked(opening, tmp_path / "c.png", tmp_path / "c_unwrapped.obj", None)
+        task = ShowBaked(opening, tmp_path / "c.png", tmp_path / "c_unwrapped.obj", None, None)
         _, skin = run_task(cache, task, lambda _: None)
         (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
         assert b'"baked"' in skin
@@ -276,6 +277,23 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     drawn = attributes_of(source_skin(shape, look), "model")
     assert shape.uvs.max() > 1.9
     assert 0.9 < drawn["TEXCOORD_0"].max() < 1.0
+
+
+def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
+    mesh = unwrapped_cube()
+    second = UvSet("TEXCOORD_1", 0.5 * mesh.uvs, mesh.uv_indices)
+    write_mesh(tmp_path / "box.glb", replace(mesh, uv_sets=(second,)))
+    write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
+    opening = PairFiles(tmp_path / "box.glb", tmp_path / "box.glb", None, 300, tmp_path)
+    cache, _ = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+    outputs = (Output(tmp_path / "t.png", "texture"),)
+    for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
+        largest = factor * mesh.uvs[:, 0].max()
+        _, skin = run_task(cache, ShowBaked(opening, tmp_path / "t.png", None, uv_set, None), lambda _: None)
+        assert 0.9 * largest < attributes_of(skin, "model")["TEXCOORD_1"][:, 0].max() < 1.01 * largest
+        (tmp_path / "out.glb").write_bytes(textured_model(StudioState(files=files, outputs=outputs, uv_set=uv_set)))
+        assert read_mesh(tmp_path / "out.glb").uvs[:, 0].max() == pytest.approx(largest, abs=1e-6)
 
 
 def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Path) -> None:

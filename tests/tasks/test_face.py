@@ -19,15 +19,16 @@ from cagemap.files.gltf.character import read_character
 from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character
 from cagemap.files.usd.read import open_stage
 from cagemap.files.usd.space import StageSpace, stage_units
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies
-from cagemap.tasks.face import _cut, _head_vertices, _on_body
+from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.face import FaceRequest
 
 from command_line import Run
 from plain_meshes import ball
@@ -137,6 +138,22 @@ def test_a_head_in_usd_keeps_what_it_has_and_gets_shapes(
         np.testing.assert_allclose(pose_at(found.rig, found.animations[0], 1.0)[0, 3, :3], [0, 0, 0.5], atol=1e-6)
         largest = np.abs(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"]).max()
         assert np.abs(head.shapes["eyeBlinkLeft"]).max() == pytest.approx(0.01 * largest, rel=0.1)
+
+
+def test_points_between_vertices_are_kept_and_curves_are_said_to_be_unused(tmp_path: Path) -> None:
+    mesh = ball(2)
+    write_mesh(tmp_path / "H.obj", mesh)
+    middle = mesh.positions[mesh.face_indices[:3]].mean(axis=0)
+    curve = {"name": "lips", "vertices": [0, 1, 2], "closed": False}
+    points = [{"name": "chin", "position": middle.tolist()}, {"name": "nose_tip", "vertex": 5}]
+    (tmp_path / "P.json").write_text(json.dumps({"points": points, "curves": [curve]}))
+    head = Part("head", read_mesh(tmp_path / "H.obj"))
+    request = FaceRequest(tmp_path / "H.obj", tmp_path / "F.glb", landmarks=tmp_path / "P.json")
+    landmarks, (note,) = _landmarks(request, head, Character((head,)))
+    np.testing.assert_allclose(landmarks.target_points.of(mesh.positions), [middle, mesh.positions[5]], atol=1e-9)
+    np.testing.assert_array_equal(landmarks.source_points.vertices, kit_vertices(("chin", "nose_tip")))
+    assert "curves are left out" in note
+    assert "lips" in note
 
 
 def test_of_a_rigged_body_the_head_is_taken() -> None:

@@ -264,6 +264,7 @@ def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
         (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
+        (["--size", "64", "--keep-textures"], "--size: expected without --keep-textures"),
     ],
 )
 def test_refusals_name_what_is_wrong(run: Run, files: Character, words: list[str], said: str) -> None:
@@ -362,7 +363,9 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
     _, target = read_body(Path("B.glb"))
     _, source = read_body(Path("C.glb"))
     parts = body_in(target, None, Path("B.glb")), body_in(source, "body", Path("C.glb"))
-    landmarks = _landmarks(RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), *parts)
+    landmarks = _landmarks(
+        RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), parts, (target, source)
+    )
     assert (landmarks.names, landmarks.curves.names) == (("spot",), ("rim",))
     sides = (landmarks.target_points, landmarks.curves.target), (landmarks.source_points, landmarks.curves.source)
     for (points, curves), part, mesh, corner in zip(sides, parts, meshes, corners, strict=True):

@@ -13,7 +13,9 @@ import pytest
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import read_image, write_image
+from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import write_result
+from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -63,6 +65,22 @@ def test_the_image_inside_a_gltf_file_is_baked(tmp_path: Path) -> None:
     (tmp_path / "plain.gltf").write_text(json.dumps(scene))
     with pytest.raises(ParameterError, match=r"plain.gltf: expected a colour image .* --material-colors"):
         run_transfer(replace(request, texture=tmp_path / "plain.gltf"), Stages())
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdz"])
+def test_the_image_inside_a_usd_file_is_baked(tmp_path: Path, suffix: str) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from pxr import UsdUtils
+
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
+    control = identity_result().source.control
+    write_usd(tmp_path / "box.usda", control, UsdResults(textures={"albedo": "./skin.png"}))
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "box.usda"), str(tmp_path / "box.usdz"))
+    file = tmp_path / f"box{suffix}"
+    control = read_mesh(file)
+    write_result(tmp_path / "RESULT", identity_result(controls=(control, control)))
+    run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=file), Stages())
+    np.testing.assert_array_equal(read_image(tmp_path / "out.png").pixels[4, 4], [200, 30, 10])
 
 
 @pytest.mark.parametrize(

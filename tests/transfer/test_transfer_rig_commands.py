@@ -53,6 +53,11 @@ def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder:
     with np.load(place / "o.npz") as carried:
         table = np.column_stack([carried[name] for name in names])
     np.testing.assert_allclose(table, chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
+    run.done("transfer R --weights w.csv --only spine --base own.csv --influences 2 -o two.npz")
+    with np.load(place / "two.npz") as carried:
+        table = np.column_stack([carried[name] for name in names])
+    assert ((table > 0).sum(axis=1) <= 2)[table[:, 0] > 0].all()
+    np.testing.assert_allclose(table.sum(axis=1), 1.0, atol=1e-12)
     run.done("transfer R --weights w.csv --mirror -o m.npz")
     control = identity_result().target.control
     with np.load(place / "m.npz") as carried:

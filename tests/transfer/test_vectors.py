@@ -115,6 +115,19 @@ def test_vector_displacement_comes_back_and_scales(box: Level, space: str) -> No
     assert kept.scale == pytest.approx(0.6, rel=1e-9)
 
 
+@pytest.mark.parametrize(("dtype", "warned"), [("uint8", True), ("uint16", True), ("float32", False)])
+def test_rotated_vectors_outside_the_range_of_integers_are_reported(
+    box: Level, dtype: str, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    texture = np.ones((SIZE, SIZE, 3), np.float32)  # the longest vector; rotated by 45 degrees, its x is 0.71
+    given = texture if dtype == "float32" else (texture * np.iinfo(dtype).max).astype(dtype)
+    half = np.sqrt(0.5)
+    for turn, expected in ((np.eye(3), False), (np.array([[half, half, 0], [-half, half, 0], [0, 0, 1]]), warned)):
+        transfer = prepare_transfer(turned(box, turn), box, identity_map(box))
+        bake_vector_displacement(transfer, given, size=SIZE, space="object", midlevel=0.5, options=PLAIN)
+        assert ("are clipped" in caplog.text) == expected
+
+
 @pytest.mark.parametrize("kind", ["normals", "vectors"])
 def test_fine_detail_that_shrinks_becomes_its_mean_and_no_moire(kind: str) -> None:
     """Squares of 3 texels that lean to either side, shrunk by 40: 16 samples a side would hit them by chance."""
@@ -214,6 +227,7 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     for words, message in (
         (("--normal-map", "n.png", "--space", "world"), "tangent or object"),
         (("--normal-map", "n.png", "--green", "left"), "up or down"),
+        (("--normal-map", "n.png", "--space", "object", "--green", "down"), "--green: expected with --space tangent"),
     ):
         run.refused("transfer R", *words, "-o", "w.png", says=message)
     assert not (place / "w.png").exists()

@@ -64,8 +64,10 @@ jaw                   head                  =                    Jaw            
 
 # Prefixes without meaning: namespaces and objects, Rigify's deforming bones, Khronos' samples.
 _PREFIX = re.compile(r"^.*[:|/]|^(DEF[-_]|Skeleton_)")
-# Sides in names: a word, or a single letter.
-_SIDE_WORD = re.compile(r"[Ll]eft|[Rr]ight|LEFT|RIGHT|(?<![A-Za-z])[LlRr](?![A-Za-z])")
+# Sides in names: a word, a single letter, or one before or after a word in camel case (lThigh, ThighL).
+_SIDE_WORD = re.compile(
+    r"[Ll]eft|[Rr]ight|LEFT|RIGHT|(?<![A-Za-z])[LlRr](?![A-Za-z])|(?<![A-Za-z])[lr](?=[A-Z])|(?<=[a-z])[LR](?![A-Za-z])"
+)
 _SIDE_PAIRS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
 _OPPOSITE_SIDE = {spelling: opposite for pair in _SIDE_PAIRS for spelling, opposite in (pair, pair[::-1])}
 # Numbers that some exporters append to all names.

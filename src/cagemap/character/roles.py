@@ -10,11 +10,11 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.mesh_report import first_few
 
-# Words in the names of passengers.
+# Words in the names of passengers; those that begin other words (panther, hatchling) end there.
 _PASSENGER_WORDS = re.compile(
-    r"eye|lash|brow|teeth|tooth|tongue|gum|hair|beard|moustache|hat|cap\b|helmet|glasses|shirt|top\b|jacket|coat|suit|"
-    r"dress|skirt|trouser|pant|jean|short|cloth|outfit|garment|shoe|boot|sock|glove|belt|bag|scarf|cape|armor|armour|"
-    r"weapon|sword|accessor",
+    r"eye|lash|brow|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
+    r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
+    r"(?:gum|hat|cap|top|coat|pant|jean|short|bag|cape)(?=s?(?-i:(?![a-z])))",
     re.IGNORECASE,
 )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import stat
+import unicodedata
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -63,6 +65,13 @@ def decoded(content: bytes, path: Path, what: str) -> str:
 def whole_characters(text: str) -> str:
     """A text without lone surrogates, which JSON and file names may have but nothing can write."""
     return text.encode("utf-8", "replace").decode()
+
+
+def file_in(folder: Path, name: str) -> Path:
+    """The path of a name in a folder; its accents as the disk has them, composed or decomposed."""
+    forms = (name, unicodedata.normalize("NFC", name), unicodedata.normalize("NFD", name))
+    # Unlike `Path.is_file`, false for names that are too long.
+    return next((folder / form for form in forms if os.path.isfile(folder / form)), folder / name)
 
 
 def text_name(path: Path) -> str:

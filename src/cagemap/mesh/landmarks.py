@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
+from unicodedata import normalize
 
 import numpy as np
 
@@ -136,6 +137,12 @@ class Landmarks:
         )
 
 
+def _composed(points: NamedPoints) -> NamedPoints:
+    """Points and curves with composed accents in their names; macOS writes decomposed ones."""
+    curves = tuple(replace(curve, name=normalize("NFC", curve.name)) for curve in points.curves)
+    return replace(points, names=tuple(normalize("NFC", name) for name in points.names), curves=curves)
+
+
 def pair_by_name(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[Landmarks, tuple[str, ...]]:
@@ -143,9 +150,10 @@ def pair_by_name(
 
     DirectionError if a file of points names the other mesh; InvalidLandmarksError if no name is on both sides.
     """
+    target_points, source_points = _composed(target_points), _composed(source_points)
     for points, mesh, other_mesh in ((target_points, target, source), (source_points, source, target)):
         stated_name, own_name, other_name = (
-            PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other_mesh.name)
+            PurePath(normalize("NFC", name)).stem.casefold() for name in (points.mesh_name, mesh.name, other_mesh.name)
         )
         if stated_name == other_name != own_name:
             raise DirectionError(

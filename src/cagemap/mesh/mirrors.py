@@ -106,13 +106,16 @@ def _query(tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IndexArray]:
 
 
 def is_symmetry(control: ControlMesh, image: IndexArray) -> bool:
-    """Whether a vertex permutation maps faces to faces, creases and corners to equally sharp ones."""
+    """Whether a vertex permutation maps faces to faces, holes to holes, creases and corners to equally sharp ones."""
     if not np.array_equal(np.sort(image), np.arange(control.n_vertices)):
         return False
     elements = []
+    kinds = np.ones(control.n_faces)
+    if control.hole_faces is not None:
+        kinds[control.hole_faces] = 2.0
     for size in np.unique(control.face_sizes):
         corners = control.face_offsets[:-1][control.face_sizes == size, None] + np.arange(size)
-        elements.append((control.face_indices[corners], np.ones(len(corners))))
+        elements.append((control.face_indices[corners], kinds[control.face_sizes == size]))
     if control.crease_edges is not None and control.crease_sharpness is not None:
         elements.append((control.crease_edges, control.crease_sharpness))
     if control.corner_vertices is not None and control.corner_sharpness is not None:

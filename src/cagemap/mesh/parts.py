@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +90,9 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     if name == LARGEST:
         return max(connected_parts(mesh), key=lambda part: len(part.faces))
     matching = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
-    # A USD object is named by its whole path; its end is accepted too.
+    # A USD object is named by its whole path; its end is accepted too, and accents in both forms of Unicode.
     matching = matching or [part for part in parts if part.name.endswith(f"/{name}")]
+    matching = matching or [part for part in parts if normalize("NFC", name) in _composed(part)]
     different = {part.faces.tobytes() for part in matching}
     if len(different) > 1:
         titles = ", ".join(part.title for part in matching)
@@ -104,6 +106,11 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
             f"{', ...' if len(parts) > 12 else ''}; `cagemap check` lists all."
         )
     return matching[0]
+
+
+def _composed(part: Part) -> tuple[str, str]:
+    """Name and title of a part with composed accents."""
+    return normalize("NFC", part.name), normalize("NFC", part.title)
 
 
 def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
@@ -161,7 +168,7 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
-    number[part.file_vertices] = np.arange(part.n_vertices)
+    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[::-1]  # the first copy of a split vertex
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded

@@ -21,6 +21,8 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 # HTML ids of the models' textures.
 SOURCE_TEXTURE_ID, TARGET_TEXTURE_ID = "source-texture", "target-texture"
+# Texture coordinates beyond this are moved to the unit square: 16 bits for up to 2 are 1/16000 of an image.
+_FAR_UVS = 2.0
 # Shapes of a page, without the one at rest.
 MAX_SHAPES = 12
 
@@ -161,7 +163,12 @@ def _vertex_texture(display: DisplaySurface, corner_uvs: FloatArray, texture: Fl
 
 
 def _index_uvs(corner_uvs: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Index of the texture coordinates of every corner (t, 3), and the distinct coordinates (k, 2)."""
+    """Index of the texture coordinates of every corner (t, 3), and the distinct coordinates (k, 2).
+
+    Triangles far outside the unit square are moved to it: the page repeats images, and has 16 bits for a coordinate.
+    """
+    if np.abs(corner_uvs).max(initial=0.0) > _FAR_UVS:
+        corner_uvs = corner_uvs - np.floor(corner_uvs.min(axis=1, keepdims=True))
     values, inverse = np.unique(corner_uvs.reshape(-1, 2), axis=0, return_inverse=True)
     return inverse.reshape(-1, 3), values
 

@@ -22,8 +22,10 @@ from cagemap.studio.landmarks import LandmarkList, SideNames
 from cagemap.studio.models import OpenedModel, converted_model, open_model, with_texture
 from cagemap.studio.poses import animated_character, animation_poses, pose_shapes
 from cagemap.studio.scene import Scene
+from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
+from cagemap.subdivision import refine
 
 Progress = Callable[[str], None]
 
@@ -76,11 +78,12 @@ class FindMap:
 
 @dataclass(frozen=True)
 class ShowBaked:
-    """Draw a baked image on the target, in its own UV layout or a file's."""
+    """Draw a baked image on the target, in a UV set of its own (None: the first) or a file's layout."""
 
     pair_files: PairFiles
     image: Path
     layout: Path | None
+    uv_set: str | None
     preview_map: PreviewMap | None
 
 
@@ -363,8 +366,11 @@ def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
 
 
 def _baked_skin(target: OpenedModel, source: OpenedModel, task: ShowBaked) -> bytes:
-    """The target with a baked image, in its own UV layout or the task's."""
+    """The target with a baked image, in the task's UV set or layout."""
     shape, preview_map = target.shape, task.preview_map
+    if task.uv_set is not None:
+        refined = refined_shape(refine(shape.control.with_uv_set(task.uv_set), target.level))
+        shape = replace(shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
     if shape.uvs is None and task.layout is not None:
         unwrapped = open_model(task.layout, target.scheme, None, len(shape.positions)).shape
         if np.array_equal(unwrapped.triangles, shape.triangles):

@@ -53,7 +53,10 @@ def textured_model(state: StudioState) -> bytes:
     image = _first_image(state)
     assert image is not None
     assert state.files is not None
-    mesh = read_whole(layout_mesh(state, image) or state.files.target)
+    layout = layout_mesh(state, image)
+    mesh = read_whole(layout or state.files.target)
+    if layout is None and state.uv_set is not None:
+        mesh = replace(mesh.with_uv_set(state.uv_set), uv_name="")  # written first: named sets keep their numbers
     materials = np.zeros(mesh.n_faces, dtype=np.int64)
     mesh = replace(mesh, face_materials=materials, material_names=(image.stem,), material_colors=np.ones((1, 3)))
     with tempfile.TemporaryDirectory() as folder:

@@ -53,7 +53,7 @@ class Preview:
         self._open_request = False
         self._map_request: bool | None = None  # True: a match from the start
         self._answer_request: int | None = None
-        self._baked_request: tuple[Path, Path | None] | None = None
+        self._baked_request: tuple[Path, Path | None, str | None] | None = None
         self._pose_request: str | None = None
         self._closed = False
         self._title = ""
@@ -95,10 +95,10 @@ class Preview:
             self._answer_request = answer
             self._condition.notify()
 
-    def show_baked(self, image: Path, layout: Path | None) -> None:
-        """Show a baked image, in the target's UV layout or that of a mesh file."""
+    def show_baked(self, image: Path, layout: Path | None, uv_set: str | None) -> None:
+        """Show a baked image, in a UV set of the target or the layout of a mesh file."""
         with self._condition:
-            self._baked_request = image, layout
+            self._baked_request = image, layout, uv_set
             self._condition.notify()
 
     def show_posed(self, pose: str) -> None:

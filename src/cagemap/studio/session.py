@@ -133,7 +133,7 @@ class Session(LandmarkEdits):
             if view.pose != before.pose and self._scene is not None:
                 self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
-                self._preview.show_baked(view.baked, view.layout)
+                self._preview.show_baked(view.baked, view.layout, self._state.uv_set)
 
     def change_view(self, **fields: object) -> None:
         """Change fields of the view; mode "baked" shows the last baked image by default."""
@@ -196,7 +196,7 @@ class Session(LandmarkEdits):
             self.show(map_view(self._state.view))
             remaining = self._last_map.remaining_commands(commands, self._state)
             reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
-            self._change(outputs=reused)
+            self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
             self._finish_inputs = self._state.map_inputs
             if options.texture and files.texture is None:
                 substitute = "the colours of its materials are" if scene.has_colors else "the wrapped mesh is"

@@ -229,6 +229,8 @@ class StudioState:
     probe : Probe or None
     messages : tuple of Message
     outputs : tuple of Output
+    uv_set : str or None
+        The target's UV set that the images of ``outputs`` are in; None: the first.
     saved : bool
         Whether the landmark file holds the current landmarks.
     """
@@ -244,6 +246,7 @@ class StudioState:
     probe: Probe | None = None
     messages: tuple[Message, ...] = ()
     outputs: tuple[Output, ...] = ()
+    uv_set: str | None = None
     saved: bool = True
 
     @property
@@ -262,7 +265,7 @@ class StudioState:
         return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
 
 
-_PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "saved")
+_PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "uv_set", "saved")
 # Values of the fields that depend on the open pair, for a newly opened one.
 INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name in _PAIR_FIELDS}
 

@@ -14,6 +14,8 @@ from cagemap.files.gltf.material_images import extract_texture
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
+from cagemap.files.usd.convert import usd_document
+from cagemap.files.usd.read import USD_SUFFIXES, is_usd
 from cagemap.files.usd.results import unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
@@ -98,10 +100,11 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 
 
 def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Path:
-    """An image file as given, or the image of a glTF or FBX file, written into RESULT."""
-    if path.suffix.lower() not in SCENE_SUFFIXES:
+    """An image file as given, or the image of a glTF, FBX or USD file, written into RESULT."""
+    if path.suffix.lower() not in (*SCENE_SUFFIXES, *USD_SUFFIXES):
         return path
-    image = extract_texture(path, result.source.control, request.result)
+    document = usd_document(path) if is_usd(path) else None
+    image = extract_texture(path, result.source.control, request.result, document)
     if image is None:
         raise ParameterError(
             f"{path}: expected a colour image on most of {result.source.control.name} that repeats over its UV set in "

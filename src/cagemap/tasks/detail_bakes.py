@@ -111,6 +111,14 @@ class DetailBakes:
             check_writable(path, self.dtype(kind), self.channels(kind) + more.get(kind, 0))
 
 
+def require_green(request: TransferRequest | WrapRequest) -> None:
+    """Refuse ``--green down`` in object space, where it means nothing."""
+    if request.space == "object" and request.green != "up":
+        raise ParameterError(
+            "--green: expected with --space tangent, object space has no such convention. Leave it out."
+        )
+
+
 def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str]]:
     """`Detail` of a mesh over the source of a bake, and warnings."""
     source = transfer.point_map.source

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 
 from cagemap.errors import CagemapError
@@ -20,6 +21,7 @@ from cagemap.jobs.costs import (
     worker_memory,
 )
 from cagemap.jobs.farm import farm_steps, numbered_tasks
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.schemes import Plain
 from cagemap.pipeline import choose_level
@@ -55,7 +57,12 @@ class AssetSize:
 
 def dry_run(job: Job, plan: Plan, workers: int) -> str:
     """Text with a job's tasks, their states and sizes, and estimated time, memory and disk space."""
-    sizes = {name: _size(job, name, plan) for name in job.assets}
+    read = cache(lambda name: read_whole(job.assets[name].file))
+    models = dict.fromkeys(model for task in plan.tasks for model in _models(task))
+    named = {name for name, _ in models}
+    models |= dict.fromkeys((name, "target") for name in job.assets if name not in named)
+    sizes = {(name, side): _size(job, name, side, plan, read) for name, side in models}
+    problems = {name: size.problem for (name, _), size in sizes.items() if size.problem}
     lines, total, memory, disk = [], 0.0, 0.0, 0.0
     missing = missing_tasks(plan)
     waiting = {task.name for task in missing}
@@ -63,7 +70,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         if task.name not in waiting:
             lines.append(f"  {number} {task.name}: done")
             continue
-        asset_sizes = [sizes[name] for name in task.pair or (task.request["asset"],)]
+        asset_sizes = [sizes[model] for model in _models(task)]
         vertex_sizes = [size.both for size in asset_sizes]
         seconds = _seconds(task, vertex_sizes)
         total, memory, disk = (
@@ -81,7 +88,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
             *lines,
             f"  {farm_steps(plan)[-1].last} page",
             *(f"  {text}" for text in plan.omitted_outputs),
-            *(f"  {name} cannot be used: {size.problem}" for name, size in sizes.items() if size.problem),
+            *(f"  {name} cannot be used: {problems[name]}" for name in job.assets if name in problems),
             f"about {total / 60:.1f} core minutes, {minutes:.1f} minutes with {workers} workers (within a factor of "
             f"{ERROR_FACTOR:g} on the machine that was measured)",
             f"about {memory / 1e9:.1f} GB of memory for each worker, {disk / 1e9:.2f} GB on the disk",
@@ -118,15 +125,18 @@ def _bytes(task: Task, sizes: list[AssetSize]) -> float:
     return result_bytes([size.both for size in sizes]) if task.kind in ("match", "compose") else 0.0
 
 
-def _size(job: Job, name: str, plan: Plan) -> AssetSize:
-    """Size of an asset with the options of its first pair."""
-    options = next((_options(task.request) for task in plan.tasks if _reads(task, name)), {})
+def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], ControlMesh]) -> AssetSize:
+    """Size of an asset as target or source, with the options of its first task."""
+    tasks = (task for task in plan.tasks if task.kind in ("prepare", "match") and (name, side) in _models(task))
+    options = next((_options(task.request) for task in tasks), {})
     try:
-        subdivision = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
-        control = subdivision.applied(read_whole(job.assets[name].file))
-        wanted = int(options.get("vertices") or DEFAULT_VERTICES)
-        is_plain = isinstance(control.scheme, Plain)  # then `--level` does not count
-        level = int((not is_plain and options.get("level")) or choose_level(control, wanted))
+        scheme = options.get(f"{side}_scheme") or job.assets[name].scheme or options.get("scheme")
+        control = SubdivisionRequest(scheme).applied(read(name))
+        stated, vertices = options.get(f"{side}_level"), options.get(f"{side}_vertices")
+        if stated is None and vertices is None and not isinstance(control.scheme, Plain):
+            stated = options.get("level")
+        wanted = int(vertices or options.get("vertices") or DEFAULT_VERTICES)
+        level = choose_level(control, wanted) if stated is None else int(stated)
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
     except CagemapError as error:
         return AssetSize(problem=str(error))
@@ -134,14 +144,16 @@ def _size(job: Job, name: str, plan: Plan) -> AssetSize:
     return AssetSize(control.n_vertices, counts[-1], prepared, control.uvs is not None)
 
 
-def _reads(task: Task, name: str) -> bool:
-    return (task.kind == "prepare" and task.request["asset"] == name) or (
-        task.kind == "match" and task.pair is not None and name in task.pair
-    )
+def _models(task: Task) -> list[tuple[str, str]]:
+    """Names and sides of the assets that a task reads: source and target of its pair, or one of them."""
+    if task.pair is None:
+        return [(task.request["asset"], task.request.get("side", "target"))]
+    return list(zip(task.pair, ("source", "target"), strict=True))
 
 
 def _options(request: Mapping[str, object]) -> dict[str, str]:
-    """Size options of a task's request, from its ``options`` or the request itself."""
+    """Size options of a task's request, from its ``options`` or the request itself, also with a side before them."""
     nested = request.get("options")
     options = nested if isinstance(nested, dict) else request
-    return {key: str(value) for key, value in options.items() if key in ("vertices", "level", "scheme") and value}
+    names = {f"{side}{name}" for side in ("", "target_", "source_") for name in ("vertices", "level", "scheme")}
+    return {key: str(value) for key, value in options.items() if key in names and value is not None}

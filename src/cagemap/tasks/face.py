@@ -16,18 +16,25 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_whole
-from cagemap.mesh.cage_points import on_cage
+from cagemap.mesh.cage_points import CagePoints, on_cage
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, numbers_on_part
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import body_shapes, match_bodies, nearest, with_part
+from cagemap.tasks.carry_character import body_shapes, match_bodies, with_part
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.options import comma_words
-from cagemap.tasks.rig_character import body_in, character_positions, read_body, require_output, write_character
+from cagemap.tasks.rig_character import (
+    body_in,
+    character_positions,
+    points_on_body,
+    read_body,
+    require_output,
+    write_character,
+)
 
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _TRUSTED = 0.8
@@ -46,7 +53,8 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     kit = replace(kit, shapes={name: offsets for name, offsets in kit.shapes.items() if name not in kept})
     vertices = _head_vertices(body, file_character.rig)
     head = body if vertices is None else _cut(body, vertices)
-    bodies = match_bodies(head, kit, _landmarks(request, head), stages)
+    landmarks, notes = _landmarks(request, head, file_character)
+    bodies = match_bodies(head, kit, landmarks, stages)
     trusted = bodies.result.quality.trusted_area
     if trusted < _TRUSTED:
         raise ParameterError(
@@ -57,7 +65,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     stages("shapes")
     shapes = _on_body(body_shapes(bodies), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
-    notes = [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
+    notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages("write")
     with all_or_nothing():
         made = character_glb(character, document)
@@ -109,15 +117,20 @@ def _cut(body: Part, vertices: IndexArray) -> Part:
     return Part(body.name, replace(extract_faces(body.mesh, faces), name=body.mesh.name))
 
 
-def _landmarks(request: FaceRequest, head: Part) -> Landmarks:
-    """Landmarks from points of HEAD's file to the kit's points of the same names."""
+def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[Landmarks, list[str]]:
+    """Landmarks from points of HEAD's file to the kit's points of the same names; and notes.
+
+    ``character``: of HEAD's file.
+    """
     if request.landmarks is None:
-        return Landmarks.none()
+        return Landmarks.none(), []
     mesh = read_whole(request.head)
     points = read_points(request.landmarks, mesh)
-    rows = kit_vertices(points.names)
-    places = character_positions(request.head, mesh)[on_cage(points, mesh).nearest_vertices]
-    return Landmarks(points.names, nearest(head.mesh.positions, places), np.array(rows, dtype=np.int64))
+    on_kit = CagePoints.of_vertices(np.array(kit_vertices(points.names), dtype=np.int64))
+    on_head = points_on_body(on_cage(points, mesh), character_positions(request.head, mesh, character), head)
+    names = ", ".join(curve.name for curve in points.curves)
+    notes = [f"{request.landmarks}: curves are left out, since the built-in face has none: {names}"] if names else []
+    return Landmarks.of_points(points.names, on_head, on_kit, mesh.name, "face"), notes
 
 
 def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str, FloatArray]:

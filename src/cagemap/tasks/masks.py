@@ -12,6 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
+from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import is_usd, read_usd_meshes
 from cagemap.files.values.attributes import read_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
@@ -25,10 +26,6 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
-from typing import Any
-
-from numpy.typing import NDArray
-
 from cagemap.files.values.attributes import Attributes
 from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.tasks.requests.import_map import MapRequest
@@ -220,19 +217,18 @@ def keep_base(
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    own_values = read_attributes(base, result.target.control, rows)
+    own_values = _own_values(base, result.target.control, rows, carried)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():
-        below = _named(own_values, name, len(carried))
-        if below is None or below.shape != values.shape:
-            shape = "none" if below is None else f"shape {below.shape}"
+        below = own_values[name]
+        if below.shape != values.shape:
             raise ParameterError(
-                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {shape}. Give "
-                "the target's own values."
+                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got shape {below.shape}. "
+                "Give the target's own values."
             )
         share = _rows(result, weight, len(values)).reshape(-1, *([1] * (values.ndim - 1)))
-        if values.dtype.kind == "i" or below.dtype.kind == "i":
+        if values.dtype.kind == "i":  # labels are not mixed
             kept[name] = np.where(share >= 0.5, values, below)
         else:
             kept[name] = below + share * (values - below)
@@ -242,15 +238,25 @@ def keep_base(
 def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
-    usd = base is not None and is_usd(base)
-    own_values = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
-    below = {name: values for name in carried if (values := _named(own_values, name, len(carried))) is not None}
+    below = {} if base is None or rows is None else _own_values(base, rows.whole, None, carried)
     return to_file(carried, rows, below)
 
 
-def _named(own: Attributes, name: str, count: int) -> NDArray[Any] | None:
-    """The target's own values of a name, or its only array if one array is carried."""
-    return own.get(name, next(iter(own.values())) if len(own) == count == 1 else None)
+def _own_values(base: Path, control: ControlMesh, rows: FileRows | None, carried: Attributes) -> Attributes:
+    """The target's own values by carried name; a file's only table has the names' order."""
+    given = read_attributes(base, control, rows)
+    table = given.get(JOINT_WEIGHTS) if len(given) > 1 else next(iter(given.values()), None)
+    if all(name in given for name in carried):
+        return given
+    if len(given) == len(carried) == 1:
+        return dict(zip(carried, given.values(), strict=True))
+    if table is not None and table.ndim == 2 and table.shape[1] == len(carried):
+        return dict(zip(carried, table.T, strict=True))
+    missing = [name for name in carried if name not in given]
+    raise ParameterError(
+        f"--base {base}: expected values of {', '.join(missing)}, as what is carried, got {', '.join(given)}. Give the "
+        "target's own values."
+    )
 
 
 def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:

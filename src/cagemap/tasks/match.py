@@ -76,15 +76,21 @@ class MatchSettings:
     before: MatchResult | None = None  # match of the source's last frame, from which the match starts
 
 
-def run_match(request: MatchRequest, stages: Stages, before: MatchResult | None = None) -> tuple[str, list[str]]:
-    """Match two mesh files and write the RESULT folder; returns a summary and warnings.
+def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
+    """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
+    started = time.perf_counter()
+    result = match_files(request, stages)
+    return summary(result, request.output, time.perf_counter() - started), warnings(result)
 
-    ``before``, of the same target and the source's last frame, is the start of the match.
+
+def match_files(request: MatchRequest, stages: Stages, before: MatchResult | None = None) -> MatchResult:
+    """Match two mesh files and write the RESULT folder.
+
+    ``before``, of the same target and the source's last frame, is the start of the match; its target is used again.
     """
     require_level_or_vertices(request)
     config = match_config(request)
     side_bases(request)  # refuse invalid bases before meshes are read
-    started = time.perf_counter()
     stages("read")
     optional = ("landmarks", "target_points", "source_points", "curves")
     files = {"target": request.target, "source": request.source}
@@ -122,7 +128,7 @@ def run_match(request: MatchRequest, stages: Stages, before: MatchResult | None 
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
-    return summary(result, request.output, time.perf_counter() - started), warnings(result)
+    return result
 
 
 def match_config(request: MatchRequest) -> MatchConfig:
@@ -236,13 +242,17 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
         require_size(control, level)
         _log.info("%s: level %d", control.name, level)
     prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
-    target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
+    if settings.before is None:
+        target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
+    else:
+        stages(f"prepare {part.source.name}")
+        target, source = settings.before.target, prepare(part.source, settings.levels[1], settings.bases[1])
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
     if settings.before is None:
         result = match(target, source, part.landmarks, config, progress=stages)
     else:
-        result = match_next(replace(settings.before, target=target), source, part.landmarks, config, progress=stages)
+        result = match_next(settings.before, source, part.landmarks, config, progress=stages)
     repairs = [pair.repairs for pair in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -247,7 +247,11 @@ def _chosen(
     base = base_of(request)
     if base is None:
         raise ParameterError("--only: expected the target's own weights of the other joints. Give them as --base.")
-    return chosen_joints(carried, _own(base, control, names, rows), np.array([names.index(word) for word in words]))
+    columns = np.array([names.index(word) for word in words])
+    chosen = chosen_joints(carried, _own(base, control, names, rows), columns)
+    limited = normalised(pruned(chosen, request.influences or None), chosen.sum(axis=1))
+    mixed = np.any(carried[:, columns], axis=1, keepdims=True)
+    return np.where(mixed, limited, chosen)
 
 
 def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:

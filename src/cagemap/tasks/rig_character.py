@@ -32,7 +32,7 @@ from cagemap.files.images.image import Image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.convert import document_and_character, read_usd_character, usd_document
+from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.read import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.files.usd.space import similar_space
 from cagemap.maps.hypotheses.confidence import SURE
@@ -61,11 +61,12 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
-    document = usd_document(request.like) if is_usd(request.like) else read_document(request.like)
-    source = character_of(document)
+    document, given_source = read_body(request.like)
+    assert document is not None  # `_require_paths` refuses meshes alone
+    source = character_of(document) if is_usd(request.like) else given_source
     body_document, target = read_body(request.body)
     to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
-    landmarks = _landmarks(request, to, of)
+    landmarks = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
     laid_out = to.mesh if keeps or of.mesh.uvs is None else _in_one_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
@@ -87,6 +88,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
         dressed, document, baked, notes = _textured(
             replace(carried, character=dressed), source, of, document, request.size
         )
+    elif request.size is not None:
+        notes.append(f"--size is not used: {of.name} of {request.like} has no material whose textures could be baked")
     stages("write")
     rigged_document = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
     if request.report is not None:
@@ -102,6 +105,10 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
 
 
 def _require_paths(request: RigRequest) -> None:
+    if request.keep_textures and request.size is not None:
+        raise ParameterError(
+            "--size: expected without --keep-textures, which bakes no textures. Leave one of them out."
+        )
     _require_suffix(request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES), "Export it as GLB")
     require_output(request.output)
     inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
@@ -164,35 +171,45 @@ def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Cha
     return with_part(character, part, new_part), new_part
 
 
-def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
-    """Landmarks and curves of the files' meshes as points of the two bodies."""
+def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple[Character, Character]) -> Landmarks:
+    """Landmarks and curves of the files' meshes as points of the two bodies.
+
+    ``characters``: as `read_body` reads them.
+    """
     if request.landmarks is None:
         return Landmarks.none()
     meshes = read_whole(request.body), read_whole(request.like)
     given, _ = read_landmarks(request.landmarks, request.body, request.like)
     check_landmarks(given, *meshes)
-    places = [character_positions(file, mesh) for file, mesh in zip((request.body, request.like), meshes, strict=True)]
-    points = (_on_body(given.target_points, places[0], target), _on_body(given.source_points, places[1], source))
+    (target, source), files = bodies, (request.body, request.like)
+    places = [character_positions(*side) for side in zip(files, meshes, characters, strict=True)]
+    points = (
+        points_on_body(given.target_points, places[0], target),
+        points_on_body(given.source_points, places[1], source),
+    )
     curves = (
-        replace(given.curves.target, points=_on_body(given.curves.target.points, places[0], target)),
-        replace(given.curves.source, points=_on_body(given.curves.source.points, places[1], source)),
+        replace(given.curves.target, points=points_on_body(given.curves.target.points, places[0], target)),
+        replace(given.curves.source, points=points_on_body(given.curves.source.points, places[1], source)),
     )
     landmarks = Landmarks.of_points(given.names, *points, given.target_name, given.source_name)
     return replace(landmarks, curves=Curves(given.curves.names, *curves))
 
 
-def _on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:
+def points_on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:
     """Points of a file's mesh, whose vertices are at ``places``, as the closest points of a body."""
     count = len(points.corners)
     names, vertices = tuple(f"point {row}" for row in range(count)), np.full(count, -1, dtype=np.int64)
     return on_cage(NamedPoints(names, vertices, points.of(places)), body.mesh)
 
 
-def character_positions(path: Path, mesh: ControlMesh) -> FloatArray:
-    """(n, 3) vertex positions of a mesh file in the space of `read_body`: USD in the bind pose, in metres with Y up."""
+def character_positions(path: Path, mesh: ControlMesh, character: Character) -> FloatArray:
+    """(n, 3) vertex positions of a mesh file in the space of `read_body`: USD in the bind pose, in metres with Y up.
+
+    ``character``: as `read_body` reads the file.
+    """
     if not is_usd(path):
         return mesh.positions
-    return np.concatenate([part.mesh.positions for part in read_usd_character(path).parts])
+    return np.concatenate([part.mesh.positions for part in character.parts])
 
 
 def _in_one_square(mesh: ControlMesh) -> ControlMesh:

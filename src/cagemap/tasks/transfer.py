@@ -34,6 +34,7 @@ from cagemap.tasks.carry_images import (
     carry_texture,
     carry_vector_displacement,
 )
+from cagemap.tasks.detail_bakes import require_green
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
@@ -152,6 +153,7 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
 
 def _require_read(request: TransferRequest, carried: str) -> None:
     """Refuse options that the requested transfer does not read."""
+    require_green(request)
     for option, readers in _READ_BY.items():
         if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
             flag = _SAID_AS.get(option, option.replace("_", "-"))

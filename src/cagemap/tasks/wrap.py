@@ -28,11 +28,19 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
-from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
+from cagemap.tasks.detail_bakes import (
+    bake_wrapped,
+    outputs_beside,
+    require_bakeable,
+    require_green,
+    textures_read,
+    wrap_bakes,
+)
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
-from cagemap.tasks.match import run_match
+from cagemap.tasks.match import match_files
+from cagemap.tasks.match import warnings as result_warnings
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
@@ -62,6 +70,9 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
             "expected RESULT folders, or --target and --source together to match first, or --target and the frames of "
             "a motion"
         )
+    if request.blend_shapes:  # refuse names and files before the matches
+        files = _shape_files(request, request.target, sources)
+        check_outputs(files if request.output.is_dir() else [request.output], sources, force=request.force)
     with tempfile.TemporaryDirectory() as folder:
         results, warnings = _found(request, request.target, sources, Path(folder), stages)
         request = replace(request, results=results)
@@ -81,11 +92,29 @@ def _found(
         options = _of_both(request, "weld")
         return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
-    for frame, (source, result) in enumerate(zip(sources, results, strict=True)):
-        landmarks, before = (None, read_result(results[frame - 1])) if frame else (request.landmarks, None)
-        _, found = run_match(MatchRequest(target, source, landmarks, result, **options), stages, before)
-        warnings += found if len(sources) == 1 else [f"{source.name}: {message}" for message in found]
+    if len(sources) == 1:
+        result = match_files(MatchRequest(target, sources[0], request.landmarks, results[0], **options), stages)
+        return results, list(dict.fromkeys(result_warnings(result)))
+    before: MatchResult | None = None
+    for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
+        landmarks = None if frame else request.landmarks
+        result = match_files(MatchRequest(target, source, landmarks, output, **options), stages, before)
+        stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, before)}")
+        warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
+        before = replace(result, prepared=None)
     return results, list(dict.fromkeys(warnings))
+
+
+def _frame_text(result: MatchResult, before: MatchResult | None) -> str:
+    """How a frame was matched, its folded area and how far it moved."""
+    folded = f"{100 * result.quality.flipped_area:.2f} % folded"
+    if before is None:
+        return f"matched, {folded}"
+    if result.confidence is not None:
+        return f"matched afresh, since the map from the last frame folds too much; {folded}"
+    last, images = before.image() * before.source.scale, result.image() * before.source.scale
+    moved_by = 100 * float(np.linalg.norm(images - last, axis=1).mean())
+    return f"follows the last frame, {folded}, moved by {moved_by:.2f} % of sqrt(area) on average"
 
 
 def _of_both(request: WrapRequest, *names: str) -> dict[str, Any]:
@@ -121,6 +150,7 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     if request.map is not None and len(request.results) > 1:
         raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
+    require_green(request)
     bakes = wrap_bakes(request)
     bakes.check()
     images = outputs_beside(request)
@@ -271,12 +301,10 @@ def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
 
 def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Outcome:
     """Write a folder of OBJ files: the target at rest, and its cage in every source's shape."""
-    names = [Path(result.source.control.name).stem for result in results]
-    rest_name = Path(results[0].target.control.name).stem
-    if len({*names, rest_name}) <= len(names):
-        raise ParameterError(f"--blend-shapes: expected different names, got {', '.join([rest_name, *names])}")
+    sources = [Path(result.source.control.name) for result in results]
+    files = _shape_files(request, Path(results[0].target.control.name), sources)
+    names = [source.stem for source in sources]
     request.output.mkdir(exist_ok=True)
-    files = [request.output / f"{name}.obj" for name in [rest_name, *names]]
     check_outputs(files, _meshes_read(request, results), force=request.force)
     lines, warnings = [f"wrote {files[0]}: the target"], []
     for file, name, result, folder in zip(files[1:], names, results, request.results, strict=True):
@@ -291,6 +319,14 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
     for folder in request.results:
         note_output("wrap", folder, request)
     return "\n".join(lines), list(dict.fromkeys(warnings))
+
+
+def _shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) -> list[Path]:
+    """The files of blend shapes, by the names of target and sources; refuses equal names."""
+    names = [path.stem for path in (target, *sources)]
+    if len(set(names)) < len(names):
+        raise ParameterError(f"--blend-shapes: expected different names, got {', '.join(names)}. Rename the files.")
+    return [request.output / f"{name}.obj" for name in names]
 
 
 def _entry(request: WrapRequest, wrapped: Wrapped) -> dict[str, Any]:

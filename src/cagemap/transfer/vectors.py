@@ -7,6 +7,7 @@ becomes ``Q^T v`` on the target: flat normal maps stay flat, and the identity ma
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -28,6 +29,8 @@ Space = Literal["tangent", "object"]
 Green = Literal["up", "down"]
 # Vector displacement in tangent space is stored as tangent, normal, bitangent (Blender, Mudbox).
 _DISPLACEMENT_ORDER = [0, 2, 1]
+
+_log = logging.getLogger(__name__)
 
 
 def bake_normal_map(
@@ -51,7 +54,7 @@ def bake_normal_map(
     space : "tangent" or "object"
         Tangent space is MikkTSpace's, of both refined surfaces.
     green : "up" or "down"
-        Whether green grows with v (OpenGL, Blender) or against it (DirectX), in both images.
+        Tangent space: whether green grows with v (OpenGL, Blender) or against it (DirectX), in both images.
     dtype, options
         As in `bake_texture`.
 
@@ -106,7 +109,7 @@ def bake_vector_displacement(
         in tangent space the channels are tangent, normal, bitangent.
     ``midlevel``: by default 0.5 for integers and 0 for floats.
     ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As in `bake_displacement`, floats get
-        new values and integers a new scale.
+        new values and integers a new scale; a warning counts the texels that the rotation moves outside their range.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -117,15 +120,25 @@ def bake_vector_displacement(
         raise ParameterError("scale: expected a number other than 0")
     ratio = scale_ratio(transfer)
     factor, out_scale = (1.0, scale * ratio) if kept.kind == "u" else (ratio, scale)
+    clipped: list[int] = []  # texels outside the range of integers, by call of `encode`
 
     def decode(values: FloatArray) -> FloatArray:
         return np.asarray(values / unit(laid.dtype) - middle)
 
     def encode(vectors: FloatArray) -> FloatArray:
-        return np.asarray((factor * vectors + middle) * unit(kept))
+        values = np.asarray((factor * vectors + middle) * unit(kept))
+        if kept.kind == "u":  # half a level outside is rounding
+            clipped.append(int(np.any((values < -0.5) | (values > unit(kept) + 0.5), axis=1).sum()))
+        return values
 
     order = displacement_order(space)
     pixels = _bake_texture_vectors(transfer, laid, decode, encode, size, space, order, kept, options)
+    if sum(clipped):
+        _log.warning(
+            "vector displacement: %d texels of rotated vectors lie outside 0 to 1 and are clipped. Write floats "
+            "(.exr or .tif with --bits 32), or halve the vectors around the midlevel and double the scale.",
+            sum(clipped),
+        )
     return Displacement(pixels, middle, out_scale)
 
 

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path, PurePosixPath
 
 from cagemap.errors import FormatError
-from cagemap.files.text import read_bytes
+from cagemap.files.text import file_in, read_bytes
 
 _log = logging.getLogger(__name__)
 
@@ -55,8 +55,7 @@ def texture_file(path: Path, stated: str) -> Path | None:
     name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
     folder = path.parent
     for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
-        file = (folder / place).resolve()
-        # Unlike `Path.is_file`, false for names that are too long.
+        file = file_in(folder, str(place)).resolve()
         if name.name and file.is_relative_to(folder.resolve()) and os.path.isfile(file):
             return file
     return None

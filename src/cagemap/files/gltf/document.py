@@ -171,6 +171,14 @@ def read_document(path: str | Path) -> Document:
     return without_draco(Document(document.json, buffers, file))
 
 
+def json_text(path: Path) -> str:
+    """The JSON of a GLB, read without its buffers; '' if the file is cut short."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD.size + _CHUNK.size)
+        size = _CHUNK.unpack_from(head, _HEAD.size)[0] if len(head) == _HEAD.size + _CHUNK.size else 0
+        return stream.read(size).decode("utf-8", errors="replace")
+
+
 def _chunks(file: Path, content: bytes) -> tuple[bytes, bytes | None]:
     """JSON and binary chunk of a GLB."""
     if len(content) < _HEAD.size + _CHUNK.size:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.text import read_bytes, whole_characters
+from cagemap.files.text import file_in, read_bytes, whole_characters
 from cagemap.numerics.arrays import FloatArray, shown
 
 _DATA_URI = re.compile(r"data:([^,;]*)((?:;[^,;]*)*),")
@@ -97,7 +97,7 @@ def resource(document: Document, uri: object, where: str) -> bytes:
         document.refuse(
             where, f"names {shown(uri)}, expected a file in the folder of the document", "Pack it into one .glb."
         )
-    return read_bytes(document.file.parent / inside, f"a file that {document.file.name} names")
+    return read_bytes(file_in(document.file.parent, inside), f"a file that {document.file.name} names")
 
 
 def view_bytes(document: Document, number: object, where: str) -> memoryview:

@@ -7,6 +7,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -82,14 +83,17 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
 
 
-def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
+def extract_texture(path: Path, control: ControlMesh, folder: Path, document: Document | None = None) -> Path | None:
     """Write the colour texture of most of a mesh's faces from a glTF or FBX file.
 
     None if its image, repeated over the mesh's UV set in use, does not show the texture.
+
+    ``document``: of a file in another format, such as USD.
     """
-    if path.suffix.lower() not in SCENE_SUFFIXES or control.face_materials is None or control.uvs is None:
+    known = document is not None or path.suffix.lower() in SCENE_SUFFIXES
+    if not known or control.face_materials is None or control.uvs is None:
         return None
-    document, names = read_document(path), control.material_names
+    document, names = document or read_document(path), control.material_names
     most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     slots = material_images(document, most) if most in material_names(document) else ()
     texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _is_repeated_over(slot, control)), None)
@@ -103,13 +107,17 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
 
 def write_numbered(file: Path, data: bytes) -> Path:
     """Write a file; its name gets a number if a file of that name has another content. Returns the path."""
-    with tempfile.TemporaryDirectory() as folder:
-        sealed = Path(folder) / file.name
-        sealed.write_bytes(data)
-        seal(sealed)
-        contents = data, sealed.read_bytes()
+
+    @cache
+    def sealed() -> bytes:  # the content of the file if it was written before
+        with tempfile.TemporaryDirectory() as folder:
+            written = Path(folder) / file.name
+            written.write_bytes(data)
+            seal(written)
+            return written.read_bytes()
+
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
-    free = next(file for file in files if not file.exists() or file.read_bytes() in contents)
+    free = next(path for path in files if not path.exists() or path.read_bytes() in (data, sealed()))
     if not free.exists():
         write_whole(free, data)
     return free

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 
@@ -202,7 +203,7 @@ def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -
 
 
 def _stem(name: str) -> str:
-    return Path(name.replace("\\", "/")).stem.casefold()
+    return Path(normalize("NFC", name).replace("\\", "/")).stem.casefold()
 
 
 def _cage(stem: str) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.fbx.read import named_textures
-from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, json_text
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb, write_glb_like
 from cagemap.files.meshes.obj import material_files, read_obj
@@ -25,7 +25,7 @@ from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
-from cagemap.files.text import read_text
+from cagemap.files.text import file_in, read_text
 from cagemap.files.usd.read import USD_SUFFIXES, is_usd, other_files, read_usd
 from cagemap.files.usd.space import stage_space, to_standard
 from cagemap.files.usd.write import write_usd
@@ -114,11 +114,11 @@ def referred_files(path: Path) -> list[Path]:
     try:
         if suffix == ".obj":
             return material_files(path, read_text(path, "an OBJ file"))
-        if suffix == ".gltf":
-            words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', read_text(path, "a glTF file"))
+        if suffix in GLTF_SUFFIXES:
+            text = read_text(path, "a glTF file") if suffix == ".gltf" else json_text(path)
+            words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', text)
             names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
-            # Unlike `Path.is_file`, false for names that are too long, such as embedded data.
-            return [file for name in names if os.path.isfile(file := path.parent / name)]
+            return [file for name in names if os.path.isfile(file := file_in(path.parent, name))]
         if suffix == ".fbx":
             return named_textures(path)
         return other_files(path) if suffix in USD_SUFFIXES else []
@@ -127,13 +127,13 @@ def referred_files(path: Path) -> list[Path]:
 
 
 def is_in_several_files(path: Path) -> bool:
-    """Whether a mesh file may store the mesh's arrays in further files: buffers of .gltf, layers of USD."""
-    return path.suffix.lower() == ".gltf" or is_usd(path)
+    """Whether a mesh file may store the mesh's arrays in further files: buffers of glTF, layers of USD."""
+    return path.suffix.lower() == ".gltf" or is_usd(path) or bool(geometry_files(path))
 
 
 def geometry_files(path: Path) -> list[Path]:
     """The files of `referred_files` that contain arrays of the mesh, without images and materials."""
-    if not is_in_several_files(path):
+    if path.suffix.lower() not in GLTF_SUFFIXES and not is_usd(path):
         return []
     return [file for file in referred_files(path) if file.suffix.lower() not in IMAGE_SUFFIXES]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.meshes.colors import KEYWORD, as_shares, polypaint, read_material_colors
 from cagemap.files.meshes.obj_tags import parse_tags
-from cagemap.files.text import at_line, decoded, is_number, read_text
+from cagemap.files.text import at_line, decoded, file_in, is_number, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -329,9 +329,8 @@ def material_files(path: Path, text: str) -> list[Path]:
     """Existing material files of an OBJ file: a ``mtllib`` line names one file, else one with each word."""
     files: list[Path] = []
     for whole, *words in _material_names(text):
-        # Unlike `Path.is_file`, false for names that are too long.
-        names = [whole] if os.path.isfile(path.parent / whole) else words
-        files += [file for file in (path.parent / name for name in names) if os.path.isfile(file)]
+        names = [whole] if os.path.isfile(file_in(path.parent, whole)) else words
+        files += [file for file in (file_in(path.parent, name) for name in names) if os.path.isfile(file)]
     return files
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +36,7 @@ def write_obj(
     file = Path(path)
     if images and (mesh.face_materials is None or "" in mesh.material_names):
         mesh = _all_named(mesh)
+    mesh = replace(mesh, material_names=_distinct(mesh.material_names))
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
     for written in obj_files(file, mesh):
@@ -55,6 +56,16 @@ def _all_named(mesh: ControlMesh) -> ControlMesh:
     if mesh.face_materials is None:
         return replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=(_UNNAMED,))
     return replace(mesh, material_names=tuple(name or _UNNAMED for name in mesh.material_names))
+
+
+def _distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of materials; .001, .002, ... after a name that an earlier one has."""
+    used: list[str] = []
+    for name in names:
+        others = [*used, *names] if name in used else used
+        free = (f"{name}.{number:03}" for number in range(1, len(names) + 2))
+        used.append(next(other for other in (name, *free) if other not in others))
+    return tuple(used)
 
 
 def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:

@@ -181,8 +181,8 @@ def named_damage(file: str | Path) -> Iterator[None]:
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """All active mesh prims of a stage with points, instances included, at the first time sample.
 
-    Meshes for previews (purpose guide or proxy) are left out if there are others. So are meshes that their transform
-    flattens (as animators hide them), with a warning.
+    Invisible meshes and those for previews (purpose guide or proxy) are left out if there are others, and meshes that
+    their transform flattens (as animators hide them), with a warning.
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
@@ -195,6 +195,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
             text = "%s: left out what is no mesh: %s; convert it to meshes to keep it"
             logger.warning(text, file, first_few(left_out))
         final = [prim for prim in prims if _is_final(prim)]
+        if hidden := [str(prim.GetPath()) for prim in prims if final and not _is_final(prim)]:
+            text = "%s: left out meshes that are invisible or for previews: %s; make them visible to keep them"
+            logger.warning(text, file, first_few(hidden))
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         labels = material_labels(stage)
         meshes = tuple(_read_prim(file, prim, labels) for prim in unflattened(file, with_points))
@@ -211,7 +214,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
 
 def _is_final(prim: Any) -> bool:
-    return str(usd_modules().UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS
+    """Whether a prim is visible, and not for previews."""
+    imageable = usd_modules().UsdGeom.Imageable(prim)
+    return str(imageable.ComputePurpose()) not in _STAND_INS and str(imageable.ComputeVisibility()) != "invisible"
 
 
 def prims_of(stage: Any, kind: Any) -> list[Any]:

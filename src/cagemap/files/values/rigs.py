@@ -93,7 +93,7 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
     """Read blend shapes of a cage as displacements (n, 3) by name.
 
     ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, USD and glTF files, or
-        folders of OBJ, PLY and ``.npz`` files.
+        folders of OBJ, PLY and ``.npz`` files. In a folder, the cage itself as `write_shapes` writes it is no shape.
     ``rows``: for a cage that is a part of a file: shapes of the whole file are taken at the part.
     """
     files: list[Path] = []
@@ -103,6 +103,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
     shapes: dict[str, FloatArray] = {}
     for file in files:
         shapes_of_file = _shapes_of(file, rest, rows)
+        if file.parent in paths and file.stem == Path(rest.name).stem and not np.any(shapes_of_file.get(file.stem, 1)):
+            continue
         twice = sorted(set(shapes_of_file) & set(shapes))
         if twice:
             raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")

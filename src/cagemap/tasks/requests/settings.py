@@ -61,7 +61,8 @@ def moved_options(request: type) -> dict[str, str]:
 def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     """Fields of a request from words after ``--set``; the last value of a name is used.
 
-    ``words``: ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
+    ``words``: ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method. Files
+        named in a ``.toml`` are relative to it.
     """
     if not words:
         return {}
@@ -70,7 +71,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     known = settings_of(request)
     values: dict[str, Any] = {}
     parameters: dict[str, str] = {}
-    for name, value in _pairs(words):
+    for name, value, folder in _pairs(words):
         if name.startswith(f"{_METHOD}."):
             parameters[name.removeprefix(f"{_METHOD}.")] = str(value)
             continue
@@ -87,18 +88,25 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
             )
         except ValidationError as error:
             raise ParameterError(f"--set {name}: {error.errors()[0]['msg']}, got '{value}'.") from None
+        checked = tuple(_beside(folder, item) for item in checked) if several else _beside(folder, checked)
         values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())
     return values | ({_PARAMETERS: stated} if stated else {})
 
 
-def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any]]:
+def _beside(folder: Path, value: Any) -> Any:
+    """A file in a folder; other values are unchanged."""
+    return folder / value if isinstance(value, Path) else value
+
+
+def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any, Path]]:
+    """Name, value and the folder of files that the value names."""
     for word in words:
         name, equals, value = word.partition("=")
         if equals and name and value:
-            yield name.strip(), value
+            yield name.strip(), value, Path()
         elif not equals and word.endswith(".toml"):
-            yield from _flat(_table(Path(word)))
+            yield from ((name, value, Path(word).parent) for name, value in _flat(_table(Path(word))))
         else:
             raise ParameterError(f"--set: expected NAME=VALUE or a .toml file, got '{word}'.")
 
