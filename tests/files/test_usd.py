@@ -26,8 +26,9 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from cagemap.files.usd.read import in_world, named_damage, open_stage, read_usd, read_usd_meshes
+from cagemap.files.usd.read import in_world, read_usd, read_usd_meshes
 from cagemap.files.usd.results import MATERIAL
+from cagemap.files.usd.stages import named_damage, open_stage
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 

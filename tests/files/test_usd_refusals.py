@@ -14,9 +14,10 @@ import pytest
 from examples.shapes import creature, cube
 
 from cagemap.character.joints import Skeleton
-from cagemap.files.usd.read import asset_paths, read_usd_meshes
+from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import stage_units
+from cagemap.files.usd.stages import asset_paths
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.rigs import read_shapes
 

@@ -387,6 +387,8 @@ def test_two_tabs_and_a_reconnect_show_one_state(page: Page) -> None:
 
 def test_a_number_that_is_none_is_refused(page: Page) -> None:
     field = page.browser.find_element("css selector", '[data-key="match.vertices"] input')
+    assert not field.get_attribute("title")  # the tooltip of its line shows
+    assert field.get_attribute("step") == "1000"
     page.press("tab-bake")
     field.send_keys("e")
     page.press("start")

@@ -81,6 +81,18 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
     assert said["cancel"]
 
 
+def test_an_error_leaves_the_status_after_the_next_action(opened: Session) -> None:
+    for _ in range(2):
+        sent(opened, do="open")
+        sent(opened, do="list")  # which the page asks by itself
+        assert "expected a target and a source" in status_entries(opened.state)["text"]
+        sent(opened, do="open")  # the same once more
+        assert status_entries(opened.state)["kind"] == "error"
+        sent(opened, do="select", number=None)
+        assert status_entries(opened.state)["kind"] != "error"
+    assert opened.state.messages[-1].kind == "error"  # in the list of messages it stays
+
+
 def test_how_sure_a_map_is_is_said_in_words() -> None:
     scene: Any = MagicMock()
     scene.preview_map.trust = np.array([1.0, 0.2, 1.0, 1.0])

@@ -22,8 +22,8 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character
-from cagemap.files.usd.read import open_stage
 from cagemap.files.usd.space import StageSpace, stage_units
+from cagemap.files.usd.stages import open_stage
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies
 from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body

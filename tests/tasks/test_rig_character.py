@@ -22,9 +22,10 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import Image, read_image
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.read import open_stage, read_usd_meshes
+from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.stages import open_stage
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
-from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.stages import USD_SUFFIXES
 from cagemap.studio.opening import part_slug
 from cagemap.studio.state import Files
 from cagemap.studio.workspace import Workspace

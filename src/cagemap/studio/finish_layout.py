@@ -9,7 +9,7 @@ from cagemap.errors import use_option_names
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.meshes.formats import MESH_SUFFIXES
-from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.stages import USD_SUFFIXES
 from cagemap.studio.finish import SHARED_OPTIONS
 from cagemap.studio.workspace import TABLE_SUFFIXES
 from cagemap.tasks.requests.catalogue import Key, Options

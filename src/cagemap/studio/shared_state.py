@@ -11,7 +11,7 @@ from dataclasses import replace
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import Files, MessageKind, StudioState, add_message
+from cagemap.studio.state import Files, Message, MessageKind, StudioState, add_message
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +58,12 @@ class SharedState:
     def _say_all(self, texts: Iterable[str], kind: MessageKind = "note") -> None:
         for text in texts:
             self._say(kind, text)
+
+    def answer_error(self, error: Message | None) -> None:
+        """Take an error off the status line after an action, unless the action met another one."""
+        with self._lock:
+            if error is not None and self._state.error is error:
+                self._change(answered_error=error)
 
     def _change(self, **fields: object) -> None:
         with self._lock:

@@ -228,6 +228,8 @@ class StudioState:
         Running computations.
     probe : Probe or None
     messages : tuple of Message
+    answered_error : Message or None
+        The last error, if the user has done something else since: the status line no longer shows it.
     outputs : tuple of Output
     uv_set : str or None
         The target's UV set that the images of ``outputs`` are in; None: the first.
@@ -245,6 +247,7 @@ class StudioState:
     finish_job: RunningJob | None = None
     probe: Probe | None = None
     messages: tuple[Message, ...] = ()
+    answered_error: Message | None = None
     outputs: tuple[Output, ...] = ()
     uv_set: str | None = None
     saved: bool = True
@@ -256,6 +259,12 @@ class StudioState:
         models = None if files is None else (files.target, files.source, files.schemes, files.parts)
         answer = 0 if present.has_constraints else self.map.chosen_answer
         return models, present.complete_landmarks, present.curves, answer
+
+    @property
+    def error(self) -> Message | None:
+        """The last message, if it is an error that the user has not answered by another action."""
+        last = self.messages[-1] if self.messages else None
+        return last if last is not None and last.kind == "error" and last is not self.answered_error else None
 
     @property
     def baked_images(self) -> tuple[Path, ...]:

@@ -17,7 +17,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.images.image import UDIM_MARK, texture_files
 from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.files.meshes.obj import named_material_files
-from cagemap.files.usd.read import USD_SUFFIXES, asset_paths
+from cagemap.files.usd.stages import USD_SUFFIXES, asset_paths
 
 LANDMARK_SUFFIXES = (".json", ".pp", ".fcsv", ".csv", ".txt")
 TABLE_SUFFIXES = (".npy", ".npz", ".csv")

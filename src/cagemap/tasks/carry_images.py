@@ -15,8 +15,8 @@ from cagemap.files.images.image import Image, check_writable, pixel_type, read_i
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.convert import usd_document
-from cagemap.files.usd.read import USD_SUFFIXES, is_usd
 from cagemap.files.usd.results import unbound_maps
+from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import (

@@ -13,7 +13,8 @@ from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
-from cagemap.files.usd.read import is_usd, read_usd_meshes
+from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.result import MatchResult

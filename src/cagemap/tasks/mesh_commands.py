@@ -16,7 +16,8 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
-from cagemap.files.usd.read import UsdMesh, is_usd, joined, opened_once, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, joined, read_usd_meshes
+from cagemap.files.usd.stages import is_usd, opened_once
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
 from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun

@@ -18,8 +18,8 @@ from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
-from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file

@@ -33,8 +33,8 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import document_and_character
-from cagemap.files.usd.read import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.files.usd.space import similar_space
+from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh

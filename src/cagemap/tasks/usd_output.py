@@ -11,7 +11,8 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import USD_SUFFIXES, is_usd, read_usd_meshes
+from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
 from cagemap.maps.result import MatchResult

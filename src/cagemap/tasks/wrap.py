@@ -18,8 +18,8 @@ from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
 from cagemap.files.usd.prims import moved
-from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.space import between_spaces
+from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows, rows_of

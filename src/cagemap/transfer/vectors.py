@@ -136,7 +136,7 @@ def bake_vector_displacement(
     if sum(clipped):
         _log.warning(
             "vector displacement: %d texels of rotated vectors lie outside 0 to 1 and are clipped. Write floats "
-            "(.exr or .tif with --bits 32), or halve the vectors around the midlevel and double the scale.",
+            "(.exr or .tif), or halve the vectors around the midlevel and double the scale.",
             sum(clipped),
         )
     return Displacement(pixels, middle, out_scale)

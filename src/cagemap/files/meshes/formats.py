@@ -26,8 +26,9 @@ from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
 from cagemap.files.text import file_in, read_text
-from cagemap.files.usd.read import USD_SUFFIXES, is_usd, other_files, read_usd
+from cagemap.files.usd.read import read_usd
 from cagemap.files.usd.space import stage_space, to_standard
+from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, other_files
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import MeshLike, arrays_accepted

@@ -12,8 +12,8 @@ from cagemap.character.poses import interpolate_keys, rest_tracks
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.files.gltf.character import ShapeKeys, animation_names, read_shape_keys
 from cagemap.files.gltf.parts import Scene
-from cagemap.files.usd.read import identifiers, usd_modules
 from cagemap.files.usd.skeleton import define_skeleton, joint_paths
+from cagemap.files.usd.stages import identifiers, usd_modules
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
 

@@ -24,18 +24,10 @@ from cagemap.files.ownership import mark
 from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
 from cagemap.files.usd.prims import moved, named_faces
-from cagemap.files.usd.read import identifiers, open_stage, usd_modules
 from cagemap.files.usd.space import StageSpace, to_metres
-from cagemap.files.usd.write import (
-    check_usd_path,
-    export_layer,
-    new_stage,
-    write_blend_shapes,
-    write_subsets,
-    write_topology,
-    write_uvs,
-    write_weights,
-)
+from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
+from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
+from cagemap.files.usd.write_mesh import write_blend_shapes, write_subsets, write_topology, write_uvs, write_weights
 from cagemap.mesh import Plain
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray

@@ -34,19 +34,11 @@ from cagemap.files.usd.prims import (
     primvar_values,
     stated,
 )
-from cagemap.files.usd.read import (
-    UsdMesh,
-    in_world,
-    named_damage,
-    open_stage,
-    opened_once,
-    prims_of,
-    read_usd_meshes,
-    usd_modules,
-)
+from cagemap.files.usd.read import UsdMesh, in_world, prims_of, read_usd_meshes
 from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
+from cagemap.files.usd.stages import named_damage, open_stage, opened_once, usd_modules
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray

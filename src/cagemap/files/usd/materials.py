@@ -16,8 +16,8 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.ownership import is_own, mark
-from cagemap.files.usd.read import identifiers, usd_modules
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
+from cagemap.files.usd.stages import identifiers, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
 STRENGTH = "KHR_materials_emissive_strength"

@@ -10,7 +10,7 @@ from typing import Any
 from cagemap.errors import FormatError
 from cagemap.files.ownership import MARKED
 from cagemap.files.text import text_name
-from cagemap.files.usd.read import usd_modules
+from cagemap.files.usd.stages import usd_modules
 
 # Inputs of UsdPreviewSurface: type, output of the texture, whether values are display colours, and usual names of maps
 # in small letters without spaces, "_" and "-".

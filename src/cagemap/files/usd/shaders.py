@@ -18,7 +18,8 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import REPEAT
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
-from cagemap.files.usd.read import material_labels, usd_modules
+from cagemap.files.usd.read import material_labels
+from cagemap.files.usd.stages import usd_modules
 
 _log = logging.getLogger(__name__)
 

@@ -12,7 +12,8 @@ from cagemap.character.joints import Skeleton, tails_of
 from cagemap.character.poses import parent_transforms
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import bind_transform, integers, moved
-from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd.read import one_mesh, read_usd_meshes
+from cagemap.files.usd.stages import identifiers, named_damage, open_stage, usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import is_mirrored, is_similarity
-from cagemap.files.usd.read import is_usd, named_damage, open_stage, opened_once, read_usd_meshes, usd_modules
+from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.stages import is_usd, named_damage, open_stage, opened_once, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
 # From Z up to Y up, for points as rows.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,18 +17,25 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved, named_faces
-from cagemap.files.usd.read import identifiers, open_stage, usd_modules
-from cagemap.files.usd.results import add_earlier, bind_textures, define_material
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved
+from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
+from cagemap.files.usd.write_mesh import (
+    CORNERS,
+    row_kinds,
+    write_blend_shapes,
+    write_primvar,
+    write_subsets,
+    write_topology,
+    write_uvs,
+    write_weights,
+)
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import reversed_corners
-from cagemap.mesh.schemes import scheme_name
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import decode_srgb
 
-_CORNERS = "faceVarying"
 _log = logging.getLogger(__name__)
 
 
@@ -49,7 +55,7 @@ class UsdResults:
     def with_reversed_corners(self, mesh: ControlMesh) -> UsdResults:
         """The results for a mesh whose faces were reversed when it was read."""
         order = reversed_corners(mesh.face_offsets)
-        attributes = {n: v[order] if _rows(mesh).get(len(v)) == _CORNERS else v for n, v in self.attributes.items()}
+        attributes = {n: v[order] if row_kinds(mesh).get(len(v)) == CORNERS else v for n, v in self.attributes.items()}
         uvs = None if self.uvs is None else (*self.uvs[:2], self.uvs[2][order])
         return replace(self, attributes=attributes, uvs=uvs)
 
@@ -214,85 +220,6 @@ def export_layer(layer: Any, file: Path, temporary: Path) -> None:
         raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
 
 
-def write_topology(prim: Any, mesh: ControlMesh) -> None:
-    """Write points, faces, subdivision, creases and vertex colours of a mesh."""
-    pxr = usd_modules()
-    points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
-    prim.CreatePointsAttr(points)
-    prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
-    prim.CreateFaceVertexCountsAttr(_ints(mesh.face_sizes))
-    prim.CreateFaceVertexIndicesAttr(_ints(mesh.face_indices))
-    scheme = mesh.scheme
-    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _camel_case(scheme_name(scheme)))
-    if scheme is not None:
-        prim.CreateInterpolateBoundaryAttr(_camel_case(scheme.boundary))
-        prim.CreateFaceVaryingLinearInterpolationAttr(_camel_case(scheme.uv_interpolation))
-        prim.CreateTriangleSubdivisionRuleAttr(_camel_case(scheme.triangles))
-    if mesh.crease_edges is not None and mesh.crease_sharpness is not None and len(mesh.crease_edges):
-        prim.CreateCreaseIndicesAttr(_ints(mesh.crease_edges.ravel()))
-        prim.CreateCreaseLengthsAttr(_ints(np.full(len(mesh.crease_edges), 2)))
-        prim.CreateCreaseSharpnessesAttr(_floats(mesh.crease_sharpness))
-    if mesh.corner_vertices is not None and mesh.corner_sharpness is not None and len(mesh.corner_vertices):
-        prim.CreateCornerIndicesAttr(_ints(mesh.corner_vertices))
-        prim.CreateCornerSharpnessesAttr(_floats(mesh.corner_sharpness))
-    if mesh.hole_faces is not None and len(mesh.hole_faces):
-        prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
-    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
-        color = prim.CreateDisplayColorPrimvar("vertex")
-        linear = decode_srgb(np.clip(mesh.vertex_colors, 0.0, 1.0))
-        color.Set(pxr.Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
-
-
-def _camel_case(word: str) -> str:
-    """A word of cagemap's schemes, such as "edge_and_corner", as USD writes it."""
-    first, *following = re.split("[_-]", word)
-    return first + "".join(part.capitalize() for part in following)
-
-
-def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
-    """Write a UV set as a primvar."""
-    pxr = usd_modules()
-    api = pxr.UsdGeom.PrimvarsAPI(prim)
-    primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
-    primvar.Set(pxr.Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32)))
-    primvar.SetIndices(_ints(indices))
-
-
-def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[str, Any] | None = None) -> None:
-    """Write materials as subsets with bindings, and groups as plain subsets.
-
-    ``materials``: materials of the stage by name, of which one on all faces needs no subset; default: new ones with the
-        mesh's colours.
-    """
-    pxr = usd_modules()
-    named = named_faces(mesh)
-    labels = identifiers(name for name, _, _ in named)
-    for label, (name, faces, color) in zip(labels, named, strict=True):
-        if color is None or materials is None or len(faces) < mesh.n_faces:
-            family = "materialBind" if color is not None else "groups"
-            subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
-            bound = subset.GetPrim()
-        else:
-            bound = prim.GetPrim()
-        if color is None:
-            continue
-        path = f"/Asset/materials/{label}"
-        material = _colored_material(stage, path, color) if materials is None else materials[name]
-        pxr.UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
-    if mesh.face_materials is not None:
-        pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
-        pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
-
-
-def _colored_material(stage: Any, path: str, color: FloatArray) -> Any:
-    pxr = usd_modules()
-    material, surface = define_material(stage, path)
-    if np.isfinite(color).all():
-        value = pxr.Gf.Vec3f(*map(float, color))
-        surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)
-    return material
-
-
 def _write_results(
     stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults, to_root: FloatArray | None = None
 ) -> None:
@@ -325,7 +252,7 @@ def _write_results(
         elif name.startswith(BLEND_SHAPE):
             shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
         else:
-            _write_primvar(prim, mesh, label, np.asarray(values))
+            write_primvar(prim, mesh, label, np.asarray(values))
     if results.skeleton is not None:
         write_usd_skeleton(stage, prim, results.skeleton, np.eye(4) if to_root is None else to_root)
     if shapes:
@@ -334,79 +261,5 @@ def _write_results(
         bind_textures(stage, prim, results.textures, uv_name)
 
 
-def _rows(mesh: ControlMesh) -> dict[int, str]:
-    """Interpolation by number of rows; vertices have priority if numbers are equal."""
-    return {len(mesh.face_indices): _CORNERS, mesh.n_faces: "uniform", mesh.n_vertices: "vertex"}
-
-
-def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]) -> None:
-    pxr = usd_modules()
-    rows = _rows(mesh)
-    if len(values) not in rows:
-        raise ParameterError(
-            f"{name}: expected a row for each vertex, face or face corner, got {len(values)}. "
-            "Give the values of this mesh."
-        )
-    table: NDArray[Any] = values.reshape(len(values), -1)
-    names = pxr.Sdf.ValueTypeNames
-    integral = table.dtype.kind in "iu"
-    kinds = {2: (names.Float2Array, pxr.Vt.Vec2fArray), 3: (names.Float3Array, pxr.Vt.Vec3fArray)}
-    dtype: Any = np.float32
-    kind, array = names.FloatArray, pxr.Vt.FloatArray
-    if integral:
-        dtype = next(t for t in (np.int32, np.int64, np.uint64) if (table.astype(t) == table).all())
-        word = {np.int32: "Int", np.int64: "Int64", np.uint64: "UInt64"}[dtype] + "Array"
-        kind, array = getattr(names, word), getattr(pxr.Vt, word)
-    size = table.shape[1]
-    flat: NDArray[Any] = table.astype(dtype)
-    if size in kinds and not integral:
-        kind, array = kinds[size]
-        kind = names.Color3fArray if name == "displayColor" and size == 3 else kind
-        size = 1
-    else:
-        flat = flat.ravel()
-    primvar = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, rows[len(values)], size)
-    primvar.Set(array.FromNumpy(np.ascontiguousarray(flat)))
-
-
-def write_weights(prim: Any, table: FloatArray) -> None:
-    """Write weights (n, joints), normalised to sum to 1; vertices without any follow the first joint.
-
-    Without weights they would be skinned to the skeleton's origin.
-    """
-    pxr = usd_modules()
-    table = np.where(table.any(axis=1, keepdims=True), table, np.eye(1, table.shape[1]))
-    kept = int((table > 0).sum(axis=1).max(initial=1))
-    joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
-    weights = np.take_along_axis(table, joints, axis=1)
-    weights = weights / weights.sum(axis=1, keepdims=True)
-    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
-    binding.CreateJointIndicesPrimvar(False, kept).Set(_ints(joints.ravel()))
-    binding.CreateJointWeightsPrimvar(False, kept).Set(_floats(weights.ravel()))
-
-
-def write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
-    """Define blend shapes below a mesh, with the offsets that are not 0."""
-    pxr = usd_modules()
-    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
-    taken = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
-    paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, taken)]
-    for path, offsets in zip(paths, shapes.values(), strict=True):
-        shape = pxr.UsdSkel.BlendShape.Define(stage, path)
-        changed = np.flatnonzero(np.any(offsets != 0, axis=1))
-        shape.CreateOffsetsAttr(pxr.Vt.Vec3fArray.FromNumpy(offsets[changed].astype(np.float32)))
-        shape.CreatePointIndicesAttr(_ints(changed))
-    binding.CreateBlendShapesAttr(list(shapes))
-    binding.CreateBlendShapeTargetsRel().SetTargets(paths)
-
-
 def _needs_skeleton(results: UsdResults) -> bool:
     return any(name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE) for name in results.attributes)
-
-
-def _ints(values: Any) -> Any:
-    return usd_modules().Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
-
-
-def _floats(values: Any) -> Any:
-    return usd_modules().Vt.FloatArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))

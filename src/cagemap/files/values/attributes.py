@@ -21,7 +21,8 @@ from cagemap.files.ownership import mark
 from cagemap.files.schema import Record, checked_record, parse_json, to_json
 from cagemap.files.text import is_number, read_text, require_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
-from cagemap.files.usd.read import in_world, is_usd, one_mesh, read_usd_meshes
+from cagemap.files.usd.read import in_world, one_mesh, read_usd_meshes
+from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray

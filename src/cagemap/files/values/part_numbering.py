@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import UsdMesh, in_world, is_usd, read_usd, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, in_world, read_usd, read_usd_meshes
+from cagemap.files.usd.stages import is_usd
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray

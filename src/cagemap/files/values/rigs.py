@@ -21,8 +21,8 @@ from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
 from cagemap.files.usd.prims import BLEND_SHAPE
-from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, to_part
 from cagemap.mesh import ControlMesh

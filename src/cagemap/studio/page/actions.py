@@ -23,6 +23,8 @@ from cagemap.studio.state import Files
 from cagemap.studio.workspace import LANDMARK_SUFFIXES
 
 _FILES = ("target", "source", "texture")
+# Messages that pages send on their own.
+_UNASKED = ("list", "probe")
 Entries = Mapping[str, Any]
 
 
@@ -60,13 +62,17 @@ class Actions:
 
     def handle(self, message: str | bytes) -> None:
         """Handle one message."""
+        error = self._session.state.error
         with self._session.report_errors():
             try:
                 if isinstance(message, bytes):
                     self._add_file(message)
+                    self._session.answer_error(error)
                     return
                 sent = json.loads(message)
                 self._handlers[sent["do"]](sent)
+                if sent["do"] not in _UNASKED:
+                    self._session.answer_error(error)
             except CagemapError:  # also a ValueError
                 raise
             except (KeyError, TypeError, ValueError, IndexError) as error:

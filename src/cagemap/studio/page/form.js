@@ -62,8 +62,7 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
         fill(select, usual === false ? choices : [['', 'default'], ...choices], String(value));
         return [select, () => select.value];
       }
-      const number = element('input', {type: 'number', value, min: least ?? '', max: most ?? '', step: 'any'});
-      number.title = step;
+      const number = element('input', {type: 'number', value, min: least ?? '', max: most ?? '', step: step ?? 'any'});
       return [number, () => number.validity.badInput ? 'no number' : number.value];  // its value would be empty: the default
     }
     case 'several': {

@@ -70,8 +70,8 @@ def status_entries(state: StudioState) -> dict[str, Any]:
     if state.preview_job is not None:
         return {"kind": "busy", "cancel": True} | _preview_progress(state.preview_job)
     text, kind = _next_step(state), "ready"
-    if state.messages and state.messages[-1].kind == "error":
-        text, kind = state.messages[-1].text, "error"
+    if state.error is not None:
+        text, kind = state.error.text, "error"
     elif state.history.present.open_landmark is not None:
         kind = "ask"
     return {"kind": kind, "text": text, "fraction": None, "cancel": False}

@@ -1,0 +1,169 @@
+"""USD files as stages: opened once, their damage named, the layers and images that they refer to.
+
+USD is an extra, ``cagemap[usd]``, imported when a USD file is read or written.
+"""
+
+from __future__ import annotations
+
+import glob
+import itertools
+import logging
+import posixpath
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import FormatError
+from cagemap.files.images.image import texture_files
+from cagemap.files.text import require_file, text_name
+
+logger = logging.getLogger(__name__)
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+
+
+def is_usd(path: Path) -> bool:
+    """Whether a file's name ends as those of USD do."""
+    return path.suffix.lower() in USD_SUFFIXES
+
+
+def usd_modules() -> Any:
+    """The ``pxr`` package, with the modules that are used."""
+    try:
+        import pxr
+        import pxr.Usd
+        import pxr.UsdGeom
+        import pxr.UsdShade
+        import pxr.UsdSkel
+        import pxr.UsdUtils
+    except ImportError:
+        raise FormatError(
+            "USD files: expected the package usd-core, which is not installed. Install cagemap[usd] or usd-core."
+        ) from None
+    return pxr
+
+
+def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Valid, unique names of prims and primvars: other characters become ``_``, repeated names get numbers."""
+    used, unique = set(taken), list[str]()
+    for name in names:
+        word = usd_modules().Tf.MakeValidIdentifier(name)
+        free = itertools.chain([word], (f"{word}_{number}" for number in itertools.count(2)))
+        unique.append(next(candidate for candidate in free if candidate not in used))
+        used.add(unique[-1])
+    return unique
+
+
+def open_stage(path: str | Path) -> Any:
+    """Open a USD file; warns of missing files that it refers to."""
+    stage, reasons = _opened(Path(path))
+    for reason in reasons:
+        logger.warning("%s: %s", path, reason)
+    return stage
+
+
+def _opened(file: Path) -> tuple[Any, list[str]]:
+    """The stage of a file, and what USD says of files that it refers to."""
+    pxr = usd_modules()
+    require_file(file, "a USD file")
+    # instead of USD's own messages, which name its source files
+    diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        stage = pxr.Usd.Stage.Open(text_name(file))
+        reasons = (
+            entry.commentary.partition(" (instantiating stage ")[0]
+            for entry in diagnostics.TakeUncoalescedDiagnostics()
+        )
+        return stage, list(dict.fromkeys(reasons))
+    except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
+        raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
+
+
+@contextmanager
+def opened_once() -> Iterator[None]:
+    """Have `open_stage` open every file once in the block, so that its warnings are not repeated."""
+    usd = usd_modules().Usd
+    cache = usd.StageCache()
+    with usd.StageCacheContext(cache):
+        yield
+
+
+def other_files(path: str | Path) -> list[Path]:
+    """Existing files of the other layers that a USD file is composed of, and of all images that its layers name."""
+    stage, _ = _opened(Path(path))  # its layers end with it
+    with named_damage(path):
+        layers = [layer for layer in stage.GetUsedLayers() if layer.realPath]
+        assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _of_layer(layer.realPath))
+        files = {
+            *(Path(layer.realPath) for layer in layers),
+            *(tile for name in assets for tile in texture_files(name)),
+        }
+    own = Path(stage.GetRootLayer().realPath)
+    return sorted(file for file in files if file.is_file() and file != own)  # entries of a package are no files
+
+
+def _reason(error: Exception) -> str:
+    """The last line of an error of USD; the type's name if its message is not valid text."""
+    try:
+        last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        place, _, words = last.rpartition(" : '")
+        return words.removesuffix("'") if place else last
+    except UnicodeDecodeError:
+        return type(error).__name__
+
+
+@contextmanager
+def named_damage(file: str | Path) -> Iterator[None]:
+    """Turn errors of damaged values into a FormatError; USD unpacks values only when they are read."""
+    pxr = usd_modules()
+    try:
+        yield
+    except FormatError:
+        raise
+    except (pxr.Tf.ErrorException, RuntimeError, UnicodeDecodeError, TypeError, ValueError) as error:
+        raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
+
+
+_LAYERS = (".usd", ".usda", ".usdc")
+
+
+def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
+    """All asset paths in a USD file, as written; none of them is opened.
+
+    Paths of a package to its own entries are left out.
+
+    ``name``: of the file; its suffix gives the format.
+    """
+    pxr = usd_modules()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"layer{Path(name).suffix}"
+        file.write_bytes(content)
+        try:
+            if file.suffix.lower() != ".usdz":
+                return _of_layer(str(file))
+            holder = pxr.Sdf if hasattr(pxr.Sdf, "ZipFile") else pxr.Usd  # of older versions, such as 24.8
+            entries = list(holder.ZipFile.Open(str(file)).GetFileNames())
+            paths_of = {entry: _of_layer(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
+        except (pxr.Tf.ErrorException, UnicodeDecodeError, AttributeError):
+            raise FormatError(f"{name}: cannot be read as USD. Export it again.") from None
+    if any(entry.lower().endswith(".usdz") for entry in entries):
+        raise FormatError(f"{name}: expected a package of layers and images, got a package within it. Flatten it.")
+    return tuple(path for entry, paths in paths_of.items() for path in paths if not _is_entry(entry, path, entries))
+
+
+def _of_layer(path: str) -> tuple[str, ...]:
+    """All asset paths of a layer; expressions both as written and as evaluated in this layer."""
+    pxr = usd_modules()
+    sublayers, references, payloads = pxr.UsdUtils.ExtractExternalReferences(path)
+    composed = pxr.Sdf.Layer.FindOrOpen(path).GetCompositionAssetDependencies()
+    return tuple(sorted({*sublayers, *references, *payloads, *composed}))
+
+
+def _is_entry(layer: str, path: str, entries: list[str]) -> bool:
+    """Whether a path in a package's layer is one of its entries, or a pattern of tiles among them."""
+    wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
+    pattern = glob.escape(wanted).replace("<UDIM>", "????")
+    return any(fnmatchcase(entry, pattern) for entry in entries)
