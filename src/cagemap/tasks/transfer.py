@@ -24,6 +24,7 @@ from cagemap.files.values.attributes import check_attribute_path, read_attribute
 from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.mesh_report import first_few
 from cagemap.tasks.bake_tiles import inputs_of
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_images import (
@@ -213,7 +214,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     if count:
         warnings.append(
             f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "
-            f"coordinates (0-based): {', '.join(map(str, carried.crossed))}"
+            f"coordinates (0-based): {first_few(carried.crossed)}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
 
