@@ -102,6 +102,10 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
     assert fine.face_materials is not None
     names = np.array(fine.material_names)[fine.face_materials]  # files number materials as they occur
     np.testing.assert_array_equal(names, np.repeat(np.array(control.material_names)[control.face_materials], 4))
+    assert not (tmp_path / "fine.mtl").exists(), "the materials of box.mtl, with their images, are named"
+    (tmp_path / "lod").mkdir()
+    assert run("refine box.obj --level 1 -o lod/fine.obj").code == 0
+    assert "\nmtllib ../box.mtl\n" in (tmp_path / "lod" / "fine.obj").read_text()
     assert run("refine box.obj --level 0 -o same.obj").code == 0
     assert read_mesh(tmp_path / "same.obj").n_faces == 6
 

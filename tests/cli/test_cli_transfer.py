@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import cagemap
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import read_result, write_result
+from cagemap.transfer import carry_uvs
 
 from command_line import Run
 
@@ -196,6 +198,18 @@ def test_a_mesh_with_the_source_s_uvs_is_noted_by_a_relative_name(run: Run, resu
     run.done("transfer R --source-uvs -o laid.obj")
     (entry,) = read_result(result_folder).manifest["transfers"]
     assert entry["output"] == "../laid.obj"
+
+
+def test_only_the_first_faces_over_a_seam_are_listed(
+    run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crossed(*sides: Any) -> Any:
+        return replace(carry_uvs(*sides), crossed=np.arange(1000))
+
+    monkeypatch.setattr("cagemap.tasks.transfer.carry_uvs", crossed)
+    outcome = run.done("transfer R --source-uvs -o laid.obj")
+    assert "cross 1000 of" in outcome.err
+    assert "0, 1, 2, 3, 4, 5, 6, 7, ... (992 more)" in outcome.err
 
 
 def test_a_mesh_that_lacks_what_its_missing_file_held_is_warned_of(run: Run, result_folder: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from examples.shapes import bipyramid, cube, grid, torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -165,3 +167,12 @@ def test_measures_of_known_shapes() -> None:
     triangles, faces = cage_triangles(mixed)
     assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [5, 4, 3]]
     assert faces.tolist() == [1, 1, 1, 2]
+
+
+def test_ranks_do_not_depend_on_vertices_without_a_face(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As UVs that no face uses; memory that is not set held random corners."""
+    mesh = grid(3, 3)
+    topology = mesh_topology(mesh)
+    monkeypatch.setattr(np, "empty", lambda shape, dtype: np.full(shape, len(mesh.face_indices) + 5, dtype=dtype))
+    loose = replace(topology, n_vertices=topology.n_vertices + 3)
+    np.testing.assert_array_equal(loose.ranks, topology.ranks)

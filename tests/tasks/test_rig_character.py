@@ -32,7 +32,7 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
-from cagemap.tasks.carry_character import Bodies, match_bodies
+from cagemap.tasks.carry_character import Bodies, match_bodies, with_part
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _in_one_square, _kinds, _landmarks, body_in, read_body
@@ -226,6 +226,26 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
     np.testing.assert_allclose(times_found, [0.0, 1.0])
     np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
+
+
+@pytest.mark.parametrize("has_colors", [True, False])
+def test_vertex_colors_come_with_the_texture_they_tint(
+    run: Run, files: Character, body: ControlMesh, *, has_colors: bool
+) -> None:
+    colors = np.linspace(0.2, 0.9, body.n_vertices * 3).reshape(-1, 3)
+    given = _part(files, "body")
+    tinted = replace(given, mesh=replace(given.mesh, vertex_colors=colors if has_colors else None))
+    write_character(Path("C.glb"), with_part(files, given, tinted))
+    write_mesh("B.glb", replace(body, vertex_colors=np.tile([1.0, 0.0, 0.0], (body.n_vertices, 1))), force=True)
+    found = _part(_rig(run), "body")
+    if has_colors:
+        np.testing.assert_allclose(found.mesh.vertex_colors[_same_order(found, given)], colors, atol=1e-4)
+    else:
+        assert found.mesh.vertex_colors is None
+    kept = _part(_rig(run, "--keep-textures"), "body")
+    np.testing.assert_allclose(
+        kept.mesh.vertex_colors, np.tile([1.0, 0.0, 0.0], (len(kept.mesh.positions), 1)), atol=1e-4
+    )
 
 
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:

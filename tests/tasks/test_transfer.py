@@ -101,7 +101,9 @@ def test_an_image_inside_a_gltf_file_for_other_uvs_is_refused(tmp_path: Path, ch
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
     run_transfer(request, Stages())
     (tmp_path / "other.gltf").write_text(json.dumps(scene | changed))
-    with pytest.raises(ParameterError, match=r"other.gltf: expected a colour image .* UV set in use"):
+    with pytest.raises(
+        ParameterError, match=r"other.gltf: expected a colour image .* UV set in use, without a texture transform"
+    ):
         run_transfer(replace(request, texture=tmp_path / "other.gltf"), Stages())
 
 

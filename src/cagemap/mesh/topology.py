@@ -109,11 +109,11 @@ class Topology:
         ranks = np.full(self.n_corners, -1, dtype=np.int32)
         twin = self.edge_corners[self.edges, self.forward.astype(np.int64)]
         numbers = np.arange(self.n_corners, dtype=np.int32)
-        start = np.empty(self.n_vertices, dtype=np.int32)
+        start = np.full(self.n_vertices, -1, dtype=np.int32)  # -1: unused, as a UV of no face
         start[self.vertices[::-1]] = numbers[::-1]
         unpaired = twin < 0
         start[self.vertices[unpaired]] = numbers[unpaired]
-        corners, rank = np.unique(start), 0
+        corners, rank = np.unique(start[start >= 0]), 0
         while len(corners):  # around all vertices at once
             ranks[corners] = rank
             corners = twin[self.previous[corners]]

@@ -108,7 +108,8 @@ def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Pa
     if image is None:
         raise ParameterError(
             f"{path}: expected a colour image on most of {result.source.control.name} that repeats over its UV set in "
-            "use, found none. Give an image file, match with another --source-uv-set, or bake --material-colors."
+            "use, without a texture transform, found none. Match with another --source-uv-set, give an image made for "
+            "these UVs, or bake --material-colors; `cagemap rig` applies texture transforms."
         )
     return image
 

@@ -184,7 +184,7 @@ def refine_file(
     welded = weld_asked(read_mesh(path), weld)
     mesh, notes = _with_quads(welded.mesh, welded.notes) if quads else (welded.mesh, welded.notes)
     control = subdivision.applied(mesh)
-    check_outputs(mesh_files(output, control), [path], force=force)
+    check_outputs(mesh_files(output, control, path), [path], force=force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=force)
         return "\n".join([*notes, f"wrote {output}"])

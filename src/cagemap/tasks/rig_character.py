@@ -47,6 +47,7 @@ from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.surface.triangles import fan_triangles
+from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest, with_part
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.options import comma_words
@@ -84,6 +85,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     stages("textures")
     dressed, document = _with_own_materials(carried, document, body_document, body=keeps)
     baked, notes = _Images(), list[str]()
+    if not request.keep_textures and not (keeps and of.mesh.vertex_colors is None):
+        dressed = replace(dressed, parts=(_colored(carried, dressed.parts[0], of), *dressed.parts[1:]))
     if not keeps:
         dressed, document, baked, notes = _textured(
             replace(carried, character=dressed), source, of, document, request.size
@@ -300,6 +303,15 @@ def _textured(
             images[copy, material_image.slot] = _baked(material_image, document, result, size)
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
     return dressed, with_copied_materials(document, list(copies.items())), images, notes
+
+
+def _colored(carried: CarriedCharacter, body: Part, of: Part) -> Part:
+    """The body with the source body's vertex colours, or without: glTF multiplies them with the texture."""
+    result, colors = carried.result, of.mesh.vertex_colors
+    if colors is not None:
+        colors = np.asarray(carry_values(result, colors[carried.rows[1]], "vertices"))
+        colors = colors[nearest(result.target.control.positions, body.mesh.positions)]
+    return replace(body, mesh=replace(body.mesh, vertex_colors=colors))
 
 
 def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None = None) -> Transfer:

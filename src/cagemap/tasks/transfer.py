@@ -24,6 +24,7 @@ from cagemap.files.values.attributes import check_attribute_path, read_attribute
 from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.mesh_report import first_few
 from cagemap.tasks.bake_tiles import inputs_of
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_images import (
@@ -207,14 +208,15 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     carried = carry_uvs(transfer, *sides)
     original, control = input_file(request.result, result.manifest, "target"), result.target.control
     laid_out = control.with_uvs(carried.uvs, carried.uv_indices)
-    write_mesh(request.output, laid_out, like=original, force=request.force)
+    of_obj = original is not None and original.suffix.lower() == ".obj"  # its images do not fit the new layout
+    write_mesh(request.output, laid_out, like=None if of_obj else original, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output})
     count = len(carried.crossed)
     warnings = missing_file_warnings(original, control.name, request.output)
     if count:
         warnings.append(
             f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "
-            f"coordinates (0-based): {', '.join(map(str, carried.crossed))}"
+            f"coordinates (0-based): {first_few(carried.crossed)}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
 
@@ -229,7 +231,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     assert request.passenger is not None
     check_mesh_path(request.output)
     mesh = read_mesh(request.passenger)
-    check_outputs(mesh_files(request.output, mesh), [request.passenger], force=request.force)
+    check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
     carried = carry_passenger(result, mesh, kind=cast(PassengerKind | None, request.kind))
     write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)

@@ -277,7 +277,7 @@ def _write(
         placed = np.arange(whole.n_vertices) if rows is None else [*rows.vertices, *rows.copies[:, 1]]
         left = whole.n_vertices - len(np.unique(placed))
         return [f"{original.name}: {left} vertices that were not matched stay where they are"] if left else []
-    check_outputs(mesh_files(output, mesh), [], force=request.force)
+    check_outputs(mesh_files(output, mesh, original), [], force=request.force)
     both_usd = all(path is not None and is_usd(path) for path in (output, original))
     if wrapped.level == 0 and both_usd:
         points = UsdResults(points=mesh.positions)

@@ -79,7 +79,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     like : path, optional
         The file that the mesh was read from. From USD to USD, units, up axis and the prim's transform are kept; a
         ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything in it but
-        positions and the UV set in use, if vertices and faces are the same.
+        positions and the UV set in use, if vertices and faces are the same. An ``.obj`` of an OBJ file names the same
+        ``.mtl`` files.
     force : bool
 
     Raises
@@ -96,14 +97,16 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
         write_glb_like(path, mesh, like, force=force)
     elif suffix == ".glb" and original is not None:
         write_glb(path, mesh, to_metres=to_standard(original), force=force)
+    elif suffix == ".obj":
+        write_obj(path, mesh, like=like, force=force)
     else:
         _WRITERS[suffix](path, mesh, force=force)
 
 
-def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
+def mesh_files(path: str | Path, mesh: ControlMesh, like: Path | None = None) -> list[Path]:
     """Files that `write_mesh` writes for a mesh, materials included."""
     file = Path(path)
-    return obj_files(file, mesh) if _extension(file, _WRITERS) == ".obj" else [file]
+    return obj_files(file, mesh, like) if _extension(file, _WRITERS) == ".obj" else [file]
 
 
 def referred_files(path: Path) -> list[Path]:

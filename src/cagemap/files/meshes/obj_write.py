@@ -25,13 +25,19 @@ _UNNAMED = "baked"
 
 
 def write_obj(
-    path: str | Path, mesh: ControlMesh, images: Mapping[str, str] = NO_IMAGES, *, force: bool = False
+    path: str | Path,
+    mesh: ControlMesh,
+    images: Mapping[str, str] = NO_IMAGES,
+    *,
+    like: str | Path | None = None,
+    force: bool = False,
 ) -> None:
     """Write a mesh as OBJ, with a ``.mtl`` of the same stem if it has materials.
 
     Numbers have as many digits as are needed to read the same float64 back.
 
     ``images``: of all materials, see `write_materials`; a mesh without materials gets one.
+    ``like``: OBJ file with the mesh's materials; its ``.mtl`` files, with their images, are named instead.
     """
     file = Path(path)
     if images and (mesh.face_materials is None or "" in mesh.material_names):
@@ -39,13 +45,17 @@ def write_obj(
     mesh = replace(mesh, material_names=_distinct(mesh.material_names))
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
-    for written in obj_files(file, mesh):
+    for written in obj_files(file, mesh, like):
         require_replaceable(written, force=force)
     library = file.with_suffix(".mtl")
+    own = mesh.face_materials is not None and not _has_materials(like)
     parts = [f"# {mark()}\n"]
-    parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
+    if own:
+        parts.append(f"mtllib {library.name}\n")
+    elif mesh.face_materials is not None and like is not None:
+        parts += [f"{found[0]}\n" for found in _LIBRARY.finditer(_text_for(file, Path(like)))]
     parts += obj_statements(mesh)
-    if mesh.face_materials is not None:
+    if own:
         statements = color_statements(mesh.material_names, mesh.material_colors)
         write_materials(library, statements, images, force=force)
     write_whole(file, "".join(parts), force=force)
@@ -68,9 +78,16 @@ def _distinct(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(used)
 
 
-def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
+def obj_files(path: Path, mesh: ControlMesh, like: str | Path | None = None) -> list[Path]:
     """Files that `write_obj` writes for a mesh."""
-    return [path] if mesh.face_materials is None else [path.with_suffix(".mtl"), path]
+    return [path] if mesh.face_materials is None or _has_materials(like) else [path.with_suffix(".mtl"), path]
+
+
+def _has_materials(file: str | Path | None) -> bool:
+    """Whether a file is an OBJ file whose material files exist."""
+    if file is None or Path(file).suffix.lower() != ".obj" or not Path(file).is_file():
+        return False
+    return bool(material_files(Path(file), read_text(Path(file), "an OBJ file")))
 
 
 def obj_statements(mesh: ControlMesh) -> list[str]:
