@@ -140,6 +140,7 @@ def test_damaged_copies_of_files_as_they_come(name: str, tmp_path: Path, shared_
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("fbx_server")
 def test_damaged_copies_of_an_fbx_file(tmp_path: Path) -> None:
     """The library reads them in a process of its own, which may stop: this one goes on with a named error."""
     pytest.importorskip("ufbx")

@@ -364,6 +364,7 @@ def _validator() -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("fbx_server")
 def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path) -> None:
     validator = _validator()
     pytest.importorskip("DracoPy")
