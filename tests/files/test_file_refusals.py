@@ -47,6 +47,7 @@ from refusals import Refusal
 
 AGAIN = "Delete the file and prepare the surface again."
 STL = "solid s\n" + "vertex 1 2 3\n" * 2 + "vertex 1 2 e\nendsolid s\n"
+JOINT = {"name": "a", "head": [0, 0, 0], "tail": [0, 1, 0]}
 CURVE = {
     "target_curve_corners": np.zeros((1, 3), int),
     "target_curve_weights": np.eye(3)[:1],
@@ -361,6 +362,14 @@ REFUSED = {
         "j.json: ",
         "expected a list of joints",
         "found something else (",
+    ),
+    "axes of one of two joints": Refusal(
+        lambda place: read_skeleton(
+            text("j.json", [JOINT | {"axes": np.eye(3).tolist()}, JOINT | {"name": "b"}])(place)
+        ),
+        "j.json: ",
+        "got 1 of 2",
+        "",
     ),
     "shapes for a folder in none": Refusal(
         lambda place: write_shapes(place / "no" / "where", {"smile": np.zeros((8, 3))}, cube(), []),

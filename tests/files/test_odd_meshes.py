@@ -19,11 +19,8 @@ OBJ = {
     "a backslash at the end of the file": V + "f 1 2 3 4\\",
     "a continued line, carriage returns alone": (V + "f 1 2 \\\n3 4\n").replace("\n", "\r"),
     "free-form elements": "vp 0.1 0.2\n" + V + "cstype bezier\ndeg 3 3\nsurf 0 1 0 1 1 2 3 4\nparm u 0 1\nend\n" + F,
-    "lines, points and smoothing groups": V + "s 1\nl 1 2 3\np 1\n" + F,
     "faces before vertices": F + V,
-    "a fourth coordinate": V.replace(" 0\n", " 0 1.0\n") + F,
     "corners that end in slashes": V + "f 1/ 2// 3/ 4//\n",
-    "indented, with tabs": "\t" + V.replace("\n", "\n\t").replace(" ", "\t") + F,
     "the end of a DOS file": V + F + "\x1a",
 }
 _PLY = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"

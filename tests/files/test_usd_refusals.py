@@ -21,11 +21,11 @@ from cagemap.files.values.rigs import read_shapes
 from cagemap.mesh.skeleton import Skeleton
 
 from refusals import Refusal
-from usd_scenes import usd_mesh
+from usd_scenes import stage_at, usd_mesh
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, UsdGeom, UsdSkel
 
 RIG = Skeleton(("hip",), ("",), np.zeros((1, 3)), np.ones((1, 3)), np.eye(3)[None])
 NOTHING = UsdResults()
@@ -39,9 +39,8 @@ def written(place: Path, results: UsdResults = NOTHING, name: str = "a.usda") ->
 
 def edited(place: Path, edit: Callable[[Any], object], results: UsdResults = NOTHING) -> Path:
     """A file of a cube after an edit of its stage."""
-    stage = Usd.Stage.Open(str(written(place, results)))
-    edit(stage)
-    stage.Save()
+    with stage_at(written(place, results)) as stage:
+        edit(stage)
     return place / "a.usda"
 
 
@@ -58,11 +57,10 @@ def shape_of_others(stage: Any) -> None:
 
 
 def two_meshes(place: Path) -> Path:
-    stage = Usd.Stage.CreateNew(str(place / "two.usda"))
-    for name in ("/a", "/b"):
-        usd_mesh(stage, name, cube())
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    stage.Save()
+    with stage_at(place / "two.usda") as stage:
+        for name in ("/a", "/b"):
+            usd_mesh(stage, name, cube())
+        UsdGeom.SetStageUpAxis(stage, "Y")
     return place / "two.usda"
 
 

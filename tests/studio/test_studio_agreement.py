@@ -30,7 +30,6 @@ def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Pa
     outputs = (Output(tmp_path / "RESULT", MAP_TITLE),)
     write_result(tmp_path / "RESULT", identity_result(level=3))
     scene = scene_of(identity_result(level=2))
-    assert scene.preview_map is not None
     assert map_difference_notes(scene, outputs) == ()
     # Every other vertex of the cube leads across it.
     turned = replace(scene, preview_map=replace(scene.preview_map, triangle=np.roll(scene.preview_map.triangle, 4)))

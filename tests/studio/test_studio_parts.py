@@ -89,7 +89,6 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
 def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     model = open_model(folder / "a.obj", None, None, 300)
     rest = model.look.other_parts
-    assert rest is not None
     assert model.shape.has_other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
@@ -338,7 +337,6 @@ def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
         parameters = {"target_part": word, "source_part": None}
         write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))
         files = command_line_files(None, None, None, None, result)
-        assert files is not None
         assert files.parts == (opens, None)
 
 
@@ -346,7 +344,6 @@ def dense(count: int) -> ControlMesh:
     mesh = triangulated(creature())
     while mesh.n_faces < count:
         fine = refine(mesh, 1).finest
-        assert fine.faces is not None
         mesh = ControlMesh.from_faces(fine.positions, fine.faces.tolist())
     return mesh
 
