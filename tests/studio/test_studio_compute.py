@@ -64,43 +64,34 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
 
 
-def test_an_fbx_model_is_converted_once_and_its_glb_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh = unwrapped_cube()
-    write_mesh(tmp_path / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
-    write_mesh(tmp_path / "made.glb", mesh)
-    (tmp_path / "b.fbx").write_bytes(b"an FBX file")
-    (tmp_path / "b.glb").write_bytes(b"another file of this name")
-    converted = list[str]()
+def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also two of one name, beside another file that has it."""
+    mesh, converted = unwrapped_cube(), list[Path]()
 
     def convert(path: Path) -> bytes:
-        converted.append(path.name)
-        return (tmp_path / "made.glb").read_bytes()
+        converted.append(path)
+        return (path.parent / "made.glb").read_bytes()
 
-    for module in ("files.gltf.document", "studio.models"):
-        monkeypatch.setattr(f"cagemap.{module}.fbx_as_glb", convert, raising=False)
-    pair_files = PairFiles(tmp_path / "a.obj", tmp_path / "b.fbx", None, 300, tmp_path)
-    cache, opened = run_task(PreviewCache(), OpenModels(pair_files), lambda _: None)
-    run_task(cache, FindMap(pair_files, landmarks(cache, *range(8))), lambda _: None)
-    assert converted == ["b.fbx"]
-    assert opened.source.path == tmp_path / "b1.glb"
-    assert opened.source.path.read_bytes() == (tmp_path / "made.glb").read_bytes()
-    assert (tmp_path / "b.glb").read_bytes() == b"another file of this name"
-    assert "b.fbx is converted: b1.glb is used in its place" in opened.source.notes
-
-
-def test_two_fbx_models_of_one_name_are_converted_to_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh = unwrapped_cube()
+    (tmp_path / "body.glb").write_bytes(b"another file of this name")
     for side, height in (("target", 1.2), ("source", 1.4)):
         (tmp_path / side).mkdir()
         write_mesh(tmp_path / side / "made.glb", mesh.with_positions(mesh.positions * [1.0, height, 1.0]))
         (tmp_path / side / "body.fbx").write_bytes(b"an FBX file")
-    monkeypatch.setattr("cagemap.studio.models.fbx_as_glb", lambda path: (path.parent / "made.glb").read_bytes())
-    target, source = (tmp_path / side / "body.fbx" for side in ("target", "source"))
+    for module in ("files.gltf.document", "studio.models"):
+        monkeypatch.setattr(f"cagemap.{module}.fbx_as_glb", convert, raising=False)
+    target, source = given = [tmp_path / side / "body.fbx" for side in ("target", "source")]
+    pair_files = PairFiles(target, source, None, 300, tmp_path)
     for _ in range(2):  # the files that were put there are used again
-        _, opened = run_task(PreviewCache(), OpenModels(PairFiles(target, source, None, 300, tmp_path)), lambda _: None)
-        assert (opened.target.path, opened.source.path) == (tmp_path / "body.glb", tmp_path / "body1.glb")
+        converted.clear()
+        cache, opened = run_task(PreviewCache(), OpenModels(pair_files), lambda _: None)
+        assert (opened.target.path, opened.source.path) == (tmp_path / "body1.glb", tmp_path / "body2.glb")
+        assert opened.source.path.read_bytes() == (source.parent / "made.glb").read_bytes()
+        assert "body.fbx is converted: body2.glb is used in its place" in opened.source.notes
         heights = [float(np.ptp(side.control.positions[:, 1])) for side in (opened.target, opened.source)]
         assert heights[1] / heights[0] == pytest.approx(1.4 / 1.2)
+    run_task(cache, FindMap(pair_files, landmarks(cache, *range(8))), lambda _: None)
+    assert converted == given
+    assert (tmp_path / "body.glb").read_bytes() == b"another file of this name"
 
 
 @pytest.mark.slow
@@ -209,9 +200,5 @@ def test_a_vertex_cannot_be_named_twice(opened: tuple[PreviewCache, OpenModels])
 
 
 def test_answers_of_one_name_are_numbered() -> None:
-    assert number_duplicates(["as filed", "turned", "as filed", "as filed"]) == (
-        "as filed",
-        "turned",
-        "as filed (2)",
-        "as filed (3)",
-    )
+    numbered = ("as filed", "turned", "as filed (2)", "as filed (3)")
+    assert number_duplicates(["as filed", "turned", "as filed", "as filed"]) == numbered

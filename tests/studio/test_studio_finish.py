@@ -66,6 +66,9 @@ def test_every_option_is_on_the_page_or_left_out_for_a_reason() -> None:
     assert {*SHOWN, *OMITTED_OPTIONS, *SHARED_OPTIONS} <= {*OPTIONS}
     assert len({*SHOWN}) == len(SHOWN)
     assert not {*SHOWN} & {*OMITTED_OPTIONS}
+    assert {key[0] for key in OPTIONS} == {*COMMANDS}
+    assert OPTIONS["transfer", "bake"].choices == KINDS
+    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_SUFFIXES)
 
 
 def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,11 +85,6 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
     for outside in (0.0, 5.0):
         with pytest.raises(ParameterError, match="--grain: expected"):
             finish_commands(options, files, FinishOptions(option_values={key: outside}), use_landmarks=False)
-
-
-def test_words_that_the_command_line_knows_by_other_means_are_the_same() -> None:
-    assert OPTIONS["transfer", "bake"].choices == KINDS
-    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_SUFFIXES)
 
 
 def values(option: CommandOption) -> st.SearchStrategy[Value]:
@@ -170,6 +168,10 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     for name in ("secret.obj", "secret.png"):
         (outside / name).write_text("secret")
     workspace = Workspace.of(inside)
+    (inside / "link.obj").symlink_to(outside / "secret.obj")
+    for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj"):
+        with pytest.raises(ParameterError, match="outside"):
+            workspace.resolve(path)
     files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
 
     def refused(asked: FinishOptions) -> None:
@@ -198,6 +200,7 @@ def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_
         (tmp_path / name).touch()
     assert Workspace.of(tmp_path).list_files((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
     assert Workspace.of(tmp_path).list_files((".obj", "/")) == ("faces", "faces/smile.obj")
+    assert Workspace.of(tmp_path).resolve("faces/smile.obj") == (tmp_path / "faces/smile.obj").resolve()
 
 
 def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_path: Path) -> None:
@@ -246,10 +249,8 @@ def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
     packed, kind = output_content(outputs, ARCHIVE_NAME) or (b"", "")
     assert kind == "application/zip"
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        assert {name: archive.read(name) for name in archive.namelist()} == {
-            "RESULT/map.npz": b"map",
-            "cow.png": b"png",
-        }
+        found = {name: archive.read(name) for name in archive.namelist()}
+    assert found == {"RESULT/map.npz": b"map", "cow.png": b"png"}
     folder, kind = output_content(outputs, "RESULT.zip") or (b"", "")
     with zipfile.ZipFile(io.BytesIO(folder)) as archive:
         assert archive.namelist() == ["RESULT/map.npz"]
@@ -327,7 +328,3 @@ def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -
     (match, *_) = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)
     inside = (files.result / "map.npz", files.result / "manifest.json", tmp_path / "a.png", tmp_path.parent / "b.png")
     assert [output.path.name for output in command_outputs(match, inside)] == [files.result.name, "a.png"]
-
-
-def test_every_command_of_a_finish_is_asked_by_its_request() -> None:
-    assert {key[0] for key in OPTIONS} == {*COMMANDS}
