@@ -235,9 +235,8 @@ def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Pat
     assert "skipped" in (night / "index.html").read_text()
 
     single = ["match", "-t", str(folder / "deer.obj"), "-s", str(folder / "pony.obj"), "--vertices", "1500"]
-    done = CliRunner().invoke(
-        app, [*single, "--landmarks", str(folder / "landmarks.json"), "-o", str(folder / "RESULT")]
-    )
+    single += ["--landmarks", str(folder / "landmarks.json"), "-o", str(folder / "RESULT")]
+    done = CliRunner().invoke(app, single)
     assert done.exit_code == 0, done.output
     one, many = read_result(folder / "RESULT"), read_result(night / "pony__deer" / "RESULT")
     np.testing.assert_allclose(many.image(), one.image(), atol=1e-12 * np.ptp(one.image()))
