@@ -79,39 +79,29 @@ def over(place: Path, prim: str = "/Asset/mesh", **results: Any) -> None:
 REFUSED = {
     "a mesh of several": Refusal(
         lambda place: read_usd_skeleton(two_meshes(place)),
-        "two.usda: expected one mesh",
-        "got /a, /b",
+        "two.usda: expected one mesh ... got /a, /b",
         "Match one of them (`find_part` NAME), or make what is meant a file of its own.",
     ),
     "a package in a package": Refusal(
         lambda place: asset_paths("outer.usdz", package_in_package(place)),
-        "outer.usdz: ",
-        "expected a package of layers and images, got a package within it",
-        "Flatten it.",
+        "outer.usdz:  ... expected a package of layers and images, got a package within it ... Flatten it.",
     ),
     "a mesh that is bound flat": Refusal(
         lambda place: read_usd_skeleton(edited(place, flattened_joints, UsdResults(skeleton=RIG))),
-        "a.usda: /Asset/skeleton",
-        "the mesh's bind transform has no inverse",
-        "Export the skeleton again.",
+        "a.usda: /Asset/skeleton ... the mesh's bind transform has no inverse ... Export the skeleton again.",
     ),
     "a joint above itself": Refusal(
         lambda place: over(place, skeleton=replace(RIG, parents=("hip",))),
-        "skeleton: ",
-        "joint hip is its own parent",
-        "Repair the hierarchy.",
+        "skeleton:  ... joint hip is its own parent ... Repair the hierarchy.",
     ),
     "a scene without a unit": Refusal(
         lambda place: stage_units(edited(place, lambda stage: UsdGeom.SetStageMetersPerUnit(stage, -1.0))),
-        "a.usda: expected the up axis Y or Z and a positive metersPerUnit",
-        "got Y, -1.0",
+        "a.usda: expected the up axis Y or Z and a positive metersPerUnit ... got Y, -1.0",
         AGAIN,
     ),
     "a layer over another prim": Refusal(
         lambda place: over(place, "/Asset/other"),
-        "a.usda: expected a mesh prim /Asset/other",
-        "there is none",
-        "Match again with this file.",
+        "a.usda: expected a mesh prim /Asset/other ... there is none ... Match again with this file.",
     ),
     "points of another mesh": Refusal(
         lambda place: over(place, points=creature().positions),
@@ -121,16 +111,14 @@ REFUSED = {
     ),
     "values of another mesh": Refusal(
         lambda place: over(place, attributes={"heat": np.ones(5)}),
-        "heat: ",
-        "expected a row for each vertex, face or face corner, got 5",
+        "heat:  ... expected a row for each vertex, face or face corner, got 5",
         "Give the values of this mesh.",
     ),
     "a shape of other points": Refusal(
         lambda place: read_usd_meshes(
             edited(place, shape_of_others, UsdResults(attributes={"blendShape:smile": np.ones((8, 3))}))
         ),
-        "blend shape smile: ",
-        "expected one finite offset a point, got 8 for 8 points of 8",
+        "blend shape smile:  ... expected one finite offset a point, got 8 for 8 points of 8",
         AGAIN,
     ),
     "shapes of another mesh": Refusal(
@@ -154,7 +142,6 @@ def test_usd_without_its_library_is_refused(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "pxr.Usd", None)
     Refusal(
         read_usd_meshes,
-        "USD files: ",
-        "expected the package usd-core, which is not installed",
+        "USD files:  ... expected the package usd-core, which is not installed",
         "Install cagemap[usd] or usd-core.",
     ).check(file)
