@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import sys
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from examples.shapes import cube, icosahedron
 from typer.main import get_command
 
 from cagemap import __version__
+from cagemap.cli import main
 from cagemap.cli.app import app
 from cagemap.cli.console import set_verbosity
 from cagemap.cli.progress import ConsoleStages
@@ -138,6 +140,8 @@ BOXES = "match --target box.obj --source box.obj".split()
         (["demo", "--output=-"], "--output: expected a name, got '-'"),
         (["run", "box.obj/inside.toml"], "there is no such file"),
         (["dance"], "dance"),
+        ("studio --no-browser --folder none".split(), "--folder none: expected a folder, found none. Check the name."),
+        ("studio --no-browser -t a.obj -s b.obj".split(), "a.obj: expected a mesh file, found none. Check the name."),
     ],
     ids=lambda words: " ".join(words)[:50] if isinstance(words, list) else "",
 )
@@ -272,3 +276,22 @@ def test_threads_are_one_setting_for_the_process(run: Run, tmp_path: Path, monke
     assert run("--threads 2 check", mesh).code == 0
     assert os.environ["CAGEMAP_THREADS"] == os.environ["OPENIMAGEIO_THREADS"] == "2"
     assert run("--threads 0 check", mesh).code == 2
+
+
+def test_without_its_server_the_studio_says_what_to_install(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith(("cagemap.studio.page", "websockets"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    run.refused("studio --no-browser", says="which is not installed. Run pip install 'cagemap[studio]'.")
+
+
+def test_a_fault_in_the_code_is_shown_whole_if_asked_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fault(*given: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("cagemap.cli.entry._check_words", fault)
+    assert run("check a.obj").code not in (0, 2)
+    monkeypatch.setenv("CAGEMAP_DEBUG", "1")
+    monkeypatch.setattr(sys, "argv", ["cagemap", "check", "a.obj"])
+    with pytest.raises(ZeroDivisionError):
+        main()

@@ -6,11 +6,13 @@ import base64
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cagemap.deform.placement import Placement
+from cagemap.files.images.image import write_image
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
@@ -29,6 +31,7 @@ from cagemap.report import (
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
 from cagemap.report.verdicts import overall_verdict, rate_figures
+from cagemap.tasks.report import _baked_image
 
 from example_result import identity_result
 
@@ -281,3 +284,31 @@ def test_the_table_of_landmarks_says_how_large_the_target_is_around_them(result:
     outwards = result.target.control.positions * [1.0, 1.0, 3.0]
     wide = identity_result(controls=(result.target.control.with_positions(outwards), result.source.control))
     assert "stretched" in build_page(wide, gallery).split("<th>size around it</th>")[1].split("</table>")[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown"),
+    [
+        ("bake-colors", [0.0, 0.5, 1.0]),
+        ("bake-ao", [0.0, 0.5, 1.0]),
+        ("normal-map", [0.0, 0.21404, 1.0]),
+        ("displacement", [0.0, 0.21404, 1.0]),
+    ],
+)
+def test_floats_are_encoded_once_if_they_are_colours(tmp_path: Path, kind: str, shown: list[float]) -> None:
+    values = np.array([0.0, 0.21404, 1.0], np.float32)
+    write_image(tmp_path / "a.exr", np.tile(values[:, None], (2, 1, 3)))
+    entry = {"kind": kind, "output": "a.exr", "tiles": [0]}
+    (pixels,) = _baked_image(tmp_path, identity_result(1), entry).tiles.values()
+    np.testing.assert_allclose(pixels[0, :, 0], shown, atol=1e-4)
+
+
+@pytest.mark.parametrize("names", ["skin.{}.png", "skin_{}_v2.png", "1001_{}.png"])
+def test_tiles_are_found_wherever_their_number_stands(tmp_path: Path, names: str) -> None:
+    tiles = [1001, 1002]
+    for tile in tiles:
+        write_image(tmp_path / names.format(tile), np.full((4, 4, 3), tile - 1000, dtype=np.uint8))
+    entry = {"kind": "texture", "output": names.format(1001), "tiles": tiles}
+    image = _baked_image(tmp_path, identity_result(1), entry)
+    assert image.name.endswith(names.format("<UDIM>"))
+    assert {tile: round(float(pixels.max() * 255)) for tile, pixels in image.tiles.items()} == {1001: 1, 1002: 2}

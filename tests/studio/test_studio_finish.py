@@ -1,4 +1,4 @@
-"""The finish: the commands that it runs, and what it gives to download."""
+"""The finish: the commands that it runs, what it gives to download, and whether its map is the one shown."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import os
 import queue
 import zipfile
 from collections.abc import Callable
-from dataclasses import field, make_dataclass
+from dataclasses import field, make_dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Annotated, Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from ending_processes import die, hang_up, leave
 from hypothesis import given
@@ -22,9 +23,12 @@ from typed_request import run_typed, typed
 
 from cagemap.errors import OPTION_NAMES, ParameterError, use_option_names
 from cagemap.files import MASK_SUFFIXES
+from cagemap.files.result.folder import write_result
+from cagemap.maps.result import MatchResult
 from cagemap.mesh.plain import Repairs
+from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
-from cagemap.studio.finish import SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
+from cagemap.studio.finish import MAP_TITLE, SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
     ADVANCED,
     OMITTED_OPTIONS,
@@ -37,6 +41,9 @@ from cagemap.studio.finish_layout import (
 )
 from cagemap.studio.opening import default_files
 from cagemap.studio.runner import Runner, command_outputs
+from cagemap.studio.scene import Scene
+from cagemap.studio.shape import refined_shape
+from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Message, Output, RunningJob, add_message
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.detail_bakes import KINDS
@@ -45,6 +52,8 @@ from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value
 from cagemap.tasks.requests.options import Option
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
+
+from example_result import identity_result
 
 OPTIONS = all_options()
 SHOWN = (*(field.key for fold in SECTIONS for field in fold.fields), VERTICES_KEY, SIZE_KEY)
@@ -328,3 +337,23 @@ def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -
     (match, *_) = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)
     inside = (files.result / "map.npz", files.result / "manifest.json", tmp_path / "a.png", tmp_path.parent / "b.png")
     assert [output.path.name for output in command_outputs(match, inside)] == [files.result.name, "a.png"]
+
+
+def scene_of(shown: MatchResult) -> Scene:
+    found = shown.point_map
+    images = PreviewMap(found.triangle, found.barycentric, shown.quality.trust)
+    shapes = refined_shape(shown.target.refinement), refined_shape(shown.source.refinement)
+    return Scene(*shapes, (None, None), (b"", b""), images)
+
+
+def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Path) -> None:
+    outputs = (Output(tmp_path / "RESULT", MAP_TITLE),)
+    write_result(tmp_path / "RESULT", identity_result(level=3))
+    scene = scene_of(identity_result(level=2))
+    assert map_difference_notes(scene, outputs) == ()
+    # Every other vertex of the cube leads across it.
+    turned = replace(scene, preview_map=replace(scene.preview_map, triangle=np.roll(scene.preview_map.triangle, 4)))
+    (said,) = map_difference_notes(turned, outputs)
+    assert "Match again" in said
+    assert map_difference_notes(None, outputs) == map_difference_notes(turned, ()) == ()
+    assert map_difference_notes(turned, (Output(tmp_path / "gone", MAP_TITLE),)) == ()
