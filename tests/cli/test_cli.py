@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import sys
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from examples.shapes import cube, icosahedron
 from typer.main import get_command
 
 from cagemap import __version__
+from cagemap.cli import main
 from cagemap.cli.app import app
 from cagemap.cli.console import set_verbosity
 from cagemap.cli.progress import ConsoleStages
@@ -76,13 +78,14 @@ def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:
     assert "missing.obj" in missing.out
 
 
-@pytest.mark.parametrize("extension", ["obj", "ply"])
-def test_refine_writes_the_level_asked(run: Run, tmp_path: Path, extension: str) -> None:
+@pytest.mark.parametrize("extension", ["obj", "ply", "glb"])
+def test_refine_writes_the_level_asked_and_replaces_its_own_file(run: Run, tmp_path: Path, extension: str) -> None:
     write_mesh(tmp_path / "ball.obj", icosahedron())
-    outcome = run.done("refine ball.obj --level 2 -o", f"out.{extension}")
-    assert "162" in outcome.out
-    fine = read_mesh(tmp_path / f"out.{extension}")
-    assert (fine.n_vertices, fine.n_faces) == (162, 320)
+    for level, vertices, faces in ((1, 42, 80), (2, 162, 320)):
+        outcome = run.done("refine ball.obj --level", level, "-o", f"out.{extension}")
+        assert (str(vertices) in outcome.out, outcome.err) == (True, "")
+        fine = read_mesh(tmp_path / f"out.{extension}")
+        assert (fine.n_vertices, fine.n_faces) == (vertices, faces)
 
 
 def test_pieces_are_refined_each_for_itself(run: Run, tmp_path: Path) -> None:
@@ -110,27 +113,23 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
     assert read_mesh(tmp_path / "same.obj").n_faces == 6
 
 
+BOXES = "match --target box.obj --source box.obj".split()
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
         (["refine", "none.obj", "--level", "1", "-o", "x.obj"], "none.obj"),
-        (["refine", "box.obj", "--level", "20", "-o", "x.obj"], "Use --level 10 or less"),
         (["refine", "box.obj", "--level", "1000", "-o", "x.obj"], "Use --level 10 or less"),
         (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r"ending in .obj, .ply"),
         (["refine", "box.obj", "--level", "1", "-o", "nowhere/x.obj"], "nowhere"),
         (["refine", "box.obj", "--level", "-1", "-o", "x.obj"], "--level"),
         (["match", "--target", "box.obj", "-o", "R"], "--source"),
-        (["match", *"--target box.obj --source box.obj --method hfm -o R".split()], "at least 3 pairs"),
-        (
-            ["match", *"--target box.obj --source box.obj --landmarks l.json -o R --level 2 --vertices 5".split()],
-            "got both",
-        ),
-        (
-            ["match", *"--target box.obj --source box.obj --landmarks l.json -o R --set schedule=10,x".split()],
-            "100,50,50,50",
-        ),
-        (["match", *"--target box.obj --source box.obj --landmarks l.json -o R".split()], "l.json"),
-        (["match", *"--target box.obj --source box.obj --landmarks l.json -o R --method magic".split()], "hfm"),
+        ([*BOXES, *"--method hfm -o R".split()], "at least 3 pairs"),
+        ([*BOXES, *"--landmarks l.json -o R --level 2 --vertices 5".split()], "got both"),
+        ([*BOXES, *"--landmarks l.json -o R --set schedule=10,x".split()], "100,50,50,50"),
+        ([*BOXES, *"--landmarks l.json -o R".split()], "l.json"),
+        ([*BOXES, *"--landmarks l.json -o R --method magic".split()], "hfm"),
         (["transfer", "R", "--texture", "t.png", "-o", "o.png"], "cagemap match"),
         (["transfer", "box.obj", "--texture", "t.png", "-o", "o.png"], "found a file"),
         (["report", "R"], "cagemap match"),
@@ -140,11 +139,13 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
         (["run", "."], "got a folder"),
         (["demo", "-o", "box.obj"], "box.obj"),
         (["demo", "-o", ""], "-o: expected a value, got an empty one"),
-        (["match", *"--target box.obj --source box.obj --force --output=".split()], "--output: expected a value"),
+        ([*BOXES, *"--force --output=".split()], "--output: expected a value"),
         (["demo", "-o", "-"], "nothing is written to standard output"),
         (["demo", "--output=-"], "--output: expected a name, got '-'"),
         (["run", "box.obj/inside.toml"], "there is no such file"),
         (["dance"], "dance"),
+        ("studio --no-browser --folder none".split(), "--folder none: expected a folder, found none. Check the name."),
+        ("studio --no-browser -t a.obj -s b.obj".split(), "a.obj: expected a mesh file, found none. Check the name."),
     ],
     ids=lambda words: " ".join(words)[:50] if isinstance(words, list) else "",
 )
@@ -153,12 +154,6 @@ def test_wrong_requests_are_refused_in_words(run: Run, tmp_path: Path, words: li
     before = sorted(tmp_path.iterdir())
     run.refused(*words, says=expected)
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_refined_mesh_is_exported_as_gltf(run: Run, tmp_path: Path) -> None:
-    write_mesh(tmp_path / "box.obj", textured_cube("box.obj"))
-    assert run("refine box.obj --level 1 -o fine.glb").err == ""
-    assert run("refine box.obj --level 2 -o fine.glb").code == 0, "our own file is replaced"
 
 
 SYMMETRIES = ("--set", "target.symmetry=pipe", "--set", "source.symmetry=pipe")
@@ -285,3 +280,22 @@ def test_threads_are_one_setting_for_the_process(run: Run, tmp_path: Path, monke
     assert run("--threads 2 check", mesh).code == 0
     assert os.environ["CAGEMAP_THREADS"] == os.environ["OPENIMAGEIO_THREADS"] == "2"
     assert run("--threads 0 check", mesh).code == 2
+
+
+def test_without_its_server_the_studio_says_what_to_install(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith(("cagemap.studio.page", "websockets"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    run.refused("studio --no-browser", says="which is not installed. Run pip install 'cagemap[studio]'.")
+
+
+def test_a_fault_in_the_code_is_shown_whole_if_asked_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fault(*given: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("cagemap.cli.entry._check_words", fault)
+    assert run("check a.obj").code not in (0, 2)
+    monkeypatch.setenv("CAGEMAP_DEBUG", "1")
+    monkeypatch.setattr(sys, "argv", ["cagemap", "check", "a.obj"])
+    with pytest.raises(ZeroDivisionError):
+        main()

@@ -89,12 +89,6 @@ def test_the_report_shows_all_tiles_of_an_image(run: Run, result_folder: Path) -
     assert 'width="64" height="32" alt="material colours: m.&lt;UDIM&gt;.png"' in page
 
 
-def test_report_is_written(run: Run, result_folder: Path) -> None:
-    outcome = run.done("report R -o r.html")
-    assert "r.html" in outcome.out
-    assert (result_folder.parent / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
-
-
 def test_bits_choose_the_number_type(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     assert run("transfer R --texture t.png --size 32 --bits 16 -o deep.png").code == 0
@@ -194,12 +188,6 @@ def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder:
     assert "materials of the source" not in colours.err
 
 
-def test_a_mesh_with_the_source_s_uvs_is_noted_by_a_relative_name(run: Run, result_folder: Path) -> None:
-    run.done("transfer R --source-uvs -o laid.obj")
-    (entry,) = read_result(result_folder).manifest["transfers"]
-    assert entry["output"] == "../laid.obj"
-
-
 def test_only_the_first_faces_over_a_seam_are_listed(
     run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,10 +200,14 @@ def test_only_the_first_faces_over_a_seam_are_listed(
     assert "0, 1, 2, 3, 4, 5, 6, 7, ... (992 more)" in outcome.err
 
 
-def test_a_mesh_that_lacks_what_its_missing_file_held_is_warned_of(run: Run, result_folder: Path) -> None:
-    name = read_result(result_folder).target.control.name
+def test_a_mesh_with_the_source_s_uvs_is_noted_and_what_its_missing_file_held_is_warned_of(
+    run: Run, result_folder: Path
+) -> None:
     outcome = run.done("transfer R --source-uvs -o laid.obj")
-    assert f"{name}: the file is no longer where the match read it" in outcome.err
+    result = read_result(result_folder)
+    (entry,) = result.manifest["transfers"]
+    assert entry["output"] == "../laid.obj"
+    assert f"{result.target.control.name}: the file is no longer where the match read it" in outcome.err
 
 
 def test_a_base_of_another_colour_space_is_warned_of(run: Run, result_folder: Path) -> None:

@@ -16,7 +16,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.jobs import plan_job, read_job, spanning_tree
+from cagemap.jobs import Task, plan_job, read_job, spanning_tree
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import JOB, note_match, note_output
 from cagemap.tasks.match import MatchRequest
@@ -34,6 +34,8 @@ from example_result import identity_result, textured_cube
 @pytest.fixture
 def folder(pair_files: Path) -> Path:
     (pair_files / "RESULT").mkdir()
+    for name, scale in (("large.obj", 2.0), ("small.obj", 1.0)):
+        write_mesh(pair_files / name, textured_cube(name, scale))
     return pair_files
 
 
@@ -45,13 +47,17 @@ def requests(folder: Path) -> tuple[MatchRequest, TransferRequest]:
     return match, TransferRequest(result, folder / "deer.png", texture=folder / "pony.png", size=32)
 
 
+def noted_tasks(result: Path) -> list[Task]:
+    """What the job file of a RESULT plans."""
+    return list(plan_job(read_job(result / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks)
+
+
 def test_the_job_file_asks_for_just_what_was_asked_for(folder: Path) -> None:
     match, transfer = requests(folder)
     note_match(match)
     for _ in range(2):  # the same output replaces
         note_output("transfer", transfer.result, transfer)
-    job = read_job(folder / "RESULT" / JOB, COMMANDS)
-    tasks = plan_job(job, "1", spanning_tree).tasks
+    tasks = noted_tasks(folder / "RESULT")
     asked = {task.kind: task.request for task in tasks}
     assert [task.kind for task in tasks] == ["prepare", "prepare", "match", "picture", "transfer"]
     assert {name: asked["match"][name] for name in ("vertices", "k")} == {"vertices": 700, "k": 40}
@@ -80,7 +86,7 @@ def test_no_file_is_written_twice_by_it(folder: Path) -> None:
         note_output("transfer", result, replace(transfer, output=folder / output, usd=folder / "deer.usda"))
     wrap = WrapRequest((result,), folder / "w.obj", texture=folder / "pony.png", baked=folder / "b.png", size=16)
     run_wrap(wrap, Stages())
-    tasks = plan_job(read_job(result / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+    tasks = noted_tasks(result)
     assert [task.outputs for task in tasks[4:]] == [
         ("pony__deer/deer.png",),
         ("pony__deer/other.png", "pony__deer/deer.usda"),
@@ -100,7 +106,7 @@ def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None
         note_match(replace(requests(folder)[0], output=place))
     run_wrap(WrapRequest(results, folder / "shapes", blend_shapes=True), Stages())
     for place in results:
-        tasks = plan_job(read_job(place / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+        tasks = noted_tasks(place)
         assert [(task.outputs, task.request["blend_shapes"]) for task in tasks[4:]] == [(("pony__deer/shapes",), True)]
 
 
@@ -120,22 +126,20 @@ def test_masks_are_found_however_their_paths_are_typed(
 
 
 def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
-    write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
-    write_mesh(folder / "small.obj", textured_cube("small.obj"))
     np.save(folder / "own.npy", np.random.default_rng(1).integers(0, 98, 98))
     request = MapRequest(folder / "own.npy", folder / "large.obj", folder / "small.obj", folder / "RESULT", level=2)
     with pytest.raises(ParameterError, match=r"--level 13: small.obj would have too many|--level 13: large.obj would"):
         run_map(replace(request, level=13), Stages())  # not MemoryError, nor the whole machine's memory
     run_map(request, Stages())
     job = folder / "RESULT" / JOB
-    match, picture = plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+    match, picture = noted_tasks(folder / "RESULT")
     (folder / "RESULT" / "again" / "small__large").mkdir(parents=True)
     assert run_task(match)["quality"]["coverage"] <= 1.0
     images = [read_result(place).point_map.images for place in (request.output, Path(match.request["output"]))]
     np.testing.assert_array_equal(images[0].positions, images[1].positions)
     assert picture.needs == (match.name,)
     np.save(folder / "own.npy", np.arange(98))
-    assert plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks[0].key != match.key
+    assert noted_tasks(folder / "RESULT")[0].key != match.key
     data = tomllib.loads(job.read_text())
     data["pairs"][0]["landmarks"] = "../landmarks.json"
     job.write_text(tomli_w.dumps(data))
@@ -144,19 +148,13 @@ def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
 
 
 def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
-    write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
-    write_mesh(folder / "small.obj", textured_cube("small.obj"))
     np.save(folder / "own.npy", np.arange(98))
     np.save(folder / "mask.npy", np.arange(8) / 8)
     files = (folder / name for name in ("own.npy", "large.obj", "small.obj", "RESULT"))
     request = MapRequest(*files, level=2, weld="auto", source_weld="0.001", target_mask=str(folder / "mask.npy"))
     run_map(request, Stages())
-    task = plan_job(read_job(folder / "RESULT" / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks[0]
-    assert {name: task.request.get(name) for name in ("level", "weld", "source_weld")} == {
-        "level": 2,
-        "weld": "auto",
-        "source_weld": "0.001",
-    }
+    task, _ = noted_tasks(folder / "RESULT")
+    assert [task.request.get(name) for name in ("level", "weld", "source_weld")] == [2, "auto", "0.001"]
     (folder / "RESULT" / "again" / "small__large").mkdir(parents=True)
     run_task(task)
     masks = [read_result(place).masks.target for place in (request.output, Path(task.request["output"]))]

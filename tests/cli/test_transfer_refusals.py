@@ -17,7 +17,7 @@ from cagemap.files.result.folder import write_result
 from cagemap.paper.hfm import HfmConfig
 from cagemap.tasks import transfer as door
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result
@@ -109,11 +109,6 @@ def fail() -> str:
 def test_options_that_would_do_nothing_are_refused(place: Path, option: str, value: object) -> None:
     assert set(door._READ_BY) <= {field.name for field in fields(TransferRequest)}
     assert option.replace("_", "-") in refused(place, "m.npz", write_map=True, **{option: value})
-
-
-def test_maps_whose_names_some_disks_take_for_one_are_refused() -> None:
-    with pytest.raises(ParameterError, match="a name of its own"):
-        texture_and_maps(["Skin=a.png", "skin=b.png"])
 
 
 @pytest.mark.parametrize("kind", [StartConfig, HfmConfig])

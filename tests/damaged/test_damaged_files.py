@@ -367,7 +367,7 @@ def with_one(array: Any, value: float) -> Any:
     return changed
 
 
-def test_what_crashed_natively_is_refused_by_name(tmp_path: Path) -> None:
+def test_arrays_that_do_not_fit_are_refused_by_name_before_native_code_reads_them(tmp_path: Path) -> None:
     result = identity_result()
     positions = result.source.control.positions
     cases: list[tuple[dict[str, Any], str]] = [
@@ -375,9 +375,15 @@ def test_what_crashed_natively_is_refused_by_name(tmp_path: Path) -> None:
         ({"barycentric": with_one(result.barycentric, 3.0)}, "outside their triangles"),
         ({"source_control_positions": with_one(positions, 1e300)}, "positions holds NaN, infinite or absurdly"),
         ({"source_vertices": with_one(result.source.vertices, 1e90)}, "not those of the control mesh"),
+        ({"source_vertices": result.source.vertices + 1e-3}, "source_vertices or faces are not those"),
         ({"target_control_positions": None}, "lacks 'positions'"),
         ({"target_control_face_offsets": np.array([0, 4, 3, 12, 16, 20, 24])}, "ascending"),
         ({"triangle": with_one(result.triangle, 10**9).astype(np.int64)}, "counts past"),
+        ({"triangle": result.triangle[:-1]}, "triangle has shape"),
+        ({"triangle": with_one(result.triangle, len(result.source_triangles))}, "counts past"),
+        ({"barycentric": result.barycentric[:, :2]}, "barycentric has shape"),
+        ({"functional_map": np.zeros((2, 2))}, "functional_map has shape"),
+        ({"trust": None}, "lacks 'trust'"),
         ({"source_triangles": result.source_triangles[::-1]}, "not those of source_faces"),
     ]
     for arrays, words in cases:

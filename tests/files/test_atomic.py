@@ -158,9 +158,13 @@ def test_a_full_disk_leaves_no_half_of_a_file(tmp_path: Path, name: str) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_file_appears_whole_under_its_name_only(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moved", [False, True])
+def test_file_appears_whole_under_its_name_only(tmp_path: Path, moved: bool) -> None:
+    """Also where a library writes beside the temporary file and moves."""
     final = tmp_path / "image.exr"
     with atomic_path(final) as temporary:
+        if moved:
+            temporary.unlink()
         assert temporary.parent == tmp_path
         assert temporary.suffix == ".exr"  # image libraries choose their format by it
         temporary.write_text("half")
@@ -194,13 +198,6 @@ def test_files_that_go_together_are_all_left_where_one_may_not_be_replaced(tmp_p
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"second.txt": "somebody else's"}
 
 
-def test_file_may_be_replaced_by_the_writer_itself(tmp_path: Path) -> None:
-    with atomic_path(tmp_path / "a") as temporary:
-        temporary.unlink()  # as libraries that write beside and move do
-        temporary.write_text("x")
-    assert (tmp_path / "a").read_text() == "x"
-
-
 def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"folder .*none does not exist"), atomic_path(tmp_path / "none" / "a.txt"):
         pass
@@ -217,29 +214,23 @@ def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
         pass
 
 
-def test_folder_appears_whole(tmp_path: Path) -> None:
-    final = tmp_path / "result"
-    with atomic_folder(final, NAMES) as temporary:
-        (temporary / "map.npz").write_text("x")
-        (temporary / "manifest.json").write_text("{}")
-        assert not final.exists()
-    assert sorted(path.name for path in final.rglob("*")) == ["manifest.json", "map.npz"]
-    assert list(tmp_path.iterdir()) == [final]
-    assert os.access(final, os.R_OK | os.X_OK)
-
-
-def test_earlier_result_and_empty_folder_are_replaced(tmp_path: Path) -> None:
-    final = tmp_path / "result"
+def test_a_folder_appears_whole_and_an_earlier_result_or_empty_one_is_replaced(tmp_path: Path) -> None:
+    new, final = tmp_path / "new", tmp_path / "result"
     final.mkdir()
-    for text in ("first", "second"):
-        with atomic_folder(final, NAMES) as temporary:
+    for folder, text in ((new, "new"), (final, "first"), (final, "second")):
+        with atomic_folder(folder, NAMES) as temporary:
             for name in NAMES:
                 (temporary / name).write_text(f"{text} {mark()}")
-        (final / f"notes of the {text}.txt").write_text("mine")
+            assert folder.exists() == (folder is final)
+        (folder / f"notes of the {text}.txt").write_text("mine")
+    assert stat.S_IMODE(new.stat().st_mode) == stat.S_IMODE(final.stat().st_mode)
     assert (final / "map.npz").read_text().startswith("second")
+    with pytest.raises(RuntimeError), atomic_folder(final, NAMES, force=True) as temporary:
+        fail_after((temporary / "manifest.json").write_text("third"), RuntimeError())
     notes = ["notes of the first.txt", "notes of the second.txt"]
     assert sorted(path.name for path in final.iterdir()) == ["manifest.json", "map.npz", *notes]
-    assert list(tmp_path.iterdir()) == [final]
+    assert (final / "manifest.json").read_text().startswith("second")
+    assert set(tmp_path.iterdir()) == {new, final}
 
 
 def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
@@ -259,16 +250,6 @@ def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
         appear(late, temporary)
     assert (work / "precious.blend").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["late", "work"]
-
-
-def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
-    final = tmp_path / "result"
-    final.mkdir()
-    (final / "manifest.json").write_text("old")
-    with pytest.raises(RuntimeError), atomic_folder(final, NAMES, force=True) as temporary:
-        fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
-    assert (final / "manifest.json").read_text() == "old"
-    assert list(tmp_path.iterdir()) == [final]
 
 
 def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(

@@ -11,9 +11,7 @@ import pytest
 from examples.shapes import creature, cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
-from cagemap.cli.app import app
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points
@@ -26,6 +24,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.match_parts import PartInputs, ready_inputs
 
+from command_line import Run
 from curved_bar import RINGS, bar, ends_of, ring, rings_of, slid
 
 
@@ -154,7 +153,7 @@ def test_curves_of_3d_slicer_are_read(tmp_path: Path) -> None:
     assert len(read.names) == 1
 
 
-def test_the_command_takes_curves_and_says_how_they_are_met(tmp_path: Path) -> None:
+def test_the_command_takes_curves_and_says_how_they_are_met(run: Run, tmp_path: Path, one_start: None) -> None:
     mesh = bar()
     write_mesh(tmp_path / "bar.obj", mesh)
     write_mesh(tmp_path / "slid.obj", slid(mesh))
@@ -162,13 +161,8 @@ def test_the_command_takes_curves_and_says_how_they_are_met(tmp_path: Path) -> N
     names = Landmarks.none()
     rings = replace(names, target_name="bar.obj", source_name="slid.obj", curves=rings_of(mesh))
     write_landmarks(tmp_path / "rings.json", rings)
-    said = CliRunner().invoke(
-        app,
-        ["match", "-t", str(tmp_path / "bar.obj"), "-s", str(tmp_path / "slid.obj"), "-o", str(tmp_path / "RESULT"),
-         "--landmarks", str(tmp_path / "ends.json"), "--curves", str(tmp_path / "rings.json"), "--level", "2"],
-    )  # fmt: skip
-    assert said.exit_code == 0, said.output
-    assert "3 curves missed by 0.0" in said.output
+    said = run.done("match -t bar.obj -s slid.obj -o RESULT --landmarks ends.json --curves rings.json --level 1 -k 20")
+    assert "3 curves missed by 0.0" in said.out
     assert len(read_result(tmp_path / "RESULT").curves) == 3
 
 

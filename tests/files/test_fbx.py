@@ -35,6 +35,9 @@ pytestmark = pytest.mark.usefixtures("fbx_server")
 PNG = b"\x89PNG" + bytes(60)
 
 
+BOX = geometry(cube().positions, cube().face_indices.reshape(-1, 4))
+
+
 def _file(folder: Path, made: Fbx, name: str = "arm.fbx") -> Path:
     path = folder / name
     path.write_bytes(made.bytes())
@@ -114,11 +117,12 @@ def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) ->
     np.testing.assert_allclose(still[4], [1 + np.cos(turn), np.sin(turn), 0.0], atol=1e-5)
 
 
-def test_leaf_bones_that_move_nothing_are_no_joints(tmp_path: Path) -> None:
+def test_leaf_bones_that_move_nothing_are_no_joints_and_check_says_what_a_file_holds(tmp_path: Path) -> None:
     path = _file(tmp_path, fbx_arm(leaf=True))
-    rig = read_character(path).rig
-    assert rig.names == ("upper", "lower")
+    assert read_character(path).rig.names == ("upper", "lower")
     assert "lower_end" in [node["name"] for node in read_document(path).json["nodes"]]
+    text, _ = check_files([path])
+    assert [said for said in ("2 joints", "1 (raise)", "1 (bend (2 s))") if said not in text] == []
 
 
 @pytest.mark.parametrize("where", ["inside", "below"])
@@ -181,35 +185,23 @@ def test_units(tmp_path: Path) -> None:
     """Inches, moved by 50 of them along Z, which is up."""
     made = Fbx(UnitScaleFactor=2.54)
     model = made.add("Model", "box", "Mesh", properties(Lcl_Translation=(0.0, 0.0, 50.0)))
-    made.add("Geometry", "box", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=model)
+    made.add("Geometry", "box", "Mesh", *BOX, to=model)
     expected = 0.0254 * (cube().positions[:, [0, 2, 1]] * [1.0, 1.0, -1.0] + [0.0, 50.0, 0.0])
     np.testing.assert_allclose(read_mesh(_file(tmp_path, made)).positions, expected, atol=1e-6)
 
 
-def test_axes(tmp_path: Path) -> None:
-    """With Y up nothing turns."""
-    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
-    model = made.add("Model", "box", "Mesh")
-    made.add("Geometry", "box", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=model)
-    mesh = read_mesh(_file(tmp_path, made))
-    np.testing.assert_allclose(mesh.positions, cube().positions, atol=1e-6)
-    np.testing.assert_array_equal(mesh.face_indices, cube().face_indices)
-
-
-def test_an_instance_has_its_own_place_and_materials(tmp_path: Path) -> None:
+def test_an_instance_has_its_own_place_and_with_y_up_nothing_turns(tmp_path: Path) -> None:
     made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
     models = [
         made.add("Model", name, "Mesh", properties(Lcl_Translation=(x, 0.0, 0.0)))
         for name, x in (("a", 0.0), ("b", 9.0))
     ]
-    shared = made.add(
-        "Geometry", "box", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=models[0]
-    )
-    made.connect(shared, models[1])
-    character = read_character(_file(tmp_path, made))
-    assert [part.name for part in character.parts] == ["a", "b"]
-    one, other = (part.mesh.positions for part in character.parts)
-    np.testing.assert_allclose(other, one + np.array([9.0, 0.0, 0.0]), atol=1e-5)
+    made.connect(made.add("Geometry", "box", "Mesh", *BOX, to=models[0]), models[1])
+    one, other = read_character(_file(tmp_path, made)).parts
+    assert (one.name, other.name) == ("a", "b")
+    np.testing.assert_allclose(one.mesh.positions, cube().positions, atol=1e-6)
+    np.testing.assert_array_equal(one.mesh.face_indices, cube().face_indices)
+    np.testing.assert_allclose(other.mesh.positions, cube().positions + np.array([9.0, 0.0, 0.0]), atol=1e-5)
 
 
 def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
@@ -225,7 +217,7 @@ def test_what_is_left_out_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     made = fbx_arm()
     made.add("NodeAttribute", "lamp", "Light", to=made.add("Model", "lamp", "Light"))
     hidden = made.add("Model", "widget", "Mesh", properties(Visibility=0.0))
-    made.add("Geometry", "widget", "Mesh", *geometry(cube().positions, cube().face_indices.reshape(-1, 4)), to=hidden)
+    made.add("Geometry", "widget", "Mesh", *BOX, to=hidden)
     with caplog.at_level(logging.WARNING):
         character = read_character(_file(tmp_path, made))
     assert [part.name for part in character.parts] == ["strip"]
@@ -366,10 +358,3 @@ def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
         assert np.abs(part.weights - twin.weights[:, joints]).max() < 1e-6
         for name, offsets in part.shapes.items():
             np.testing.assert_allclose(offsets, twin.shapes[name], atol=2e-6)
-
-
-def test_check_says_what_a_file_holds(tmp_path: Path) -> None:
-    text, _ = check_files([_file(tmp_path, fbx_arm(leaf=True))])
-    assert "2 joints" in text
-    assert "1 (raise)" in text
-    assert "1 (bend (2 s))" in text

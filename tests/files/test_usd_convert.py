@@ -31,20 +31,18 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
 
 from usd_characters import lively, painted, posed, with_shape_weights
-from usd_scenes import usd_mesh
+from usd_scenes import stage_at, usd_mesh
 
 
 def test_a_written_character_comes_back(tmp_path: Path) -> None:
     """Names, rest pose, weights, shapes, all animations and their weights of shapes."""
     made = lively()
-    assert made.rig is not None
     weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
     document = with_shape_weights(character_glb(made), "walk | fast", weights)
     write_usd_character(tmp_path / "C.usdz", made, read_scene(document))
     given = usd_document(tmp_path / "C.usdz")
     write_document(tmp_path / "C.glb", given)
     found = character_of(read_document(tmp_path / "C.glb"))
-    assert found.rig is not None
     assert found.rig.names == made.rig.names
     np.testing.assert_allclose(found.rig.heads, made.rig.heads, atol=1e-6)
     assert [part.name for part in found.parts] == [part.name for part in made.parts]
@@ -112,14 +110,12 @@ def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, si
     made, document = painted()
     path = tmp_path / "C.usda"
     write_usd_character(path, made, read_scene(document))
-    stage = Usd.Stage.Open(str(path))
-    prim = stage.GetPrimAtPath("/Asset/hat")
-    UsdGeom.Mesh(prim).CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
-    UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr().Set(Gf.Matrix4d().SetScale((sign, 1.0, 1.0)))
-    stage.Save()
+    with stage_at(path) as stage:
+        prim = stage.GetPrimAtPath("/Asset/hat")
+        UsdGeom.Mesh(prim).CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+        UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr().Set(Gf.Matrix4d().SetScale((sign, 1.0, 1.0)))
     found = next(part for part in read_usd_character(path).parts if part.name == "hat")
     hat = made.parts[1]
-    assert hat.normals is not None
     corners = np.arange(len(hat.normals))
     corners = corners if left_handed == (sign < 0) else reversed_corners(hat.mesh.face_offsets)
     np.testing.assert_array_equal(found.mesh.face_indices, hat.mesh.face_indices[corners])
@@ -132,29 +128,25 @@ def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, si
 def test_normals_of_every_interpolation_are_read(tmp_path: Path, kind: str, indexed: bool, left_handed: bool) -> None:
     """As an attribute, or as a primvar with indices and only a time sample; a corner is known by face and vertex."""
     mesh = cube()
-    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    prim = usd_mesh(stage, "/cube", mesh)
-    prim.CreateSubdivisionSchemeAttr("none")
-    prim.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
-    rows = {
-        "constant": np.zeros(len(mesh.face_indices), dtype=int),
-        "uniform": mesh.corner_faces,
-        "faceVarying": np.arange(len(mesh.face_indices)),
-    }.get(kind, mesh.face_indices)
-    values = np.random.default_rng(3).normal(size=(rows.max() + 1, 3))
-    values /= np.linalg.norm(values, axis=1, keepdims=True)
-    if indexed:
-        primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, kind)
-        primvar.Set(values[::-1].tolist(), 1.0)
-        primvar.SetIndices(list(range(len(values)))[::-1], 1.0)
-    else:
-        prim.CreateNormalsAttr(values.tolist())
-        prim.SetNormalsInterpolation(kind)
-    stage.Save()
+    with stage_at(tmp_path / "cube.usda", ("Y", 1.0)) as stage:
+        prim = usd_mesh(stage, "/cube", mesh)
+        prim.CreateSubdivisionSchemeAttr("none")
+        prim.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+        rows = {
+            "constant": np.zeros(len(mesh.face_indices), dtype=int),
+            "uniform": mesh.corner_faces,
+            "faceVarying": np.arange(len(mesh.face_indices)),
+        }.get(kind, mesh.face_indices)
+        values = np.random.default_rng(3).normal(size=(rows.max() + 1, 3))
+        values /= np.linalg.norm(values, axis=1, keepdims=True)
+        if indexed:
+            primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, kind)
+            primvar.Set(values[::-1].tolist(), 1.0)
+            primvar.SetIndices(list(range(len(values)))[::-1], 1.0)
+        else:
+            prim.CreateNormalsAttr(values.tolist())
+            prim.SetNormalsInterpolation(kind)
     (part,) = read_usd_character(tmp_path / "cube.usda").parts
-    assert part.normals is not None
     order = [part.mesh.corner_faces * 8 + part.mesh.face_indices, mesh.corner_faces * 8 + mesh.face_indices]
     found, expected = (np.argsort(keys) for keys in order)
     np.testing.assert_allclose(part.normals[found], values[rows][expected], atol=1e-6)
@@ -164,11 +156,10 @@ def test_normals_of_every_interpolation_are_read(tmp_path: Path, kind: str, inde
 def test_normals_that_do_not_fit_are_left_out_aloud(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, normals: list[tuple[float, float, float]]
 ) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "cube.usda"))
-    prim = usd_mesh(stage, "/cube", cube())
-    prim.CreateSubdivisionSchemeAttr("none")
-    prim.CreateNormalsAttr(normals)
-    stage.Save()
+    with stage_at(tmp_path / "cube.usda") as stage:
+        prim = usd_mesh(stage, "/cube", cube())
+        prim.CreateSubdivisionSchemeAttr("none")
+        prim.CreateNormalsAttr(normals)
     (part,) = read_usd_character(tmp_path / "cube.usda").parts
     assert part.normals is None
     assert "cube.usda: /cube: its normals are left out" in caplog.text
@@ -179,15 +170,14 @@ def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> No
     made = lively()
     path = tmp_path / "C.usda"
     write_usd_character(path, made, read_scene(character_glb(made)))
-    stage = Usd.Stage.Open(str(path))
-    turn = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), 30.0)) * Gf.Matrix4d().SetTranslate((3.0, 4.0, 5.0))
-    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(turn)
-    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset/hat")).AddTransformOp().Set(Gf.Matrix4d().SetTranslate((9, 9, 9)))
-    bound = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetGeomBindTransformAttr()
-    bound.Set(Gf.Matrix4d().SetTranslate((0.0, 0.25, 0.0)))
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    stage.Save()
+    with stage_at(path, ("Z", 0.01)) as stage:
+        turn = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), 30.0)) * Gf.Matrix4d().SetTranslate(
+            (3.0, 4.0, 5.0)
+        )
+        UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(turn)
+        UsdGeom.Xformable(stage.GetPrimAtPath("/Asset/hat")).AddTransformOp().Set(Gf.Matrix4d().SetTranslate((9, 9, 9)))
+        bound = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetGeomBindTransformAttr()
+        bound.Set(Gf.Matrix4d().SetTranslate((0.0, 0.25, 0.0)))
     found = character_of(usd_document(path))
     assert found.rig is not None
     expected = posed(path, "walk | fast", 0.5)
@@ -251,12 +241,11 @@ def test_images_that_gltf_reads_otherwise_are_named(
     write_usd_character(tmp_path / "C.usda", made, read_scene(document))
     usd_document(tmp_path / "C.usda")
     assert not caplog.records
-    stage = Usd.Stage.Open(str(tmp_path / "C.usda"))
-    texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{shader}_texture"))
-    texture.CreateInput(setting, getattr(Sdf.ValueTypeNames, "Token" if isinstance(value, str) else "Float4")).Set(
-        value
-    )
-    stage.Save()
+    with stage_at(tmp_path / "C.usda") as stage:
+        texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{shader}_texture"))
+        texture.CreateInput(setting, getattr(Sdf.ValueTypeNames, "Token" if isinstance(value, str) else "Float4")).Set(
+            value
+        )
     usd_document(tmp_path / "C.usda")
     (said,) = (one.getMessage() for one in caplog.records)
     assert f"body: the image of its {shader} is taken as it is" in said
@@ -266,10 +255,9 @@ def test_several_skeletons_are_refused(tmp_path: Path) -> None:
     made, document = painted()
     path = tmp_path / "C.usda"
     write_usd_character(path, made, read_scene(document))
-    stage = Usd.Stage.Open(str(path))
-    other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
-    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])
-    stage.Save()
+    with stage_at(path) as stage:
+        other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
+        UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])
     with pytest.raises(FormatError, match="expected one skeleton, got /Asset/skeleton, /Asset/other"):
         usd_document(path)
 
@@ -277,36 +265,33 @@ def test_several_skeletons_are_refused(tmp_path: Path) -> None:
 def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -> None:
     """Joints, weights and bind transform of the prim above; joints by index; samples before the stage's first time."""
     path = tmp_path / "C.usda"
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdSkel.Root.Define(stage, "/R")
-    joints = UsdSkel.Skeleton.Define(stage, "/R/skeleton")
-    places = [Gf.Matrix4d().SetTranslate((0, height, 0)) for height in (0, 1, 2)]
-    joints.CreateJointsAttr(["A", "A/B", "A/B/C"])
-    joints.CreateBindTransformsAttr(places)
-    joints.CreateRestTransformsAttr([places[0], places[1], places[1]])
-    animation = UsdSkel.Animation.Define(stage, "/R/animation")
-    animation.CreateJointsAttr(["A/B"])
-    animation.CreateScalesAttr([Gf.Vec3h(1, 1, 1)])
-    animation.CreateTranslationsAttr().Set([(0, 1, 0)], -12.0)
-    animation.CreateTranslationsAttr().Set([(2, 1, 0)], 12.0)
-    animation.CreateRotationsAttr().Set([Gf.Quatf(1.0)], -12.0)
-    animation.CreateRotationsAttr().Set([Gf.Quatf(0.5, 0.5, 0.5, 0.5)], 12.0)
-    UsdSkel.BindingAPI.Apply(joints.GetPrim()).CreateAnimationSourceRel().SetTargets(["/R/animation"])
-    group = UsdSkel.BindingAPI.Apply(UsdGeom.Xform.Define(stage, "/R/group").GetPrim())
-    group.CreateSkeletonRel().SetTargets([joints.GetPath()])
-    group.CreateJointsAttr(["A/B/C", "A"])
-    group.CreateJointIndicesPrimvar(True, 2).Set([0, 1])
-    group.CreateJointWeightsPrimvar(True, 2).Set([0.75, 0.25])
-    group.CreateGeomBindTransformAttr(Gf.Matrix4d().SetTranslate((0.0, 0.5, 0.0)))
-    usd_mesh(stage, "/R/group/below", cube())
-    own = UsdSkel.BindingAPI.Apply(usd_mesh(stage, "/R/group/own", cube()).GetPrim())
-    indices = own.CreateJointIndicesPrimvar(False, 1)
-    indices.Set([1, 0])
-    indices.SetIndices([0, 1] * 4)
-    own.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 8)
-    stage.Save()
+    with stage_at(path, ("Y", 1.0)) as stage:
+        UsdSkel.Root.Define(stage, "/R")
+        joints = UsdSkel.Skeleton.Define(stage, "/R/skeleton")
+        places = [Gf.Matrix4d().SetTranslate((0, height, 0)) for height in (0, 1, 2)]
+        joints.CreateJointsAttr(["A", "A/B", "A/B/C"])
+        joints.CreateBindTransformsAttr(places)
+        joints.CreateRestTransformsAttr([places[0], places[1], places[1]])
+        animation = UsdSkel.Animation.Define(stage, "/R/animation")
+        animation.CreateJointsAttr(["A/B"])
+        animation.CreateScalesAttr([Gf.Vec3h(1, 1, 1)])
+        animation.CreateTranslationsAttr().Set([(0, 1, 0)], -12.0)
+        animation.CreateTranslationsAttr().Set([(2, 1, 0)], 12.0)
+        animation.CreateRotationsAttr().Set([Gf.Quatf(1.0)], -12.0)
+        animation.CreateRotationsAttr().Set([Gf.Quatf(0.5, 0.5, 0.5, 0.5)], 12.0)
+        UsdSkel.BindingAPI.Apply(joints.GetPrim()).CreateAnimationSourceRel().SetTargets(["/R/animation"])
+        group = UsdSkel.BindingAPI.Apply(UsdGeom.Xform.Define(stage, "/R/group").GetPrim())
+        group.CreateSkeletonRel().SetTargets([joints.GetPath()])
+        group.CreateJointsAttr(["A/B/C", "A"])
+        group.CreateJointIndicesPrimvar(True, 2).Set([0, 1])
+        group.CreateJointWeightsPrimvar(True, 2).Set([0.75, 0.25])
+        group.CreateGeomBindTransformAttr(Gf.Matrix4d().SetTranslate((0.0, 0.5, 0.0)))
+        usd_mesh(stage, "/R/group/below", cube())
+        own = UsdSkel.BindingAPI.Apply(usd_mesh(stage, "/R/group/own", cube()).GetPrim())
+        indices = own.CreateJointIndicesPrimvar(False, 1)
+        indices.Set([1, 0])
+        indices.SetIndices([0, 1] * 4)
+        own.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 8)
     cache = UsdSkel.Cache()
     cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/R")), Usd.PrimDefaultPredicate)
     query = cache.GetSkelQuery(joints)
@@ -322,7 +307,6 @@ def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -
             posed_at = pose_at(found.rig, found.animations[0], (frame + 12.0) / 24.0)
             np.testing.assert_allclose(skinned_positions(part, found.rig, posed_at), points, atol=1e-6)
     skeleton = read_usd_skeleton(path, in_world(read_usd_meshes(path)[0]).control)
-    assert skeleton is not None
     np.testing.assert_allclose(skeleton.heads[:, 1], [-0.5, 0.5, 1.5])
 
 
@@ -330,7 +314,6 @@ def test_a_character_of_another_program(shared_data: Path) -> None:
     """RiggedFigure: rotated by its prims, quaternions in key frames; posed points as USD computes them."""
     path = shared_data / "characters" / "foreign" / "RiggedFigure.usdz"
     found = read_usd_character(path)
-    assert found.rig is not None
     assert len(found.rig.names) == 19
     (animation,) = found.animations
     stage = Usd.Stage.Open(str(path))

@@ -35,7 +35,7 @@ from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.space import upright_turn
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
-from usd_scenes import complaints, full_cube, usd_mesh
+from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
 
@@ -43,11 +43,8 @@ PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]]
 def _stage(path: Path, mesh: ControlMesh) -> None:
     """A mesh in a turned and enlarged prim, Z up, in centimetres."""
     write_usd(path, mesh)
-    stage = Usd.Stage.Open(str(path))
-    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*PLACE.ravel().tolist()))
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    stage.Save()
+    with stage_at(path, ("Z", 0.01)) as stage:
+        UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*PLACE.ravel().tolist()))
 
 
 def _scene() -> ControlMesh:
@@ -134,19 +131,18 @@ def _volume(mesh: ControlMesh) -> float:
 
 
 def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "moving.usda"))
-    shift = UsdGeom.Xform.Define(stage, "/A").AddTranslateOp()
-    mesh = usd_mesh(stage, "/A/m", cube())
-    for time in (3, 9):
-        shift.Set((5.0 * time, 0, 0), time)
-    for attribute in (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
-        value = attribute.Get()
-        attribute.Clear()
-        attribute.Set(value, 3)
-    mesh.GetPointsAttr().Set((4 * cube().positions).tolist(), 9)
-    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex")
-    primvar.Set(cube().positions[:, :2].tolist(), 3)
-    stage.Save()
+    with stage_at(tmp_path / "moving.usda") as stage:
+        shift = UsdGeom.Xform.Define(stage, "/A").AddTranslateOp()
+        mesh = usd_mesh(stage, "/A/m", cube())
+        for time in (3, 9):
+            shift.Set((5.0 * time, 0, 0), time)
+        for attribute in (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+            value = attribute.Get()
+            attribute.Clear()
+            attribute.Set(value, 3)
+        mesh.GetPointsAttr().Set((4 * cube().positions).tolist(), 9)
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex")
+        primvar.Set(cube().positions[:, :2].tolist(), 3)
     (read,) = read_usd_meshes(tmp_path / "moving.usda")
     np.testing.assert_array_equal(read.control.positions, cube().positions)
     np.testing.assert_array_equal(read.to_world[3, :3], [15, 0, 0])
@@ -155,20 +151,17 @@ def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
 
 def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_path: Path) -> None:
     """Face corners come in the prim's own order in a layer, whichever way they were run through."""
-    stage = Usd.Stage.CreateNew(str(tmp_path / "mirrored.usda"))
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    UsdGeom.SetStageMetersPerUnit(stage, 1)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
-    other = cube().face_indices.reshape(-1, 4)[:, ::-1].ravel()
-    reversed_cube = replace(cube(), face_indices=other)
-    for name, scale, left in (("a", 1, False), ("b", -1, False), ("c", 1, True), ("d", -1, True)):
-        parent = UsdGeom.Xform.Define(stage, f"/Root/{name}")
-        parent.AddTranslateOp().Set((9.0 * ord(name), 0, 0))
-        parent.AddScaleOp().Set((scale, 1, 1))
-        made = usd_mesh(stage, f"/Root/{name}/m", reversed_cube if left else cube())
-        if left:
-            made.CreateOrientationAttr("leftHanded")
-    stage.Save()
+    with stage_at(tmp_path / "mirrored.usda", ("Y", 1)) as stage:
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+        other = cube().face_indices.reshape(-1, 4)[:, ::-1].ravel()
+        reversed_cube = replace(cube(), face_indices=other)
+        for name, scale, left in (("a", 1, False), ("b", -1, False), ("c", 1, True), ("d", -1, True)):
+            parent = UsdGeom.Xform.Define(stage, f"/Root/{name}")
+            parent.AddTranslateOp().Set((9.0 * ord(name), 0, 0))
+            parent.AddScaleOp().Set((scale, 1, 1))
+            made = usd_mesh(stage, f"/Root/{name}/m", reversed_cube if left else cube())
+            if left:
+                made.CreateOrientationAttr("leftHanded")
     whole, meshes = read_usd(tmp_path / "mirrored.usda"), read_usd_meshes(tmp_path / "mirrored.usda")
     for mesh in meshes:
         part = extract_faces(whole, find_part(whole, mesh.path).faces)
@@ -192,20 +185,16 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
 
 
 def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
-    prototype = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
-    prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
-    usd_mesh(prototype, "/Box/m", cube())
-    prototype.Save()
-    stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    UsdGeom.SetStageMetersPerUnit(stage, 1)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
-    for number in range(2):
-        placed = UsdGeom.Xform.Define(stage, f"/World/box{number}")
-        placed.GetPrim().GetReferences().AddReference("./box.usda")
-        placed.GetPrim().SetInstanceable(True)
-        placed.AddTranslateOp().Set((9.0 * number, 0, 0))
-    stage.Save()
+    with stage_at(tmp_path / "box.usda") as prototype:
+        prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
+        usd_mesh(prototype, "/Box/m", cube())
+    with stage_at(tmp_path / "scene.usda", ("Y", 1)) as stage:
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+        for number in range(2):
+            placed = UsdGeom.Xform.Define(stage, f"/World/box{number}")
+            placed.GetPrim().GetReferences().AddReference("./box.usda")
+            placed.GetPrim().SetInstanceable(True)
+            placed.AddTranslateOp().Set((9.0 * number, 0, 0))
     assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == ["/World/box0/m", "/World/box1/m"]
     whole = read_usd(tmp_path / "scene.usda")
     part = extract_faces(whole, find_part(whole, "/World/box1/m").faces)
@@ -217,11 +206,12 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
 
 
 def test_new_points_over_a_mesh_have_none_of_its_normals(tmp_path: Path) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
-    mesh = usd_mesh(stage, "/A/m", cube())
-    mesh.CreateNormalsAttr().Set([(0, 1, 0)] * 8, 1.0)
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "vertex").Set([(0, 1, 0)] * 8)
-    stage.Save()
+    with stage_at(tmp_path / "box.usda") as stage:
+        mesh = usd_mesh(stage, "/A/m", cube())
+        mesh.CreateNormalsAttr().Set([(0, 1, 0)] * 8, 1.0)
+        UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "vertex").Set(
+            [(0, 1, 0)] * 8
+        )
     (read,) = read_usd_meshes(tmp_path / "box.usda")
     for name, results, kept in (
         ("moved", UsdResults(points=read.control.positions[:, ::-1]), False),
@@ -236,17 +226,16 @@ def test_new_points_over_a_mesh_have_none_of_its_normals(tmp_path: Path) -> None
 
 
 def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
-    mesh = usd_mesh(stage, "/A/m", cube())
-    for purpose in ("guide", "proxy"):
-        UsdGeom.Imageable(usd_mesh(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
-    UsdGeom.Imageable(UsdGeom.Xform.Define(stage, "/A/off")).MakeInvisible()
-    usd_mesh(stage, "/A/off/hidden", cube())
-    api, names = UsdGeom.PrimvarsAPI(mesh), Sdf.ValueTypeNames
-    api.CreatePrimvar("empty", names.FloatArray, "vertex").Set([])
-    api.CreatePrimvar("frames", names.Matrix4dArray, "vertex").Set([Gf.Matrix4d(1)] * 8)
-    api.CreatePrimvar("height", names.FloatArray, "vertex").Set([1.0] * 8)
-    stage.Save()
+    with stage_at(tmp_path / "asset.usda") as stage:
+        mesh = usd_mesh(stage, "/A/m", cube())
+        for purpose in ("guide", "proxy"):
+            UsdGeom.Imageable(usd_mesh(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
+        UsdGeom.Imageable(UsdGeom.Xform.Define(stage, "/A/off")).MakeInvisible()
+        usd_mesh(stage, "/A/off/hidden", cube())
+        api, names = UsdGeom.PrimvarsAPI(mesh), Sdf.ValueTypeNames
+        api.CreatePrimvar("empty", names.FloatArray, "vertex").Set([])
+        api.CreatePrimvar("frames", names.Matrix4dArray, "vertex").Set([Gf.Matrix4d(1)] * 8)
+        api.CreatePrimvar("height", names.FloatArray, "vertex").Set([1.0] * 8)
     (read,) = read_usd_meshes(tmp_path / "asset.usda")
     assert read.path == "/A/m"
     assert "left out meshes that are invisible or for previews: /A/guide, /A/proxy, /A/off/hidden" in caplog.text
@@ -254,11 +243,10 @@ def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path, ca
 
 
 def test_subsets_that_overlap_are_parts_of_their_own(tmp_path: Path) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
-    mesh = usd_mesh(stage, "/A/m", cube())
-    for name, faces in (("one", [0, 5]), ("two", [5, 4]), ("three", [1])):
-        UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "picked")
-    stage.Save()
+    with stage_at(tmp_path / "asset.usda") as stage:
+        mesh = usd_mesh(stage, "/A/m", cube())
+        for name, faces in (("one", [0, 5]), ("two", [5, 4]), ("three", [1])):
+            UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "picked")
     whole = read_usd(tmp_path / "asset.usda")
     for name, faces in (("one", [0, 5]), ("group:two", [4, 5]), ("three", [1])):
         np.testing.assert_array_equal(find_part(whole, name).faces, faces)
@@ -290,17 +278,16 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(
 
 
 def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
-    mesh = usd_mesh(stage, "/m", cube())
-    for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
-        material = UsdShade.Material.Define(stage, f"/{scope}/metal")
-        shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
-        shader.CreateIdAttr("UsdPreviewSurface")
-        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
-        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
-    stage.Save()
+    with stage_at(tmp_path / "looks.usda") as stage:
+        mesh = usd_mesh(stage, "/m", cube())
+        for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
+            material = UsdShade.Material.Define(stage, f"/{scope}/metal")
+            shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
+            shader.CreateIdAttr("UsdPreviewSurface")
+            shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+            material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+            subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
     read = read_usd(tmp_path / "looks.usda")
     assert read.material_names == ("metal", "/b/metal")
     colors = read.material_colors[read.face_materials]  # type: ignore[index]
@@ -342,24 +329,23 @@ def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:
 
 def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
     """Of previews or final renderings alone, of a collection, or of a prim above that overrides those below it."""
-    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
-    strong = UsdShade.Tokens.strongerThanDescendants
-    _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
-    meshes = {path: usd_mesh(stage, path, cube()) for path in ("/over/m", "/full", "/preview", "/list/m")}
-    subsets = {
-        path: UsdGeom.Subset.CreateGeomSubset(meshes[path], "part", "face", [0, 1], "materialBind")
-        for path in ("/over/m", "/preview", "/list/m")
-    }
-    _bound(stage, subsets["/over/m"], "below")
-    _bound(stage, meshes["/full"], "final", materialPurpose="full")
-    _bound(stage, meshes["/preview"], "all")
-    _bound(stage, subsets["/preview"], "shown", materialPurpose="preview")
-    group = UsdGeom.Xform.Define(stage, "/list").GetPrim()
-    collection = Usd.CollectionAPI.Apply(group, "chosen")
-    collection.IncludePath("/list/m/part")
-    listed = UsdShade.Material.Define(stage, "/looks/listed")
-    UsdShade.MaterialBindingAPI.Apply(group).Bind(collection, listed, "chosen")
-    stage.Save()
+    with stage_at(tmp_path / "looks.usda") as stage:
+        strong = UsdShade.Tokens.strongerThanDescendants
+        _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
+        meshes = {path: usd_mesh(stage, path, cube()) for path in ("/over/m", "/full", "/preview", "/list/m")}
+        subsets = {
+            path: UsdGeom.Subset.CreateGeomSubset(meshes[path], "part", "face", [0, 1], "materialBind")
+            for path in ("/over/m", "/preview", "/list/m")
+        }
+        _bound(stage, subsets["/over/m"], "below")
+        _bound(stage, meshes["/full"], "final", materialPurpose="full")
+        _bound(stage, meshes["/preview"], "all")
+        _bound(stage, subsets["/preview"], "shown", materialPurpose="preview")
+        group = UsdGeom.Xform.Define(stage, "/list").GetPrim()
+        collection = Usd.CollectionAPI.Apply(group, "chosen")
+        collection.IncludePath("/list/m/part")
+        listed = UsdShade.Material.Define(stage, "/looks/listed")
+        UsdShade.MaterialBindingAPI.Apply(group).Bind(collection, listed, "chosen")
     found = {mesh.path: mesh.control for mesh in read_usd_meshes(tmp_path / "looks.usda")}
     names = {path: [one.material_names[number] for number in one.face_materials] for path, one in found.items()}
     assert names == {
@@ -376,13 +362,12 @@ def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_alou
     """By their number of rows, values of a torus' faces would be values of its vertices."""
     ring = torus()
     assert ring.n_faces == ring.n_vertices
-    stage = Usd.Stage.CreateNew(str(tmp_path / "ring.usda"))
-    mesh = usd_mesh(stage, "/copies/ring", ring)
-    mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)] * ring.n_faces)
-    UsdGeom.PointInstancer.Define(stage, "/copies").CreatePrototypesRel().SetTargets(["/copies/ring"])
-    UsdGeom.BasisCurves.Define(stage, "/hair")
-    UsdGeom.Sphere.Define(stage, "/control").CreatePurposeAttr("guide")
-    stage.Save()
+    with stage_at(tmp_path / "ring.usda") as stage:
+        mesh = usd_mesh(stage, "/copies/ring", ring)
+        mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)] * ring.n_faces)
+        UsdGeom.PointInstancer.Define(stage, "/copies").CreatePrototypesRel().SetTargets(["/copies/ring"])
+        UsdGeom.BasisCurves.Define(stage, "/hair")
+        UsdGeom.Sphere.Define(stage, "/control").CreatePurposeAttr("guide")
     (read,) = read_usd_meshes(tmp_path / "ring.usda")
     assert read.control.vertex_colors is None
     assert not read.attributes
@@ -393,14 +378,13 @@ def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_alou
 
 def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:
     """Faces that share no vertex, in a left-handed mesh: numbers of rows do not say what is a vertex's."""
-    stage = Usd.Stage.CreateNew(str(tmp_path / "soup.usda"))
-    soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), np.arange(6))
-    mesh = usd_mesh(stage, "/m", soup)
-    mesh.CreateOrientationAttr("leftHanded")
-    for kind in ("vertex", "faceVarying"):
-        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(f"of_{kind}", Sdf.ValueTypeNames.FloatArray, kind)
-        primvar.Set(list(map(float, range(6))))
-    stage.Save()
+    with stage_at(tmp_path / "soup.usda") as stage:
+        soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), np.arange(6))
+        mesh = usd_mesh(stage, "/m", soup)
+        mesh.CreateOrientationAttr("leftHanded")
+        for kind in ("vertex", "faceVarying"):
+            primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(f"of_{kind}", Sdf.ValueTypeNames.FloatArray, kind)
+            primvar.Set(list(map(float, range(6))))
     (read,) = read_usd_meshes(tmp_path / "soup.usda")
     np.testing.assert_array_equal(read.attributes["of_vertex"], np.arange(6))
     np.testing.assert_array_equal(read.attributes["of_faceVarying"], read.control.face_indices)
@@ -432,12 +416,11 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
 
 def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
     """Local x points up in the world, along Z; it stays up although it is the mirrored axis."""
-    stage = Usd.Stage.CreateNew(str(tmp_path / "mirrored.usda"))
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    mesh = usd_mesh(stage, "/mesh", cube())
-    mesh.AddRotateYOp().Set(90.0)
-    mesh.AddScaleOp().Set((-1.0, 2.0, 3.0))
-    stage.Save()
+    with stage_at(tmp_path / "mirrored.usda") as stage:
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        mesh = usd_mesh(stage, "/mesh", cube())
+        mesh.AddRotateYOp().Set(90.0)
+        mesh.AddScaleOp().Set((-1.0, 2.0, 3.0))
     turn = upright_turn(tmp_path / "mirrored.usda")
     assert turn is not None
     np.testing.assert_allclose(np.linalg.det(turn), 1.0)

@@ -22,11 +22,11 @@ from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.rigs import read_shapes
 
 from refusals import Refusal
-from usd_scenes import usd_mesh
+from usd_scenes import stage_at, usd_mesh
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, UsdGeom, UsdSkel
 
 RIG = Skeleton(("hip",), ("",), np.zeros((1, 3)), np.ones((1, 3)), np.eye(3)[None])
 NOTHING = UsdResults()
@@ -40,9 +40,8 @@ def written(place: Path, results: UsdResults = NOTHING, name: str = "a.usda") ->
 
 def edited(place: Path, edit: Callable[[Any], object], results: UsdResults = NOTHING) -> Path:
     """A file of a cube after an edit of its stage."""
-    stage = Usd.Stage.Open(str(written(place, results)))
-    edit(stage)
-    stage.Save()
+    with stage_at(written(place, results)) as stage:
+        edit(stage)
     return place / "a.usda"
 
 
@@ -59,11 +58,10 @@ def shape_of_others(stage: Any) -> None:
 
 
 def two_meshes(place: Path) -> Path:
-    stage = Usd.Stage.CreateNew(str(place / "two.usda"))
-    for name in ("/a", "/b"):
-        usd_mesh(stage, name, cube())
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    stage.Save()
+    with stage_at(place / "two.usda") as stage:
+        for name in ("/a", "/b"):
+            usd_mesh(stage, name, cube())
+        UsdGeom.SetStageUpAxis(stage, "Y")
     return place / "two.usda"
 
 
@@ -82,39 +80,29 @@ def over(place: Path, prim: str = "/Asset/mesh", **results: Any) -> None:
 REFUSED = {
     "a mesh of several": Refusal(
         lambda place: read_usd_skeleton(two_meshes(place)),
-        "two.usda: expected one mesh",
-        "got /a, /b",
+        "two.usda: expected one mesh ... got /a, /b",
         "Match one of them (`find_part` NAME), or make what is meant a file of its own.",
     ),
     "a package in a package": Refusal(
         lambda place: asset_paths("outer.usdz", package_in_package(place)),
-        "outer.usdz: ",
-        "expected a package of layers and images, got a package within it",
-        "Flatten it.",
+        "outer.usdz:  ... expected a package of layers and images, got a package within it ... Flatten it.",
     ),
     "a mesh that is bound flat": Refusal(
         lambda place: read_usd_skeleton(edited(place, flattened_joints, UsdResults(skeleton=RIG))),
-        "a.usda: /Asset/skeleton",
-        "the mesh's bind transform has no inverse",
-        "Export the skeleton again.",
+        "a.usda: /Asset/skeleton ... the mesh's bind transform has no inverse ... Export the skeleton again.",
     ),
     "a joint above itself": Refusal(
         lambda place: over(place, skeleton=replace(RIG, parents=("hip",))),
-        "skeleton: ",
-        "joint hip is its own parent",
-        "Repair the hierarchy.",
+        "skeleton:  ... joint hip is its own parent ... Repair the hierarchy.",
     ),
     "a scene without a unit": Refusal(
         lambda place: stage_units(edited(place, lambda stage: UsdGeom.SetStageMetersPerUnit(stage, -1.0))),
-        "a.usda: expected the up axis Y or Z and a positive metersPerUnit",
-        "got Y, -1.0",
+        "a.usda: expected the up axis Y or Z and a positive metersPerUnit ... got Y, -1.0",
         AGAIN,
     ),
     "a layer over another prim": Refusal(
         lambda place: over(place, "/Asset/other"),
-        "a.usda: expected a mesh prim /Asset/other",
-        "there is none",
-        "Match again with this file.",
+        "a.usda: expected a mesh prim /Asset/other ... there is none ... Match again with this file.",
     ),
     "points of another mesh": Refusal(
         lambda place: over(place, points=creature().positions),
@@ -124,16 +112,14 @@ REFUSED = {
     ),
     "values of another mesh": Refusal(
         lambda place: over(place, attributes={"heat": np.ones(5)}),
-        "heat: ",
-        "expected a row for each vertex, face or face corner, got 5",
+        "heat:  ... expected a row for each vertex, face or face corner, got 5",
         "Give the values of this mesh.",
     ),
     "a shape of other points": Refusal(
         lambda place: read_usd_meshes(
             edited(place, shape_of_others, UsdResults(attributes={"blendShape:smile": np.ones((8, 3))}))
         ),
-        "blend shape smile: ",
-        "expected one finite offset a point, got 8 for 8 points of 8",
+        "blend shape smile:  ... expected one finite offset a point, got 8 for 8 points of 8",
         AGAIN,
     ),
     "shapes of another mesh": Refusal(
@@ -157,7 +143,6 @@ def test_usd_without_its_library_is_refused(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "pxr.Usd", None)
     Refusal(
         read_usd_meshes,
-        "USD files: ",
-        "expected the package usd-core, which is not installed",
+        "USD files:  ... expected the package usd-core, which is not installed",
         "Install cagemap[usd] or usd-core.",
     ).check(file)

@@ -32,12 +32,11 @@ def silent(patch: pytest.MonkeyPatch) -> None:
 
 REFUSED = {
     "brackets without end": Refusal(
-        nested, "job.toml: expected a TOML file", "got brackets within brackets without end", "Write it again."
+        nested, "job.toml: expected a TOML file ... got brackets within brackets without end ... Write it again."
     ),
     "a tree of a missing mesh": Refusal(
         lambda place: spanning_tree([Asset(name="a", file=place / "none.obj")]),
-        "a: a spanning tree needs every mesh, and this one: ",
-        "none.obj: expected an OBJ file",
+        "a: a spanning tree needs every mesh, and this one:  ... none.obj: expected an OBJ file",
         "Check the name",
     ),
 }
@@ -52,7 +51,6 @@ def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyP
     pytest.importorskip("distributed")
     Refusal(
         silent,
-        "--scheduler: expected the address of a Dask scheduler",
-        "tcp://127.0.0.1:9 does not answer (10 s)",
+        "--scheduler: expected the address of a Dask scheduler ... tcp://127.0.0.1:9 does not answer (10 s)",
         "Start one with `dask scheduler`",
     ).check(monkeypatch)

@@ -9,7 +9,6 @@ import pkgutil
 import re
 
 import numpy as np
-import pytest
 
 import cagemap
 from cagemap.deform.config import ElasticConfig
@@ -70,16 +69,3 @@ def test_values_show_themselves_in_a_line() -> None:
     assert repr(mesh) == f"ControlMesh({mesh.name!r}, {mesh.n_vertices} vertices, {mesh.n_faces} faces)"
     assert repr(cagemap.Masks(np.eye(4)[0])) == "Masks(target: 1 of 4 vertices)"
     assert repr(image) == "Image(4 x 8 x 3 uint8, sRGB)"
-
-
-@pytest.mark.parametrize(
-    ("positions", "faces", "words"),
-    [
-        (np.zeros((6, 2)), [[0, 1, 2]], "expected positions"),
-        (np.zeros(9), [[0, 1, 2]], "expected positions"),
-        (np.zeros((6, 3)), [[0, 1.5, 2]], "whole numbers"),
-    ],
-)
-def test_arrays_of_another_form_are_no_mesh(positions: np.ndarray, faces: list, words: str) -> None:
-    with pytest.raises(cagemap.CagemapError, match=words):
-        cagemap.ControlMesh.from_faces(positions, faces)

@@ -74,11 +74,11 @@ def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(name:
 
 def test_a_refusal_says_what_was_given_and_where_the_right_thing_comes_from() -> None:
     with pytest.raises(ParameterError, match=r"got a ControlMesh; prepare_surface gives one"):
-        cagemap.prepare_pair(cube(), cube())  # type: ignore[arg-type]
+        cagemap.prepare_pair(cube(), cube())
     with pytest.raises(ParameterError, match=r"control: expected ControlMesh, got 'a.obj'; read_mesh or"):
-        cagemap.prepare_surface("a.obj", 1)  # type: ignore[arg-type]
+        cagemap.prepare_surface("a.obj", 1)
     with pytest.raises(ParameterError, match=r"levels: expected a whole number, got 1.5"):
-        cagemap.refine(cube(), 1.5)  # type: ignore[arg-type]
+        cagemap.refine(cube(), 1.5)
 
 
 def test_numbers_of_numpy_and_paths_as_text_are_of_the_right_kind() -> None:
@@ -87,18 +87,18 @@ def test_numbers_of_numpy_and_paths_as_text_are_of_the_right_kind() -> None:
         return number
 
     for number, path in ((np.int32(1), "a"), (np.uint8(1), Path("a"))):
-        assert function(number, np.float32(2), "x", path, np.True_, None) == 1  # type: ignore[arg-type]
+        assert function(number, np.float32(2), "x", path, np.True_, None) == 1
     assert function(1, 2, "x", "a", True, cube()) == 1
     for wrong in (True, 1.0, "1", None):
         with pytest.raises(ParameterError, match="number: expected a whole number"):
-            function(wrong, 2, "x", "a", True, None)  # type: ignore[arg-type]
+            function(wrong, 2, "x", "a", True, None)
 
 
 def test_arguments_that_do_not_fit_are_refused_by_python_with_the_function_s_name() -> None:
     with pytest.raises(TypeError, match=r"^refine\(\) missing 2 required"):
-        cagemap.refine()  # type: ignore[call-arg]
+        cagemap.refine()
     with pytest.raises(TypeError, match=r"^refine\(\) got an unexpected keyword argument 'depth'"):
-        cagemap.refine(cube(), 1, depth=2)  # type: ignore[call-arg]
+        cagemap.refine(cube(), 1, depth=2)
 
 
 @cache
@@ -125,7 +125,7 @@ def scene() -> Any:
 
 
 def marks(target: object, source: object = (1, 2, 3)) -> Landmarks:
-    return Landmarks(("a", "b", "c"), target, source)  # type: ignore[arg-type]
+    return Landmarks(("a", "b", "c"), target, source)
 
 
 NAN = float("nan")
@@ -133,6 +133,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     # meshes
     "positions of text": lambda s: ControlMesh.from_faces("abc", [[0, 1, 2]]),
     "positions of two columns": lambda s: ControlMesh.from_faces(s.cube.positions[:, :2], [[0, 1, 2]]),
+    "positions of one column": lambda s: ControlMesh.from_faces(np.zeros(9), [[0, 1, 2]]),
     "complex positions": lambda s: ControlMesh.from_faces(s.cube.positions * 1j, [[0, 1, 2]]),
     "no positions": lambda s: ControlMesh.from_faces(None, [[0, 1, 2]]),
     "no faces": lambda s: ControlMesh.from_faces(s.cube.positions, None),
@@ -152,20 +153,20 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a level beyond memory": lambda s: cagemap.refine(s.mesh, 40),
     "level 0": lambda s: cagemap.prepare_surface(s.mesh, 0),
     "Loop on quads": lambda s: cagemap.refine(s.mesh, 1, Loop()),
-    "a boundary rule": lambda s: Loop(boundary="x"),  # type: ignore[arg-type]
-    "a creasing rule": lambda s: CatmullClark(creasing="x"),  # type: ignore[arg-type]
+    "a boundary rule": lambda s: Loop(boundary="x"),
+    "a creasing rule": lambda s: CatmullClark(creasing="x"),
     "no vertices": lambda s: cagemap.choose_level(s.mesh, 0),
     "too many vertices": lambda s: cagemap.choose_level(s.mesh, 10**12),
-    "levels of one": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, 1),  # type: ignore[arg-type]
-    "levels of three": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, (1, 1, 1)),  # type: ignore[arg-type]
+    "levels of one": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, 1),
+    "levels of three": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, (1, 1, 1)),
     # configurations
     "a basis of nothing": lambda s: BasisConfig(count=0),
-    "a basis of a fraction": lambda s: BasisConfig(count=10.5),  # type: ignore[arg-type]
+    "a basis of a fraction": lambda s: BasisConfig(count=10.5),
     "an accuracy below 0": lambda s: BasisConfig(accuracy=-1),
     "an accuracy that is no number": lambda s: BasisConfig(accuracy=NAN),
     "an empty schedule": lambda s: BasisConfig(schedule=()),
     "a schedule below 0": lambda s: BasisConfig(schedule=(10, -1)),
-    "a schedule as text": lambda s: BasisConfig(schedule="10,5"),  # type: ignore[arg-type]
+    "a schedule as text": lambda s: BasisConfig(schedule="10,5"),
     "more functions than vertices": lambda s: cagemap.prepare_surface(s.cube, 1, BasisConfig(count=5000)),
     "a schedule of too many levels": lambda s: cagemap.prepare_surface(s.cube, 1, BasisConfig(schedule=(4, 4, 4, 4))),
     "a schedule of too many functions": lambda s: cagemap.prepare_surface(s.cube, 1, BasisConfig(schedule=(100, 4))),
@@ -173,16 +174,16 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a method's basis": lambda s: cagemap.default_basis("x"),
     "an answer below 0": lambda s: MatchConfig(answer=-1),
     "an answer that is not there": lambda s: cagemap.match(s.surface, s.surface, s.landmarks, MatchConfig(answer=7)),
-    "symmetries of numbers": lambda s: MatchConfig(symmetries=(1,)),  # type: ignore[arg-type]
+    "symmetries of numbers": lambda s: MatchConfig(symmetries=(1,)),
     "a weight below 0": lambda s: ElasticConfig(landmark_weight=-1),
     "a graph of nothing": lambda s: ElasticConfig(coarse_vertices=0),
     "a tile": lambda s: BakeOptions(tile=-4),
-    "a wrap": lambda s: BakeOptions(wrap="x"),  # type: ignore[arg-type]
-    "a filter": lambda s: BakeOptions(filter="x"),  # type: ignore[arg-type]
+    "a wrap": lambda s: BakeOptions(wrap="x"),
+    "a filter": lambda s: BakeOptions(filter="x"),
     "a dilation below 0": lambda s: BakeOptions(dilation=-4),
     "no samples": lambda s: BakeOptions(supersample=0),
-    "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),  # type: ignore[arg-type]
-    "no threads": lambda s: cagemap.thread_limit(0).__enter__(),  # type: ignore[attr-defined]
+    "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),
+    "no threads": lambda s: cagemap.thread_limit(0).__enter__(),
     "vertices of a basis": lambda s: BasisConfig(vertices=0),
     "a Laplacian's name": lambda s: named_laplacian("cot"),
     "a wrap below level 0": lambda s: WrapConfig(level=-1),
@@ -201,8 +202,8 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "fewer names than landmarks": lambda s: cagemap.match(
         s.surface, s.surface, Landmarks(("a",), np.array([1, 2]), np.array([1, 2]))
     ),
-    "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),  # type: ignore[arg-type]
-    "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),  # type: ignore[arg-type]
+    "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),
+    "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),
     "an added landmark beyond the mesh": lambda s: cagemap.update_match(s.result, marks([1, 2, 9999])),
     "fewer points on one side": lambda s: cagemap.PointPairs(s.map.images, s.map.images.at(np.arange(3))),
     # maps
@@ -221,9 +222,9 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "coordinates that are no numbers": lambda s: PointMap.from_arrays(
         s.triangles, s.triangles, np.zeros(s.n), np.full((s.n, 3), NAN)
     ),
-    "a matrix of another size": lambda s: PointMap.from_matrix(s.triangles, s.triangles, np.eye(3)),  # type: ignore[arg-type]
+    "a matrix of another size": lambda s: PointMap.from_matrix(s.triangles, s.triangles, np.eye(3)),
     "a matrix of nothing": lambda s: PointMap.from_matrix(s.triangles, s.triangles, sparse.csr_array((s.n, s.n))),
-    "a matrix as text": lambda s: PointMap.from_matrix(s.triangles, s.triangles, "x"),  # type: ignore[arg-type]
+    "a matrix as text": lambda s: PointMap.from_matrix(s.triangles, s.triangles, "x"),
     "too few values to pull back": lambda s: s.map.pull_back(np.zeros(3)),
     "one number to pull back": lambda s: s.map.pull_back(3.0),
     "a triangle beyond the vertices": lambda s: TriangleSurface(s.mesh.positions, np.array([[0, 1, 999]])),
@@ -246,7 +247,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a mask of three": lambda s: cagemap.vertex_mask(s.refinement, np.zeros(3)),
     "a mask of twos": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, 2.0)),
     "a mask that is no number": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, NAN)),
-    "a mask by name": lambda s: cagemap.vertex_mask(s.refinement, "face"),  # type: ignore[arg-type]
+    "a mask by name": lambda s: cagemap.vertex_mask(s.refinement, "face"),
     "a mask of three faces": lambda s: cagemap.face_mask(s.refinement, np.zeros(3)),
     "an edge below 0": lambda s: cagemap.soft_edge(s.triangles, np.ones(s.n), -1.0),
     "an edge of another mask": lambda s: cagemap.soft_edge(s.triangles, np.ones(4), 0.1),
@@ -269,7 +270,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "an image of nine channels": lambda s: cagemap.write_image("x.png", np.zeros((4, 4, 9), np.uint8)),
     "an image of float64": lambda s: cagemap.write_image("x.png", np.zeros((4, 4, 3))),
     "an image of nothing": lambda s: cagemap.write_image("x.png", np.zeros((0, 4, 3), np.uint8)),
-    "an image as a list": lambda s: cagemap.write_image("x.png", [[1, 2], [3, 4]]),  # type: ignore[arg-type]
+    "an image as a list": lambda s: cagemap.write_image("x.png", [[1, 2], [3, 4]]),
     "an image that is not there": lambda s: cagemap.read_image("none.png"),
     "landmarks that are not there": lambda s: cagemap.read_landmarks("none.json", "a", "b"),
     "a result that is not there": lambda s: cagemap.read_result("none"),
@@ -304,7 +305,7 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
         same = PointMap.from_arrays(s.triangles, s.triangles, triangle, images[1])
         np.testing.assert_array_equal(same.triangle, images[0])
     for names in (np.array(["a", "b", "c"]), iter("abc"), ["a", "b", "c"]):
-        assert Landmarks(names, [0, 1, 2], [0, 1, 2]).names == ("a", "b", "c")  # type: ignore[arg-type]
+        assert Landmarks(names, [0, 1, 2], [0, 1, 2]).names == ("a", "b", "c")
     levels: Any = np.array([1, 2])
     assert [one.finest for one in cagemap.prepare_surfaces(s.mesh, s.mesh, levels)] == [1, 2]
     small = marks(np.array([0, 50, 100], np.uint8), [0, 50, 100])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cagemap.deform.placement import Placement
+from cagemap.files.images.image import write_image
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
@@ -21,15 +22,16 @@ from cagemap.report import (
     CarriedData,
     CarriedShape,
     Gallery,
+    Pose,
     Weights,
     build_page,
     draw_carried,
     draw_gallery,
-    write_report,
 )
 from cagemap.report.figures import BACKGROUND, display_image
-from cagemap.report.rig_panels import cage_edges, control_edges
+from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
 from cagemap.report.verdicts import overall_verdict, rate_figures
+from cagemap.tasks.report import _baked_image
 
 from example_result import identity_result
 
@@ -95,18 +97,10 @@ def test_pictures_are_jpegs_of_the_size_asked(page: str, gallery: Gallery) -> No
     assert all(figure.target.shape == (70, 90, 3) for figure in (*gallery.looks, *gallery.maps, *gallery.trust))
 
 
-def test_names_are_escaped_and_shown(page: str) -> None:
-    assert "small → large" in page
-    assert "a &lt;b&gt;" in page
+def test_names_are_escaped_and_figures_of_the_manifest_are_on_the_page(page: str) -> None:
+    shown = ("small → large", "a &lt;b&gt;", "Made for other poses", "1.8 seconds in all, 1.5 GiB", "parameters.k")
+    assert [text for text in (*shown, "0.10 %", "0" * 64) if text not in page] == []  # folded share, hashes
     assert "<b>" not in page
-    assert "Made for other poses" in page
-
-
-def test_figures_of_the_manifest_are_on_the_page(page: str) -> None:
-    assert "0.10 %" in page  # folded
-    assert "1.8 seconds in all, 1.5 GiB" in page
-    assert "parameters.k" in page
-    assert "0" * 64 in page
 
 
 def test_identity_draws_source_and_target_alike(gallery: Gallery) -> None:
@@ -147,12 +141,9 @@ def test_progress_names_every_picture(result: MatchResult) -> None:
 @pytest.mark.parametrize(
     ("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1.0), (np.float16, 1.0)]
 )
-def test_any_pixels_are_shown(dtype: type, white: float) -> None:
-    np.testing.assert_allclose(display_image(np.full((4, 4, 4), white, dtype)), np.ones((4, 4, 3)))
-    np.testing.assert_allclose(display_image(np.full((4, 4, 1), white, dtype)), np.ones((4, 4, 3)))
-
-
-def test_floats_are_shown_as_linear() -> None:
+def test_any_pixels_are_shown_and_floats_as_linear(dtype: type, white: float) -> None:
+    for channels in (1, 4):
+        np.testing.assert_allclose(display_image(np.full((4, 4, channels), white, dtype)), np.ones((4, 4, 3)))
     np.testing.assert_allclose(display_image(np.full((4, 4, 3), 0.21404, np.float32)), 0.5, atol=1e-4)
 
 
@@ -217,31 +208,22 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
         assert not draw_gallery(sure, size=(30, 20)).answers
 
 
-@pytest.mark.parametrize(
-    ("verdict", "heading"),
-    [(SURE, "The map looks sound."), (LOOK, "it may not be the right one"), (TWO, "it may not be the right one")],
-)
-def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
-    result: MatchResult, gallery: Gallery, verdict: str, heading: str
-) -> None:
-    answers = tuple(Placement(result.point_map.images.positions, 1e-4, name=name) for name in ("one", "another"))
-    page = build_page(replace(result, confidence=Confidence(verdict, answers, deciding=0)), gallery)
-    assert heading in page
-    shown = f"{verdict.capitalize()}: the target is aligned with the source one"
-    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{shown}' in page
-
-
-def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, gallery: Gallery) -> None:
+def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(result: MatchResult, gallery: Gallery) -> None:
     places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
-    answers = (Placement(places, 1e-4, name="as the files stand"), Placement(places, 1.1e-4, name="mirrored"))
+    answers = (Placement(places, 1e-4, name="one"), Placement(places, 1.1e-4, name="another"))
     free = replace(
         result,
         landmarks=Landmarks((), none, none),
         landmark_check=LandmarkCheck(),
         quality=replace(result.quality, landmark_errors=np.zeros(0), warnings=()),
     )
+    for verdict in (LOOK, TWO):
+        doubtful = build_page(replace(free, confidence=Confidence(verdict, answers, deciding=0)), gallery)
+        assert "it may not be the right one" in doubtful
+        assert f'<li class="warning">{verdict.capitalize()}: the target is aligned with the source one' in doubtful
     sure = build_page(replace(free, confidence=Confidence(SURE, answers[:1], deciding=0)), gallery)
     assert "The map looks sound." in sure
+    assert f"<li>{SURE.capitalize()}: the target is aligned with the source one" in sure
     assert "no other alignment fits nearly as well" in sure
     assert 'class="warning"' not in sure
     for empty in ("<summary>Landmarks", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
@@ -252,12 +234,6 @@ def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, g
     assert "(--answer 1)" in two
     assert "answer=1" not in two
     assert f"<li>{result.target.control.name}: --part each matches every piece</li>" in two
-
-
-def test_written_whole(result: MatchResult, tmp_path: Path) -> None:
-    write_report(tmp_path / "r.html", result, size=(40, 30))
-    assert (tmp_path / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
 
 
 def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult, gallery: Gallery) -> None:
@@ -291,6 +267,16 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     assert draw_carried(result, CarriedData(), SIZE) == ()
 
 
+@pytest.mark.parametrize("more", [0, 1])
+def test_the_first_of_many_poses_are_shown_and_counted(more: int) -> None:
+    result = identity_result(1)
+    places = result.source.control.positions, result.target.control.positions
+    count = MAX_PANEL_POSES + more
+    (panel,) = draw_carried(result, CarriedData(poses=tuple(Pose(f"{i}", *places) for i in range(count))), (8, 6))
+    assert len(panel.pictures) == 2 * MAX_PANEL_POSES
+    assert (f"The first {MAX_PANEL_POSES} of {count}." in panel.lead) == bool(more)
+
+
 def test_the_table_of_landmarks_says_how_large_the_target_is_around_them(result: MatchResult, gallery: Gallery) -> None:
     table = build_page(result, gallery).split("<th>size around it</th>")[1].split("</table>")[0]
     # The same surface at another scale: of equal size everywhere.
@@ -298,3 +284,31 @@ def test_the_table_of_landmarks_says_how_large_the_target_is_around_them(result:
     outwards = result.target.control.positions * [1.0, 1.0, 3.0]
     wide = identity_result(controls=(result.target.control.with_positions(outwards), result.source.control))
     assert "stretched" in build_page(wide, gallery).split("<th>size around it</th>")[1].split("</table>")[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown"),
+    [
+        ("bake-colors", [0.0, 0.5, 1.0]),
+        ("bake-ao", [0.0, 0.5, 1.0]),
+        ("normal-map", [0.0, 0.21404, 1.0]),
+        ("displacement", [0.0, 0.21404, 1.0]),
+    ],
+)
+def test_floats_are_encoded_once_if_they_are_colours(tmp_path: Path, kind: str, shown: list[float]) -> None:
+    values = np.array([0.0, 0.21404, 1.0], np.float32)
+    write_image(tmp_path / "a.exr", np.tile(values[:, None], (2, 1, 3)))
+    entry = {"kind": kind, "output": "a.exr", "tiles": [0]}
+    (pixels,) = _baked_image(tmp_path, identity_result(1), entry).tiles.values()
+    np.testing.assert_allclose(pixels[0, :, 0], shown, atol=1e-4)
+
+
+@pytest.mark.parametrize("names", ["skin.{}.png", "skin_{}_v2.png", "1001_{}.png"])
+def test_tiles_are_found_wherever_their_number_stands(tmp_path: Path, names: str) -> None:
+    tiles = [1001, 1002]
+    for tile in tiles:
+        write_image(tmp_path / names.format(tile), np.full((4, 4, 3), tile - 1000, dtype=np.uint8))
+    entry = {"kind": "texture", "output": names.format(1001), "tiles": tiles}
+    image = _baked_image(tmp_path, identity_result(1), entry)
+    assert image.name.endswith(names.format("<UDIM>"))
+    assert {tile: round(float(pixels.max() * 255)) for tile, pixels in image.tiles.items()} == {1001: 1, 1002: 2}

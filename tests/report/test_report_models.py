@@ -188,11 +188,8 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
     unsure = replace(unsure, quality=replace(result.quality, landmark_errors=np.zeros(3)))
     models = report_models(unsure, choose_viewpoints(unsure))
-    assert [(mark.number, mark.side, mark.vertex) for mark in models.marks] == [
-        (1, TARGET, 5),
-        (2, TARGET, 5),
-        (2, SOURCE, 5),
-    ]
+    marks = [(1, TARGET, 5), (2, TARGET, 5), (2, SOURCE, 5)]
+    assert [(mark.number, mark.side, mark.vertex) for mark in models.marks] == marks
     assert models.looks[-1].name == "Other answer"
     page = build_page(unsure, draw_gallery(unsure, size=(30, 20)), (), models)
     assert "at mark 1 decides" in page
@@ -204,10 +201,8 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
 
 def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
     poor = rate_figures({"flipped_area": 0.12, "coverage": 0.9})
-    assert (
-        verdict_sentence(poor, overall_verdict(poor, []))
-        == "Do not use this map as it is: 12.00 % of the target is folded over."
-    )
+    said = verdict_sentence(poor, overall_verdict(poor, []))
+    assert said == "Do not use this map as it is: 12.00 % of the target is folded over."
     fair = rate_figures({"flipped_area": 0.001, "coverage": 0.85})
     assert verdict_sentence(fair, "fair") == (
         "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
@@ -248,6 +243,8 @@ def test_passengers_and_poses_are_sections_of_the_page(result: MatchResult) -> N
 def test_a_page_with_models_asks_nothing_of_other_machines(result: MatchResult, tmp_path: Any) -> None:
     write_report(tmp_path / "r.html", result, texture=np.zeros((8, 8, 3), np.uint8), size=(40, 30))
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert page.endswith("</html>\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
     assert len(page.encode()) < 1_000_000
     assert 'id="source-texture"' in page
     assert not re.search(r'(?:src|href)="(?!data:)', page)

@@ -68,7 +68,6 @@ def misses(page: Page, files: Files, pair: dict[str, Any], side: str, point: tup
     """How far an end of a saved landmark lies from where the page was clicked, of the model's radius."""
     surface = shape(getattr(files, side))
     hit = pick(surface, *ray(page, side, point))
-    assert hit is not None
     end = pair[side]
     corners, weights = ([end] * 3, [1, 0, 0]) if isinstance(end, int) else (end["corners"], end["weights"])
     (place,) = cage_places(surface, CagePoints(np.array([corners]), np.array([weights], dtype=float)))

@@ -1,4 +1,4 @@
-"""The finish: the commands that it runs, and what it gives to download."""
+"""The finish: the commands that it runs, what it gives to download, and whether its map is the one shown."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import os
 import queue
 import zipfile
 from collections.abc import Callable
-from dataclasses import field, make_dataclass
+from dataclasses import field, make_dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Annotated, Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from ending_processes import die, hang_up, leave
 from hypothesis import given
@@ -22,9 +23,12 @@ from typed_request import run_typed, typed
 
 from cagemap.errors import OPTION_NAMES, ParameterError, use_option_names
 from cagemap.files import MASK_SUFFIXES
+from cagemap.files.result.folder import write_result
+from cagemap.maps.result import MatchResult
 from cagemap.mesh.plain import Repairs
+from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
-from cagemap.studio.finish import SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
+from cagemap.studio.finish import MAP_TITLE, SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
     ADVANCED,
     OMITTED_OPTIONS,
@@ -37,6 +41,9 @@ from cagemap.studio.finish_layout import (
 )
 from cagemap.studio.opening import default_files
 from cagemap.studio.runner import Runner, command_outputs
+from cagemap.studio.scene import Scene
+from cagemap.studio.shape import refined_shape
+from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Message, Output, RunningJob, add_message
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.detail_bakes import KINDS
@@ -45,6 +52,8 @@ from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value
 from cagemap.tasks.requests.options import Option
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
+
+from example_result import identity_result
 
 OPTIONS = all_options()
 SHOWN = (*(field.key for fold in SECTIONS for field in fold.fields), VERTICES_KEY, SIZE_KEY)
@@ -66,6 +75,9 @@ def test_every_option_is_on_the_page_or_left_out_for_a_reason() -> None:
     assert {*SHOWN, *OMITTED_OPTIONS, *SHARED_OPTIONS} <= {*OPTIONS}
     assert len({*SHOWN}) == len(SHOWN)
     assert not {*SHOWN} & {*OMITTED_OPTIONS}
+    assert {key[0] for key in OPTIONS} == {*COMMANDS}
+    assert OPTIONS["transfer", "bake"].choices == KINDS
+    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_SUFFIXES)
 
 
 def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,11 +94,6 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
     for outside in (0.0, 5.0):
         with pytest.raises(ParameterError, match="--grain: expected"):
             finish_commands(options, files, FinishOptions(option_values={key: outside}), use_landmarks=False)
-
-
-def test_words_that_the_command_line_knows_by_other_means_are_the_same() -> None:
-    assert OPTIONS["transfer", "bake"].choices == KINDS
-    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_SUFFIXES)
 
 
 def values(option: CommandOption) -> st.SearchStrategy[Value]:
@@ -170,6 +177,10 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     for name in ("secret.obj", "secret.png"):
         (outside / name).write_text("secret")
     workspace = Workspace.of(inside)
+    (inside / "link.obj").symlink_to(outside / "secret.obj")
+    for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj"):
+        with pytest.raises(ParameterError, match="outside"):
+            workspace.resolve(path)
     files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
 
     def refused(asked: FinishOptions) -> None:
@@ -198,6 +209,7 @@ def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_
         (tmp_path / name).touch()
     assert Workspace.of(tmp_path).list_files((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
     assert Workspace.of(tmp_path).list_files((".obj", "/")) == ("faces", "faces/smile.obj")
+    assert Workspace.of(tmp_path).resolve("faces/smile.obj") == (tmp_path / "faces/smile.obj").resolve()
 
 
 def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_path: Path) -> None:
@@ -246,10 +258,8 @@ def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
     packed, kind = output_content(outputs, ARCHIVE_NAME) or (b"", "")
     assert kind == "application/zip"
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        assert {name: archive.read(name) for name in archive.namelist()} == {
-            "RESULT/map.npz": b"map",
-            "cow.png": b"png",
-        }
+        found = {name: archive.read(name) for name in archive.namelist()}
+    assert found == {"RESULT/map.npz": b"map", "cow.png": b"png"}
     folder, kind = output_content(outputs, "RESULT.zip") or (b"", "")
     with zipfile.ZipFile(io.BytesIO(folder)) as archive:
         assert archive.namelist() == ["RESULT/map.npz"]
@@ -329,5 +339,21 @@ def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -
     assert [output.path.name for output in command_outputs(match, inside)] == [files.result.name, "a.png"]
 
 
-def test_every_command_of_a_finish_is_asked_by_its_request() -> None:
-    assert {key[0] for key in OPTIONS} == {*COMMANDS}
+def scene_of(shown: MatchResult) -> Scene:
+    found = shown.point_map
+    images = PreviewMap(found.triangle, found.barycentric, shown.quality.trust)
+    shapes = refined_shape(shown.target.refinement), refined_shape(shown.source.refinement)
+    return Scene(*shapes, (None, None), (b"", b""), images)
+
+
+def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Path) -> None:
+    outputs = (Output(tmp_path / "RESULT", MAP_TITLE),)
+    write_result(tmp_path / "RESULT", identity_result(level=3))
+    scene = scene_of(identity_result(level=2))
+    assert map_difference_notes(scene, outputs) == ()
+    # Every other vertex of the cube leads across it.
+    turned = replace(scene, preview_map=replace(scene.preview_map, triangle=np.roll(scene.preview_map.triangle, 4)))
+    (said,) = map_difference_notes(turned, outputs)
+    assert "Match again" in said
+    assert map_difference_notes(None, outputs) == map_difference_notes(turned, ()) == ()
+    assert map_difference_notes(turned, (Output(tmp_path / "gone", MAP_TITLE),)) == ()

@@ -102,7 +102,6 @@ def test_a_request_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp
     )
     before = sorted(os.listdir(tmp_path))
     with subprocess.Popen([sys.executable, script], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as runs:
-        assert runs.stdout is not None
         assert runs.stdout.readline()
         children = psutil.Process(runs.pid).children(recursive=True)
         assert children
@@ -136,7 +135,6 @@ def test_a_second_signal_does_not_interrupt_what_the_first_one_removes(tmp_path:
     worker = Worker(lambda _: None, remove_slowly)
     worker.start()
     process = worker._process
-    assert process is not None
     assert process.pid is not None
     ended = threading.Thread(target=worker.run, args=(TransferRequest(tmp_path, tmp_path / "a.png"),))
     ended.start()

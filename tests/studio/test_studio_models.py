@@ -24,8 +24,6 @@ from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.studio.autosave import FileTracker
 from cagemap.studio.compute import (
     FindMap,
-    MapUpdate,
-    OpenedPair,
     OpenModels,
     PairFiles,
     PreviewCache,
@@ -125,8 +123,6 @@ def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
     # What is clicked is what is seen, in the file's own units.
     ray = np.array([0.1, 0.2, 3.0]), np.array([-0.02, -0.05, -1.0])
     one, other = (pick(shape, *ray) for shape in (upright, turned))
-    assert one is not None
-    assert other is not None
     assert one.triangle == other.triangle
     np.testing.assert_allclose(other.position[[0, 2, 1]] * [1.0, 1.0, -1.0], one.position, atol=1e-5)
 
@@ -178,7 +174,6 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
         write_mesh(tmp_path / name, speck)
     opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, ("none", "none"))
     cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
-    assert isinstance(opened, OpenedPair)
     assert any("set aside" in note for note in opened.target.notes)
     shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
@@ -193,7 +188,6 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
     assert finish_commands(all_options(), files, FinishOptions(), use_landmarks=True)[0].request.target_scheme == "none"
     cache, found = run_task(cache, FindMap(opening, landmarks(cache, 0, 17, 33, 60, 90, 120)), lambda _: None)
-    assert isinstance(found, MapUpdate)
     places = found.preview_map.pull_back(opened.scene.source.triangles, opened.scene.source.positions)
     assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
     assert found.map_state.suggestion is not None
@@ -204,7 +198,6 @@ def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
     for direction in ([0.0, 0.0, -1.0], [0.3, -0.2, -1.0], [1.0, 1.0, -1.0]):
         ray = np.array(direction) / np.linalg.norm(direction)
         hit = pick(shape, -3 * ray, ray)
-        assert hit is not None
         # On the ray, on the near side, and on the triangle that is named.
         view = shape.to_view(hit.position)
         np.testing.assert_allclose(np.cross(view, ray), 0, atol=1e-12)
@@ -268,7 +261,6 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
         write_image(tmp_path / f"skin.{number}.png", np.full((side, side, 3), color, dtype=np.uint8))
     look = with_texture(Look(), tmp_path / "skin.<UDIM>.png")
     places = np.array([[0.1, 0.9], [1.9, 0.1], [0.9, 1.1], [1.5, 1.5]])
-    assert look.texture is not None
     assert look.texture.shape == (16, 16, 3)
     np.testing.assert_array_equal(texture_colors(look, places), [*(255 * np.eye(3)), np.zeros(3)])
     # The page's card has the whole of it between 0 and 1.
@@ -306,7 +298,6 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     for _ in range(2):  # the file that was put there is used again
         _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
         assert opened.source.texture == tmp_path / "box_texture.png"
-    assert opened.source.look.texture is not None
     np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
     (tmp_path / "box_texture.png").write_bytes(b"another's")
     _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)

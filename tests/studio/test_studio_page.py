@@ -69,11 +69,7 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
         (ready, "ready", "Map found."),
         (replace(ready, history=History(landmark)), "ask", "the same place on the other model"),
         (replace(ready, messages=(wrong,)), "error", "line 4"),
-        (
-            replace(ready, finish_job=RunningJob("finish 2/3", "texture: bake", 0.4)),
-            "busy",
-            "step 2/3",
-        ),
+        (replace(ready, finish_job=RunningJob("finish 2/3", "texture: bake", 0.4)), "busy", "step 2/3"),
     ):
         said = status_entries(state)
         assert (said["kind"], words in said["text"]) == (kind, True), said

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -63,9 +65,15 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def opened(folder: Path, *parts: str | None) -> Scene:
-    opening = PairFiles(folder / "a.obj", folder / "b.obj", None, 300, folder, parts=(parts[0], parts[-1]))
-    _, answer = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+@cache
+def opened(part: str) -> Scene:
+    """The figure beside itself, with this part of both open."""
+    with TemporaryDirectory() as name:
+        files = [Path(name) / file for file in ("a.obj", "b.obj")]
+        for file in files:
+            write_mesh(file, figure())
+        opening = PairFiles(*files, None, 300, Path(name), parts=(part, part))
+        _, answer = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
     return answer.scene
 
 
@@ -73,6 +81,7 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
     model = open_model(folder / "a.obj", None, None, 300)
     assert model.part_choices.opened == "object:body"
     assert model.part_choices.titles == ("object:body", "object:eye", "object:hat")
+    assert len(model.part_choices.faces) == 3
     assert not model.part_choices.whole
     assert model.control.n_faces == creature().n_faces
     eye = open_model(folder / "a.obj", None, None, 300, "eye")
@@ -89,7 +98,6 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
 def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     model = open_model(folder / "a.obj", None, None, 300)
     rest = model.look.other_parts
-    assert rest is not None
     assert model.shape.has_other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
@@ -100,16 +108,17 @@ def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     assert (alone.part_choices.titles, alone.part_choices.opened) == ((), None)
 
 
-def test_every_part_is_offered_once_and_the_whole_where_it_can_be_opened(folder: Path) -> None:
-    offer = open_model(folder / "a.obj", None, None, 300).part_choices
-    assert len(set(offer.titles)) == len(offer.titles) == len(offer.faces)
-    assert not offer.whole
+def test_the_whole_is_offered_where_it_can_be_opened() -> None:
     body = creature()
     front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
-    write_mesh(folder / "halves.obj", replace(body, face_groups=front, group_names=("back", "front")))
-    offer = open_model(folder / "halves.obj", None, None, 300).part_choices
+    groups = replace(body, face_groups=front, group_names=("back", "front"))
+    offer = select_part(groups, None, plain=False).part_choices
     assert offer.whole
     assert {"group:back", "group:front"} & set(offer.titles)
+    materials = replace(body, face_materials=front, material_names=("back", "front"), object_schemes=("catmull-clark",))
+    offer = select_part(materials, None, plain=False).part_choices
+    assert offer.titles
+    assert offer.whole if offer.opened is None else offer.opened in offer.titles
 
 
 @settings(max_examples=20, deadline=None)
@@ -140,7 +149,7 @@ def list_of(scene: Scene, *vertices: int) -> LandmarkList:
 
 def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Path) -> None:
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
-    eyes, body = opened(folder, "eye"), opened(folder, "body")
+    eyes, body = opened("eye"), opened("body")
     tracker = FileTracker()
     save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files, tracker)
     found, notes = load_landmarks(files.landmarks, None, body, files, tracker)
@@ -157,8 +166,8 @@ def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Pat
     assert not list(folder.glob("*before-studio*"))
 
 
-def test_no_name_is_given_that_a_landmark_elsewhere_has(folder: Path) -> None:
-    scene = opened(folder, "eye")
+def test_no_name_is_given_that_a_landmark_elsewhere_has() -> None:
+    scene = opened("eye")
     others = Landmarks(("landmark 1",), np.array([20]), np.array([20]), "a.obj", "b.obj")
     placed = add_place(LandmarkList(unused_landmarks=others), "target", vertex_place(scene.target, 0))
     assert placed.items[0].name == "landmark 1 (2)"
@@ -167,7 +176,7 @@ def test_no_name_is_given_that_a_landmark_elsewhere_has(folder: Path) -> None:
 def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path) -> None:
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     kept = autosave_path(files.landmarks)
-    eyes, body = opened(folder, "eye"), opened(folder, "body")
+    eyes, body = opened("eye"), opened("body")
     half = list_of(eyes, 3)
     half = replace(half, items=(*half.items, Landmark(9, "half", vertex_place(eyes.target, 1))))
     write_autosave(kept, to_file_numbers(half, eyes), ("object:eye", "object:eye"))
@@ -192,9 +201,7 @@ def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path)
 def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], data: st.DataObject) -> None:
     whole = figure()
     vertices = [v for v in vertices if v < whole.n_vertices]
-    scenes = hypothesis_scenes()
-    scene = scenes[data.draw(st.sampled_from(sorted(scenes)))]
-    other = scenes[data.draw(st.sampled_from(sorted(scenes)))]
+    scene, other = (opened(data.draw(st.sampled_from(["body", "eye", "hat"]))) for _ in range(2))
     points = CagePoints.of_vertices(np.array(vertices, dtype=np.int64))
     given = Landmarks.of_points(tuple(map(str, vertices)), points, points, "a.obj", "b.obj")
     kept = LandmarkList(unused_landmarks=given)
@@ -204,21 +211,6 @@ def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], da
         left = () if kept.unused_landmarks is None else kept.unused_landmarks.names
         assert sorted([item.name for item in found.items] + list(left)) == sorted(given.names)
     assert all(int(item.name) in item.target.corners for item in kept.items)
-
-
-_SCENES: dict[str, Scene] = {}
-
-
-def hypothesis_scenes() -> dict[str, Scene]:
-    """The figure with each of its parts open."""
-    if not _SCENES:
-        import tempfile
-
-        with tempfile.TemporaryDirectory() as name:
-            for file in ("a.obj", "b.obj"):
-                write_mesh(Path(name) / file, figure())
-            _SCENES.update({part: opened(Path(name), part) for part in ("eye", "body", "hat")})
-    return _SCENES
 
 
 def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Path) -> None:
@@ -265,7 +257,7 @@ def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     session = idle_session(folder, monkeypatch)
     session.open(replace(files, parts=("object:eye", "object:eye")))
-    session._scene = opened(folder, "eye")
+    session._scene = opened("eye")
     session._edit(lambda present: add_place(present, "target", vertex_place(session._scene.target, 0)))
     assert read_autosave_parts(autosave_path(files.landmarks)) == ("object:eye", "object:eye")
     session.choose_part("target", None)
@@ -292,7 +284,7 @@ def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monke
 
 
 def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
-    scene = opened(folder, "body")
+    scene = opened("body")
     away = Landmarks(("mark 10", "hat"), np.array([2, 5]), np.array([2, 5]), "a.obj", "b.obj")
     before = LandmarkList(unused_landmarks=away)
     loaded = keep_unused_landmarks(list_of(scene, 10), before)
@@ -317,15 +309,6 @@ def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> N
     assert read_autosave(kept, (n, n)).curves.names == ("rim",)
 
 
-def test_a_file_whose_one_part_is_all_of_it_can_be_shown(tmp_path: Path) -> None:
-    body = creature()
-    front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
-    mesh = replace(body, face_materials=front, material_names=("back", "front"), object_schemes=("catmull-clark",))
-    offer = select_part(mesh, None, plain=False).part_choices
-    assert offer.titles
-    assert offer.whole if offer.opened is None else offer.opened in offer.titles
-
-
 def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
     from cagemap.files.result.manifest import file_hash
 
@@ -338,7 +321,6 @@ def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
         parameters = {"target_part": word, "source_part": None}
         write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))
         files = command_line_files(None, None, None, None, result)
-        assert files is not None
         assert files.parts == (opens, None)
 
 
@@ -346,7 +328,6 @@ def dense(count: int) -> ControlMesh:
     mesh = triangulated(creature())
     while mesh.n_faces < count:
         fine = refine(mesh, 1).finest
-        assert fine.faces is not None
         mesh = ControlMesh.from_faces(fine.positions, fine.faces.tolist())
     return mesh
 

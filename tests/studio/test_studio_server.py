@@ -92,16 +92,8 @@ def test_the_server_gives_out_only_what_is_offered() -> None:
         assert answer(served.port, "/drawn/source/skin/1").read() == b"glb"
         for path in ("/", "/page.js", "/three.min.js"):
             assert answer(served.port, path).status == 200
-        for path in (
-            "/drawn/source/skin/0",
-            "/page.py",
-            "/files/../cow.png",
-            "/files/%2e%2e%2fcow.png",
-            "/../etc/passwd",
-            "//etc/passwd",
-            "/files/",
-            "/x",
-        ):
+        refused = "/drawn/source/skin/0 /page.py /files/../cow.png /files/%2e%2e%2fcow.png /files/ /x"
+        for path in (*refused.split(), "/../etc/passwd", "//etc/passwd"):
             assert answer(served.port, path).status == 404
         odd = ({"Host": "["}, {"Origin": "http://["})
         for stranger in ({"Host": "rebound.example"}, {"Origin": "http://elsewhere.example"}, *odd):

@@ -65,8 +65,6 @@ def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(o
 
 def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> None:
     scene = opened.scene
-    assert scene is not None
-    assert scene.preview_map is not None
     # About where half a turn about the vertical takes the box, which is slanted.
     places = scene.source.centre + (scene.target.positions - scene.target.centre) * [-1.0, 1.0, -1.0]
     triangle, weights, _ = closest_points(build_tree(scene.source.positions, scene.source.triangles), places)
@@ -340,7 +338,6 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
     point = scene.target.to_view(scene.target.positions[1])
     opened.probe("target", 3 * point, -point / np.linalg.norm(point))
     probe = opened.state.probe
-    assert probe is not None
     assert np.linalg.norm(np.array(probe.target) - scene.target.positions[1]) < 0.3
     np.testing.assert_array_equal(probe.source, map_point(scene, "target", np.array(probe.target)).position)
     assert probe.source[0] > 2  # on the other box

@@ -131,7 +131,6 @@ def test_a_head_in_usd_keeps_what_it_has_and_gets_shapes(
         assert (head.name, eyes.name) == ("head", "eyes")
         assert set(head.shapes) == {"jawOpen", "eyeBlinkLeft"}
         assert not eyes.shapes
-        assert found.rig is not None
         np.testing.assert_allclose(found.rig.bind, rig.bind, atol=1e-6)
         np.testing.assert_allclose(head.mesh.positions, mesh.positions, atol=1e-6)
         np.testing.assert_allclose(head.shapes["jawOpen"], own["jawOpen"], atol=1e-6)

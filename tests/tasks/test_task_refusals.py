@@ -98,40 +98,34 @@ UNEVEN = replace(cube(), positions=cube().positions * np.linspace(1, 2, 8)[:, No
 REFUSED = {
     "a mask of a file that is gone": Refusal(
         masked_in_part,
-        "--target-mask: large.obj was matched in part",
-        "its file is not where the match read it",
+        "--target-mask: large.obj was matched in part ... its file is not where the match read it",
         "Put it back.",
     ),
     "a base of another shape": Refusal(
-        on_another_base, "b.npz: expected heat of shape (8, 2)", "got shape (8, 3)", "Give the target's own values."
+        on_another_base, "b.npz: expected heat of shape (8, 2) ... got shape (8, 3) ... Give the target's own values."
     ),
     "weights of joints without sides": Refusal(
         lambda place: weights(place, "hip,knee", mirror=True),
-        "--mirror: expected joints of both sides, such as arm.L and arm.R",
-        "got none by their names",
+        "--mirror: expected joints of both sides, such as arm.L and arm.R ... got none by their names",
         "Rename them, or leave it out.",
     ),
     "weights of a mesh without a mirror plane": Refusal(
         lambda place: weights(place, "arm.L,arm.R", UNEVEN, mirror=True),
-        "--mirror: ",
-        "expected a target with a mirror plane, bare.obj has none",
-        "Leave it out.",
+        "--mirror:  ... expected a target with a mirror plane, bare.obj has none ... Leave it out.",
     ),
     "fewer influences than one": Refusal(
         lambda place: weights(place, "hip,knee", influences=-1),
-        "w.csv: influences: ",
-        "expected at least 1 joint a vertex, got -1",
-        "Leave it out for all.",
+        "w.csv: influences:  ... expected at least 1 joint a vertex, got -1 ... Leave it out for all.",
     ),
-    "a map of level 0": Refusal(map_of_level, "--level: ", "expected 1 or more, got 0", "Leave it out"),
+    "a map of level 0": Refusal(map_of_level, "--level:  ... expected 1 or more, got 0 ... Leave it out"),
     "a wrap that is held everywhere": Refusal(
-        held_everywhere, "weights: ", "expected a part of the target that follows the source", "Give weights above 0"
+        held_everywhere, "weights:  ... expected a part of the target that follows the source ... Give weights above 0"
     ),
     "a net of a level with holes": Refusal(
-        wrapped_with_holes, "large.obj: ", "has hole faces, so that only level 0 can be a net", "Give level 0."
+        wrapped_with_holes, "large.obj:  ... has hole faces, so that only level 0 can be a net ... Give level 0."
     ),
     "a neck that moves no face": Refusal(
-        neck_of_a_corner, "part 'box': ", "its neck and head joints move no whole face", "Give the head alone."
+        neck_of_a_corner, "part 'box':  ... its neck and head joints move no whole face ... Give the head alone."
     ),
 }
 

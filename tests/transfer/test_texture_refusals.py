@@ -14,8 +14,8 @@ REFUSED = {
     "another wrap": Refusal(
         lambda _: lay_texture(np.zeros((4, 4), np.uint8), UVS, TRIANGLES, wrap="mirror"),  # type: ignore[arg-type]
         "wrap: ",
-        "got 'mirror'",
         "expected 'repeat' or 'clamp'",
+        "got 'mirror'",
     ),
 }
 
