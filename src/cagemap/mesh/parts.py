@@ -14,7 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -121,8 +121,7 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     """Return some faces as a mesh without unused vertices and UVs, which keeps their numbers in the file."""
     kept = keep_faces(mesh, faces)
     vertices, indices = np.unique(kept.face_indices, return_inverse=True)
-    number = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    number[vertices] = np.arange(len(vertices))
+    number = places_of(vertices, mesh.n_vertices)
     corners = kept.corner_vertices
     inside = None if corners is None else number[corners] >= 0
     uvs, uv_indices = kept.uvs, kept.uv_indices
@@ -160,8 +159,7 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
     """(n,) vertex of a part made by `extract_faces`, or of the mesh welded, for every vertex of the mesh, or -1."""
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
-    number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
-    number[part.file_vertices] = np.arange(part.n_vertices)
+    number = places_of(part.file_vertices, int(file_numbers.max()) + 1)
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray, label_components
+from cagemap.numerics.arrays import IndexArray, label_components, places_of
 from cagemap.numerics.threads import kept
 
 IntArray: TypeAlias = NDArray[np.int32]
@@ -145,8 +145,7 @@ def mesh_topology(mesh: ControlMesh) -> Topology:
 def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> Topology:
     """Topology of the control mesh's faces on the vertex numbers ``indices`` (c,), such as those of UVs."""
     following = mesh.next_corners
-    previous = np.empty_like(following)
-    previous[following] = np.arange(len(following))
+    previous = places_of(following, len(following))
     faces = mesh.corner_faces.astype(np.int32)
     return topology_of(indices, n_vertices, faces, following.astype(np.int32), previous.astype(np.int32))
 
@@ -280,6 +279,4 @@ def turned_faces(topology: Topology) -> NDArray[np.bool_] | None:
 def _renumber(labels: IndexArray) -> IndexArray:
     """Number labels from 0 in the order of their first appearance."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse]
+    return places_of(np.argsort(first), len(first))[inverse]

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
 from cagemap.mesh.topology import BoolArray, Topology, topology_of
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, places_of
 from cagemap.subdivision.matrices import (
     RowFiller,
     put_boundary_rows,
@@ -192,8 +192,7 @@ def _refined_around(
         near = np.zeros(topology.n_vertices, dtype=bool)
         near[topology.vertices[faces[topology.faces]]] = True
     corners = np.flatnonzero(faces[topology.faces])
-    new = np.zeros(topology.n_corners, dtype=np.int32)
-    new[corners] = np.arange(len(corners))
+    new = places_of(corners, topology.n_corners).astype(np.int32)
     numbers, indices = np.unique(topology.vertices[corners], return_inverse=True)
     face_numbers = (np.cumsum(faces) - 1).astype(np.int32)[topology.faces[corners]]
     around = new[topology.following[corners]], new[topology.previous[corners]]

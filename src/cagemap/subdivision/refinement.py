@@ -16,7 +16,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.mesh.topology import BoolArray, mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, places_of
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
@@ -139,9 +139,7 @@ class Refinement:
     def _coarse_numbers(self) -> IndexArray:
         """(n,) vertex of the last coarse level for every finest vertex of a plain mesh, or -1."""
         assert self.coarse_vertices is not None
-        numbers = np.full(self.finest.n_vertices, -1)
-        numbers[self.coarse_vertices] = np.arange(len(self.coarse_vertices))
-        return numbers
+        return places_of(self.coarse_vertices, self.finest.n_vertices)
 
     def faces(self, level: int) -> IndexArray:
         """(m, 4) or (m, 3) faces of a level; mixed faces of a control mesh are split into fans."""
