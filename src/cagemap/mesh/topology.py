@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray, label_components, places_of
+from cagemap.numerics.arrays import IndexArray, label_components, mask_of, places_of
 from cagemap.numerics.threads import kept
 
 IntArray: TypeAlias = NDArray[np.int32]
@@ -88,10 +88,8 @@ class Topology:
     @kept
     def boundary(self) -> BoolArray:
         """(n,) whether a vertex is on the boundary."""
-        boundary, curve = np.zeros(self.n_vertices, dtype=bool), self.boundary_corners
-        boundary[self.vertices[curve]] = True
-        boundary[self.vertices[self.following[curve]]] = True
-        return boundary
+        curve = self.boundary_corners
+        return mask_of(self.vertices[np.concatenate([curve, self.following[curve]])], self.n_vertices)
 
     @kept
     def valences(self) -> IntArray:
@@ -232,9 +230,7 @@ def label_cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
 
 def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
     """(n,) whether a vertex belongs to a face."""
-    used = np.zeros(mesh.n_vertices, dtype=bool)
-    used[mesh.face_indices] = True
-    return used
+    return mask_of(mesh.face_indices, mesh.n_vertices)
 
 
 def face_pieces(mesh: ControlMesh, nodes: IndexArray, count: int) -> IndexArray:

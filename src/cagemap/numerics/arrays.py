@@ -70,6 +70,13 @@ def places_of(numbers: NDArray[np.integer], count: int) -> IndexArray:
     return places
 
 
+def mask_of(numbers: NDArray[np.integer], count: int) -> NDArray[np.bool_]:
+    """(count,) whether a number below ``count`` occurs in an array of any shape."""
+    mask = np.zeros(count, dtype=np.bool_)
+    mask[numbers] = True
+    return mask
+
+
 def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
     """(count, d) sums of rows (m, d) in every group (m,)."""
     return np.column_stack([np.bincount(groups, column, minlength=count) for column in values.T]).astype(np.float64)
