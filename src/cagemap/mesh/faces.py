@@ -13,6 +13,13 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, pair_key
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
+def faces_of_one_size(mesh: ControlMesh) -> IndexArray | None:
+    """(m, 3) or (m, 4) vertices of faces that are all triangles or all quads; None for others."""
+    size = int(mesh.face_sizes[0]) if mesh.n_faces else 0
+    alike = size in (3, 4) and bool(np.all(mesh.face_sizes == size))
+    return mesh.face_indices.reshape(-1, size) if alike else None
+
+
 def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     """Return the mesh with only the given faces; vertices and texture coordinates are unchanged."""
     return with_corners_of(mesh, faces, *corners_of(mesh.face_offsets, faces, mesh.face_sizes[faces]))

@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -128,8 +128,7 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     """Return some faces as a mesh without unused vertices and UVs, which keeps their numbers in the file."""
     kept = keep_faces(mesh, faces)
     vertices, indices = np.unique(kept.face_indices, return_inverse=True)
-    number = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    number[vertices] = np.arange(len(vertices))
+    number = places_of(vertices, mesh.n_vertices)
     corners = kept.corner_vertices
     inside = None if corners is None else number[corners] >= 0
     uvs, uv_indices = kept.uvs, kept.uv_indices

@@ -10,7 +10,7 @@ from cagemap.mesh.faces import corners_of, with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import adjacent_corners, mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, places_of
 
 # Degrees: largest fold of a pair, and largest difference of its corners from 90.
 _MOST_FOLDED, _MOST_SKEWED = 90.0, 75.0
@@ -96,8 +96,7 @@ def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
 
 def _matched(first: IndexArray, second: IndexArray, cost: FloatArray, n_faces: int) -> NDArray[np.bool_]:
     """(q,) which pairs of faces to join: in rounds, pairs of least cost for both faces."""
-    rank = np.empty(len(cost), dtype=np.int64)
-    rank[np.argsort(cost, kind="stable")] = np.arange(len(cost))
+    rank = places_of(np.argsort(cost, kind="stable"), len(cost))
     chosen = np.zeros(len(cost), dtype=bool)
     open_pairs = np.arange(len(cost))
     while len(open_pairs):  # ends, as the pair of least cost is always joined

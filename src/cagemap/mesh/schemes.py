@@ -84,10 +84,7 @@ class CatmullClark(SubdivisionOptions):
 
     @staticmethod
     def polygon_vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Smooth vertex rule: weights of the vertex, of each neighbour, and of each new face point.
-
-        ``(n - 2)/n v + 1/n^2 sum e_i + 1/n^2 sum f_i``; the vertex has no weight at n = 2.
-        """
+        """Smooth rule ``((n - 2) n v + sum e_i + sum f_i) / n^2``: weights of vertex, neighbour, new face point."""
         n = np.asarray(valence, dtype=np.float64)
         return (n - 2) / n, 1 / n**2, 1 / n**2
 
@@ -109,10 +106,7 @@ class CatmullClark(SubdivisionOptions):
 
     @staticmethod
     def limit_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Limit position among quads [HKD93]_: weights of the vertex, each neighbour, each opposite vertex.
-
-        ``(n^2 v + 4 sum e_i + sum f_i) / (n (n + 5))``.
-        """
+        """Limit ``(n^2 v + 4 sum e_i + sum f_i) / (n (n + 5))`` [HKD93]_: weights of vertex, neighbour, opposite."""
         n = np.asarray(valence, dtype=np.float64)
         return n / (n + 5), 4 / (n * (n + 5)), 1 / (n * (n + 5))
 
@@ -159,10 +153,7 @@ class Loop(SubdivisionOptions):
 
     @staticmethod
     def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray]:
-        """Smooth vertex rule: weights of the vertex and of each neighbour.
-
-        ``(1 - n b) v + b sum e_i`` with ``b = (5/8 - (3/8 + cos(2 pi/n)/4)^2) / n``.
-        """
+        """Smooth rule ``(1 - n b) v + b sum e_i``, ``b = (5/8 - (3/8 + cos(2 pi/n)/4)^2) / n``: both weights."""
         n = np.asarray(valence, dtype=np.float64)
         b = (5 / 8 - (3 / 8 + np.cos(2 * np.pi / n) / 4) ** 2) / n
         return 1 - n * b, b

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import IndexArray, label_components
+from cagemap.numerics.arrays import IndexArray, label_components, mask_of, places_of
 from cagemap.numerics.threads import kept
 
 IntArray: TypeAlias = NDArray[np.int32]
@@ -88,10 +88,8 @@ class Topology:
     @kept
     def boundary(self) -> BoolArray:
         """(n,) whether a vertex is on the boundary."""
-        boundary, curve = np.zeros(self.n_vertices, dtype=bool), self.boundary_corners
-        boundary[self.vertices[curve]] = True
-        boundary[self.vertices[self.following[curve]]] = True
-        return boundary
+        curve = self.boundary_corners
+        return mask_of(self.vertices[np.concatenate([curve, self.following[curve]])], self.n_vertices)
 
     @kept
     def valences(self) -> IntArray:
@@ -145,8 +143,7 @@ def mesh_topology(mesh: ControlMesh) -> Topology:
 def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> Topology:
     """Topology of the control mesh's faces on the vertex numbers ``indices`` (c,), such as those of UVs."""
     following = mesh.next_corners
-    previous = np.empty_like(following)
-    previous[following] = np.arange(len(following))
+    previous = places_of(following, len(following))
     faces = mesh.corner_faces.astype(np.int32)
     return topology_of(indices, n_vertices, faces, following.astype(np.int32), previous.astype(np.int32))
 
@@ -233,9 +230,7 @@ def label_cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
 
 def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
     """(n,) whether a vertex belongs to a face."""
-    used = np.zeros(mesh.n_vertices, dtype=bool)
-    used[mesh.face_indices] = True
-    return used
+    return mask_of(mesh.face_indices, mesh.n_vertices)
 
 
 def face_pieces(mesh: ControlMesh, nodes: IndexArray, count: int) -> IndexArray:
@@ -280,6 +275,4 @@ def turned_faces(topology: Topology) -> NDArray[np.bool_] | None:
 def _renumber(labels: IndexArray) -> IndexArray:
     """Number labels from 0 in the order of their first appearance."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse]
+    return places_of(np.argsort(first), len(first))[inverse]

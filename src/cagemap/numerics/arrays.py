@@ -63,6 +63,20 @@ def offsets_of(sizes: Sequence[int] | NDArray[np.integer]) -> IndexArray:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
+def places_of(numbers: NDArray[np.integer], count: int) -> IndexArray:
+    """(count,) place of every number below ``count`` in an array without repeats; -1 for missing ones."""
+    places = np.full(count, -1, dtype=np.int64)
+    places[numbers] = np.arange(len(numbers))
+    return places
+
+
+def mask_of(numbers: NDArray[np.integer], count: int) -> NDArray[np.bool_]:
+    """(count,) whether a number below ``count`` occurs in an array of any shape."""
+    mask = np.zeros(count, dtype=np.bool_)
+    mask[numbers] = True
+    return mask
+
+
 def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
     """(count, d) sums of rows (m, d) in every group (m,)."""
     return np.column_stack([np.bincount(groups, column, minlength=count) for column in values.T]).astype(np.float64)

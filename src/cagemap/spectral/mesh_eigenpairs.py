@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cagemap.errors import InvalidMeshError, ParameterError, SolverError
-from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, grouped_sums
@@ -49,9 +49,8 @@ def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
     if not 1e-12 <= accuracy <= 1e-2:
         raise ParameterError(f"accuracy: expected a residual from 1e-12 to 1e-2, got {accuracy:g}")
     require_structure(mesh)
-    sizes = np.unique(mesh.face_sizes)
-    uniform = len(sizes) == 1 and sizes[0] in (3, 4)
-    faces = mesh.face_indices.reshape(-1, sizes[0]) if uniform else cage_triangles(mesh)[0]
+    faces = faces_of_one_size(mesh)
+    faces = cage_triangles(mesh)[0] if faces is None else faces
     weights, areas = stiffness(mesh.positions, faces), vertex_areas(mesh.positions, faces)
     with one_blas_thread():
         return mass_lumped_pairs(weights, areas, k, accuracy)

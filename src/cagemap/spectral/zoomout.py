@@ -114,9 +114,5 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
 
 
 def evenly_spaced_vertices(n: int, count: int) -> IndexArray:
-    """At most ``count`` vertices at equal steps of the numbering.
-
-    Consecutive vertices of a refined mesh are near each other, so that samples are dense where the mesh is dense, as at
-    hands and faces; weight them by area. Steps of equal area leave too few samples on hands.
-    """
+    """At most ``count`` vertices at equal steps of the numbering, dense where the mesh is: weight them by area."""
     return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))

@@ -18,7 +18,7 @@ from scipy import sparse
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, Topology, layout_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of
 from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
 from cagemap.subdivision.sharpness import MeshState, Sharpness, control_state, next_state
 from cagemap.subdivision.topology import children, split_topology
@@ -60,7 +60,7 @@ def _fixed_values(
         return cut.boundary, None
     single = cut.boundary & (cut.valences == 1)
     inside = ~cut.outer_edges
-    fixed = _at_edges(cut, inside & (around.edges >= INFINITE_SHARPNESS))
+    fixed = mask_of(cut.edge_ends[inside & (around.edges >= INFINITE_SHARPNESS)], cut.n_vertices)
     fixed[cut.vertices[cut.ranks < 0]] = True  # separate fans
     if mode == "none":
         return fixed, None
@@ -73,7 +73,8 @@ def _fixed_values(
         twin[both] = both[:, ::-1]
         causes = fixed | single if mode == "corners_plus2" else fixed
         fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[twin]))
-        semi = _at_edges(cut, inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS))
+        semi_sharp = inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS)
+        semi = mask_of(cut.edge_ends[semi_sharp], cut.n_vertices)
         smooth_one = (n_values == 2) & ~semi & semi[twin] & ~(around.vertices > 0) & ~(fixed | single)
         if smooth_one.any():
             follows = np.where(smooth_one, twin, np.arange(len(owners)))
@@ -81,13 +82,6 @@ def _fixed_values(
             seam_end = cut.boundary & (n_values == 1) & ~topology.boundary[owners]
             fixed = fixed | seam_end
     return fixed | single, follows
-
-
-def _at_edges(cut: Topology, edges: BoolArray) -> BoolArray:
-    """(p,) whether a vertex belongs to one of the given edges."""
-    result = np.zeros(cut.n_vertices, dtype=bool)
-    result[cut.edge_ends[edges]] = True
-    return result
 
 
 def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:

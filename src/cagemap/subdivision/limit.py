@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, CatmullClark, Loop
 from cagemap.mesh.topology import BoolArray, Topology, topology_of
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, mask_of, places_of
 from cagemap.subdivision.matrices import (
     RowFiller,
     put_boundary_rows,
@@ -187,13 +187,10 @@ def _refined_around(
     assert state.sharpness is not None
     topology, near = state.topology, chosen
     for _ in range(2):
-        faces = np.zeros(topology.n_faces, dtype=bool)
-        faces[topology.faces[near[topology.vertices]]] = True
-        near = np.zeros(topology.n_vertices, dtype=bool)
-        near[topology.vertices[faces[topology.faces]]] = True
+        faces = mask_of(topology.faces[near[topology.vertices]], topology.n_faces)
+        near = mask_of(topology.vertices[faces[topology.faces]], topology.n_vertices)
     corners = np.flatnonzero(faces[topology.faces])
-    new = np.zeros(topology.n_corners, dtype=np.int32)
-    new[corners] = np.arange(len(corners))
+    new = places_of(corners, topology.n_corners).astype(np.int32)
     numbers, indices = np.unique(topology.vertices[corners], return_inverse=True)
     face_numbers = (np.cumsum(faces) - 1).astype(np.int32)[topology.faces[corners]]
     around = new[topology.following[corners]], new[topology.previous[corners]]

@@ -11,12 +11,12 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.mesh.topology import BoolArray, mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, places_of
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
@@ -139,9 +139,7 @@ class Refinement:
     def _coarse_numbers(self) -> IndexArray:
         """(n,) vertex of the last coarse level for every finest vertex of a plain mesh, or -1."""
         assert self.coarse_vertices is not None
-        numbers = np.full(self.finest.n_vertices, -1)
-        numbers[self.coarse_vertices] = np.arange(len(self.coarse_vertices))
-        return numbers
+        return places_of(self.coarse_vertices, self.finest.n_vertices)
 
     def faces(self, level: int) -> IndexArray:
         """(m, 4) or (m, 3) faces of a level; mixed faces of a control mesh are split into fans."""
@@ -288,13 +286,11 @@ def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
 
 def control_level(control: ControlMesh) -> Level:
     """Level 0 of a refinement of ``control``."""
-    size = int(control.face_sizes[0]) if control.n_faces else 0
-    uniform = size in (3, 4) and bool(np.all(control.face_sizes == size))
-    faces = control.face_indices.reshape(-1, size) if uniform else None
+    faces = faces_of_one_size(control)
     level = Level(control.positions, faces, np.arange(control.n_faces))
-    if control.uvs is None or control.uv_indices is None or not uniform:
+    if control.uvs is None or control.uv_indices is None or faces is None:
         return level
-    return level.with_uvs(control.uvs, control.uv_indices.reshape(-1, size))
+    return level.with_uvs(control.uvs, control.uv_indices.reshape(faces.shape))
 
 
 def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:

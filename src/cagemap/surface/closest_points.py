@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, places_of, read_only
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.triangles import CACHED, normalize_rows, triangle_areas, triangle_centres, triangle_normals
 
@@ -64,9 +64,7 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
     boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
     _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
-    places = np.empty_like(order)
-    places[order] = np.arange(len(order))
-    return TriangleTree(boxes, order, places, corners, normals)
+    return TriangleTree(boxes, order, places_of(order, len(order)), corners, normals)
 
 
 def closest_points(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of, read_only, real_numbers, whole_numbers
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import TriangleTree, build_tree
 from cagemap.surface.triangles import (
@@ -104,11 +104,9 @@ class TriangleSurface:
     @kept
     def boundary_vertices(self) -> NDArray[np.bool_]:
         """(n,) whether a vertex is on the boundary."""
-        on_boundary = np.zeros(self.n, dtype=np.bool_)
         triangle, corner = np.nonzero(self.neighbors < 0)
-        for step in (1, 2):
-            on_boundary[self.triangles[triangle, (corner + step) % 3]] = True
-        return read_only(on_boundary)
+        ends = [self.triangles[triangle, (corner + step) % 3] for step in (1, 2)]
+        return read_only(mask_of(np.concatenate(ends), self.n))
 
     @property
     def is_open(self) -> bool:
