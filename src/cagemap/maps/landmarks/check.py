@@ -197,7 +197,7 @@ def suspected_pairs(problem: Problem) -> dict[int, str] | None:
 
 def coarse_map_cost(problem: Problem) -> float:
     """Cost of the best coarse fit that meets the landmarks."""
-    return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
+    return min(coarse_fit(problem, start).cost for start in (start_map(problem, problem.coarse_shape), None))
 
 
 def has_merged_parts(problem: Problem) -> bool:
