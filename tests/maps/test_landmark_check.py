@@ -359,8 +359,20 @@ def test_landmarks_of_another_mesh_are_asked_about(pair):
     foreign = Landmarks(landmarks.names, moved, landmarks.source, "another", landmarks.source_name)
     result = match(target, source, foreign, QUICK)
     assert result.quality.flipped_area > 0.05
-    (warning,) = [text for text in result.quality.warnings if "Are these landmarks of these meshes?" in text]
-    assert f"{100 * result.quality.flipped_area:.1f} % of the target's area is folded over" in warning
+    (warning,) = [text for text in result.quality.warnings if text.startswith(check.FOREIGN)]
+    assert f"{100 * result.quality.flipped_area:.0f} % of the target is folded over" in warning
+
+
+@pytest.mark.parametrize(
+    ("folded", "count", "asked"), [(0.2, 23, True), (0.02, 23, False), (0.2, 0, False), (0.9, 9, False)]
+)
+def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(
+    folded: float, count: int, asked: bool
+) -> None:
+    warnings = check.foreign_warnings(folded, count, 2)
+    assert bool(warnings) == asked
+    if asked:
+        assert "20 % of the target is folded over and 2 of 23 landmarks were left out" in warnings[0]
 
 
 def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:

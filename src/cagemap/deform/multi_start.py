@@ -29,9 +29,9 @@ from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, ne
 FEWEST_LANDMARKS = 3
 
 
-def start_map(problem: Problem, shape: CoarseShape | None = None) -> FloatArray:
+def start_map(problem: Problem, shape: CoarseShape) -> FloatArray:
     """(k, 3) places on the source of a coarse shape's vertices, by ZoomOut from the constrained points' coordinates."""
-    prepared, shape = problem.prepared, shape or problem.coarse_shape
+    prepared = problem.prepared
     vertices, constrained = shape.vertices, shape.constrained_vertices
     levels, areas = prepared.levels, shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
@@ -75,12 +75,12 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
     return found
 
 
-def spectral_starts(problem: Problem, shape: CoarseShape | None = None) -> Callable[[Placement], list[FloatArray]]:
+def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement], list[FloatArray]]:
     """A function that gives starts (k, 3) from a coarse fit, by ZoomOut from its closest points.
 
     They find limbs in other poses. One start for each number of functions that the fit is trusted to determine.
     """
-    prepared, shape = problem.prepared, shape or problem.coarse_shape
+    prepared = problem.prepared
     config, surface = prepared.start, prepared.source_surface
     level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
     vertices = evenly_spaced_vertices(surface.n, config.places)

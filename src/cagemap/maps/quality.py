@@ -28,8 +28,6 @@ from cagemap.surface.triangles import CACHED, corner_sums, normalize_rows, row_l
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): landmarks with a larger error are named
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
-# Folded share that suggests landmarks of other meshes; correct ones of 24 pairs fold 0.003 at most
-FOREIGN_FOLDED = 0.05
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
@@ -366,8 +364,7 @@ def _warnings(
             "landmarks may be exchanged, or one mesh is mirrored"
         )
     elif flipped_area > FLIPPED_TOLERANCE:
-        asked = ". Are these landmarks of these meshes?" if len(errors) and flipped_area > FOREIGN_FOLDED else ""
-        messages.append(f"{100 * flipped_area:.1f} % of the target's area is folded over, {where}{asked}")
+        messages.append(f"{100 * flipped_area:.1f} % of the target's area is folded over, {where}")
     off = np.flatnonzero(errors > LANDMARK_TOLERANCE)
     if len(off):
         listed = ", ".join(f"{names[i]} ({100 * errors[i]:.1f} %)" for i in off[np.argsort(-errors[off])][:5])

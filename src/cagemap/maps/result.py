@@ -13,7 +13,7 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence, jump_warnings
-from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, foreign_warnings
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import LevelPair, point_pairs
 from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
@@ -306,7 +306,8 @@ def result_of_fit(
         jumps = pool.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
         quality = judge(target, point_map, points, trusted.names, counted)
         area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
-        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings))
+        foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
+        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings, *foreign))
     return MatchResult(
         target,
         source,

@@ -113,7 +113,7 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     """Fine placements from fits of the small graph and their spectral starts: the best of each, if they differ."""
     if not small_fits:
         return []
-    graph, starts = problem.coarse_shape.rest.graph, spectral_starts(problem)
+    graph, starts = problem.coarse_shape.rest.graph, spectral_starts(problem, problem.coarse_shape)
     config = problem.prepared.elastic.search
 
     def fit_coarse(small_fit: Placement) -> list[Placement]:
