@@ -11,6 +11,7 @@ import pytest
 
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.values.attributes import read_attributes
@@ -29,7 +30,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from cagemap.files.usd.prims import local_to_world, moved
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
-from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
+from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from usd_scenes import complaints, stage_at, usd_mesh
@@ -274,6 +275,7 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     assert "results are in the target's own" in note
     assert unit_notes(folder / "small.usda", folder / "small.usda") == ()
     assert unit_notes(folder / "large.usda", folder / "x.obj") == ()
+    assert "x.glb 1 m a unit, Y up" in unit_notes(folder / "large.usda", folder / "x.glb")[0]
     run_wrap(WrapRequest((folder / "RESULT",), folder / "wrapped.usda"), Stages())
     assert complaints(folder / "wrapped.usda") == []
     mesh = read_usd_meshes(folder / "wrapped.usda")[0]
@@ -283,3 +285,32 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     upright = 0.01 * np.column_stack([world[:, 0], world[:, 2], -world[:, 1]])
     np.testing.assert_allclose(upright, source, atol=2e-3)
     np.testing.assert_allclose(between_spaces(folder / "large.usda", folder / "x.obj"), np.eye(4))
+
+
+@pytest.mark.parametrize("given", ["hat.usda", "hat.glb", "hat.obj"])
+@pytest.mark.parametrize("output", ["worn.usda", "worn.glb", "worn.obj"])
+def test_a_passenger_is_at_its_place_in_the_world(folder: Path, given: str, output: str) -> None:
+    """Read and written in the units, axes and transform that each file states; others have those of the models."""
+    hat = textured_cube(given, 1.1)
+    shift = np.eye(4)
+    shift[3, :3] = [0, 3, 0]
+    if given == "hat.usda":
+        write_usd(folder / given, hat.with_positions(hat.positions - [0, 3, 0]), space=StageSpace("Y", 1.0, shift))
+    else:
+        write_mesh(folder / given, hat)
+    run_transfer(TransferRequest(folder / "RESULT", folder / output, passenger=folder / given), Stages())
+    found = read_mesh(folder / output).positions
+    expected = 2.2 * textured_cube("").positions
+    if output != "worn.obj":
+        found = moved(found, to_standard(folder / output)) if output == "worn.usda" else found
+        expected = moved(expected, to_standard(folder / "large.usda"))
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
+
+
+def test_a_cage_wrapped_on_a_glb_is_in_the_targets_own_units(folder: Path) -> None:
+    write_mesh(folder / "small.glb", textured_cube("small.glb"))
+    glb_source = Path("small.glb")
+    np.testing.assert_allclose(
+        between_spaces(Path("large.usda"), glb_source), np.linalg.inv(to_standard(Path("large.usda")))
+    )
+    np.testing.assert_allclose(between_spaces(glb_source, Path("large.usda")), to_standard(Path("large.usda")))

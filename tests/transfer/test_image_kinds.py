@@ -182,6 +182,20 @@ def test_colours_multiplied_by_alpha_stay_so_or_are_divided(tmp_path: Path) -> N
     np.testing.assert_array_equal(read_image(tmp_path / "turned.png").pixels, multiplied[..., :3])
 
 
+@pytest.mark.parametrize(("given", "bits", "output"), [("c.png", 16, "c2.exr"), ("c.exr", 8, "c2.png")])
+def test_a_colour_written_in_a_type_of_another_encoding_is_said(
+    folder: Path, given: str, bits: int, output: str
+) -> None:
+    write_image(
+        folder / given, np.full((8, 8, 3), 0.5 if given == "c.exr" else 128, "f4" if given == "c.exr" else "u1")
+    )
+    for name, said in (("color", True), ("roughness", False)):
+        maps = ((name, folder / given),)
+        request = TransferRequest(folder / "WHOLE", folder / output, maps=maps, bits=bits, size=8, force=True)
+        _, warnings = run_transfer(request, Stages())
+        assert any(f"choose the colour space of {given}" in warning for warning in warnings) == said
+
+
 def test_heights_are_not_multiplied_by_alpha(folder: Path) -> None:
     write_image(folder / "heights.exr", np.tile(np.float32([2.0, 0.5]), (32, 32, 1)))
     request = TransferRequest(folder / "WHOLE", folder / "carried.exr", displacement=folder / "heights.exr")

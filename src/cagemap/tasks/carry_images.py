@@ -15,7 +15,7 @@ from cagemap.files.images.image import Image, check_writable, pixel_type, read_i
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.convert import usd_document
-from cagemap.files.usd.results import unbound_maps
+from cagemap.files.usd.results import preview_inputs, unbound_maps
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
@@ -127,6 +127,12 @@ def _bake_map(
         )
     if is_normal_map:
         prepared.warnings.append(f"{path} looks like a normal map and is turned with the map, not carried as colours")
+    is_color = preview_inputs([name or "texture"]).get(name or "texture") in ("diffuseColor", "emissiveColor")
+    if is_color and (source_image.first.pixels.dtype.kind == "f") != (source_image.dtype.kind == "f"):
+        prepared.warnings.append(
+            f"{request.output} has the numbers of {path}, and programs read colours of integers as sRGB, of floats as "
+            f"linear: choose the colour space of {path.name} for it there"
+        )
     carry = partial(bake_normal_map, green=cast(Green, request.green)) if is_normal_map else bake_texture
 
     def bake(options: BakeOptions) -> Image:

@@ -19,6 +19,9 @@ from cagemap.files.atomic import (
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
+from cagemap.files.usd.prims import moved
+from cagemap.files.usd.read import is_usd
+from cagemap.files.usd.space import between_spaces, states_units
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import file_rows, other_rows
@@ -233,8 +236,15 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     mesh = read_mesh(request.passenger)
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
-    carried = carry_passenger(result, mesh, kind=cast(PassengerKind | None, request.kind))
-    write_mesh(request.output, mesh.with_positions(carried.positions), like=request.passenger, force=request.force)
+    target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
+    worn = mesh.with_positions(moved(mesh.positions, between_spaces(source, request.passenger)))
+    carried = carry_passenger(result, worn, kind=cast(PassengerKind | None, request.kind))
+    places, like = carried.positions, request.passenger
+    if not states_units(request.passenger):
+        like = target if target is not None and is_usd(target) else like
+    elif states_units(request.output):  # in the passenger's own units and axes
+        places = moved(places, between_spaces(request.passenger, target))
+    write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     warnings = []
     if carried.distance > _FAR_PASSENGER:

@@ -290,7 +290,7 @@ def _write(
 
 
 def _to_target(folder: Path, result: MatchResult) -> FloatArray:
-    """(4, 4) transform from the source's space to the target's; identity unless USD files differ."""
+    """(4, 4) transform from the source's space to the target's; see `between_spaces`."""
     return between_spaces(*(input_file(folder, result.manifest, side) for side in ("target", "source")))
 
 

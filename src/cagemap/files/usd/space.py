@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.usd.prims import is_mirrored, is_similarity
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import is_usd, named_damage, open_stage, opened_once, usd_modules
@@ -55,11 +56,18 @@ def similar_space(path: str | Path) -> StageSpace:
     return space if is_kept else replace(space, to_world=np.eye(4))
 
 
+def states_units(path: Path) -> bool:
+    """Whether a file states its units and axes: USD, glTF and FBX."""
+    return is_usd(path) or path.suffix.lower() in SCENE_SUFFIXES
+
+
 def unit_notes(*files: Path) -> tuple[str, ...]:
-    """A sentence on target and source if both are USD files with different units or axes."""
-    if not all(map(is_usd, files)):
+    """A sentence on target and source if both state their units and axes, and these differ."""
+    if not all(map(states_units, files)):
         return ()
-    (target, target_space), (source, source_space) = ((file.name, stage_units(file)) for file in files)
+    (target, target_space), (source, source_space) = (
+        (file.name, stage_units(file) if is_usd(file) else StageSpace("Y", 1.0)) for file in files
+    )
     if (target_space.up_axis, target_space.meters_per_unit) == (source_space.up_axis, source_space.meters_per_unit):
         return ()
     return (f"{target} has {target_space}, {source} {source_space}: results are in the target's own",)
@@ -87,7 +95,9 @@ def upright_turn(path: Path) -> FloatArray | None:
 
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
-    """(4, 4) from the source's space to the target's; the identity unless both are USD files."""
-    if target is None or source is None or not (is_usd(target) and is_usd(source)):
+    """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes."""
+    if target is None or source is None or not (states_units(target) and states_units(source)):
         return np.eye(4)
-    return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
+    # glTF and FBX are read in metres with Y up.
+    from_target, from_source = (to_standard(path) if is_usd(path) else np.eye(4) for path in (target, source))
+    return np.asarray(from_source @ np.linalg.inv(from_target), dtype=np.float64)
