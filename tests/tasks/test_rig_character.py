@@ -210,22 +210,6 @@ def test_a_kept_texture_keeps_its_layout(run: Run, files: Character, body: Contr
     np.testing.assert_allclose(np.ptp(mesh.uvs, axis=0), np.ptp(spread.uvs, axis=0), atol=1e-5)
 
 
-def test_vertex_colours_are_carried_with_the_materials(run: Run, files: Character, body: ControlMesh) -> None:
-    """Those of the body, which would tint the character's textures, give way."""
-    rng = np.random.default_rng(0)
-    colors, own = rng.random((2, body.n_vertices, 3))
-    part = files.parts[0]
-    for given in (colors, None):
-        painted = replace(part, mesh=replace(part.mesh, vertex_colors=given))
-        write_character(Path("C.glb"), replace(files, parts=(painted, *files.parts[1:])))
-        write_mesh("B.glb", replace(body, vertex_colors=own), force=True)
-        found = _part(_rig(run, "--force"), "body")
-        if given is None:
-            assert found.mesh.vertex_colors is None
-        else:
-            np.testing.assert_allclose(found.mesh.vertex_colors[_same_order(found, painted)], colors, atol=1e-5)
-
-
 def test_uv_sets_of_a_body_in_tiles_stay(body: ControlMesh) -> None:
     own = replace(
         body, uvs=3 * body.uvs, uv_name="TEXCOORD_0", uv_sets=(UvSet("TEXCOORD_1", body.uvs, body.uv_indices),)

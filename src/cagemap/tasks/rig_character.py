@@ -293,7 +293,6 @@ def _textured(
     transfer = _transfer(result, result.source.control)
     mesh = replace(
         body.mesh,
-        vertex_colors=_carried_colors(carried, of.mesh, body.mesh),
         face_materials=_carried_materials(result, transfer, body.mesh),
         material_names=tuple(copies.get(name, name) for name in source_mesh.material_names),
         material_colors=source_mesh.material_colors,
@@ -330,14 +329,6 @@ def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMes
     assert source.face_materials is not None
     materials = pull_back_faces(transfer, source.face_materials, n_target_faces=matched.n_faces)
     return np.asarray(materials[nearest(face_centres(matched), face_centres(mesh))])
-
-
-def _carried_colors(carried: CarriedCharacter, source: ControlMesh, mesh: ControlMesh) -> FloatArray | None:
-    """Carried vertex colours (n, 3) of the body, which materials are multiplied by; None if the source has none."""
-    if source.vertex_colors is None:
-        return None
-    colors = np.asarray(carry_values(carried.result, source.vertex_colors[carried.rows[1]], "vertices"))
-    return colors[nearest(carried.result.target.control.positions, mesh.positions)]
 
 
 def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> tuple[Image, Image]:

@@ -20,8 +20,8 @@ from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh,
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.usd.prims import moved
-from cagemap.files.usd.read import is_usd
 from cagemap.files.usd.space import between_spaces, states_units
+from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import file_rows, other_rows
