@@ -134,6 +134,7 @@ def spoil(path, change):
 
 DAMAGE = {
     "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "empty": lambda path: path.write_bytes(b""),
     "a flipped byte": lambda path: flip(path),
     "another zip": lambda path: another_zip(path),
     "newer": lambda path: spoil(path, lambda header, _: header.update(format_version=99)),
