@@ -16,7 +16,7 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers
+from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers, turned_limb_answers
 from cagemap.maps.hypotheses.search import distinct_answers, search, search_both_ways
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
@@ -212,18 +212,20 @@ def _match_elastic(
             outliers, notes = dict[int, str](), list[str]()
             if config.check_landmarks:
                 outliers, notes = landmark_outliers(problem, landmarks.names, progress)
-            confirmed: set[int] | None = None
-            while confirmed is None or confirmed:
-                outliers = {pair: why for pair, why in outliers.items() if pair not in (confirmed or ())}
+            while True:  # until the map confirms no outlier
                 trusted = problem.without(outliers)
                 placements = search(trusted, progress)
                 progress("closest points")
                 point_map = map_of_places(trusted, placements[0].map_positions)
                 confirmed = confirmed_pairs(problem, point_map, outliers)
+                if not confirmed:
+                    break
+                outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
             if config.check_landmarks:
                 progress("test landmarks on the map")
                 check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
-                confidence, check = check_mirrored(problem, placements[0], outliers, check, progress)
+                mirrored, check = check_mirrored(problem, placements[0], outliers, check, progress)
+                confidence = mirrored or turned_limb_answers(placements, prepared)
         shared = SharedArea.of_fit(prepared, placements[0].map_positions)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
     progress("quality")

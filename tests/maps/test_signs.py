@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examples.shapes import grid, voxels
+from scipy.spatial.transform import Rotation
 
 from cagemap import pipeline
 from cagemap.deform.placement import Placement
@@ -26,6 +27,7 @@ from cagemap.maps.hypotheses.confidence import (
     jump_share,
     jump_warnings,
     median_distortion,
+    turned_share,
 )
 from cagemap.maps.hypotheses.search import ANOTHER_WAY
 from cagemap.maps.masks import WHOLE, Masks
@@ -118,6 +120,22 @@ def test_a_strip_s_last_third_on_its_first_jumps_on_both_and_at_the_tear() -> No
     little = mesh.positions.copy()
     little[x > 2 * third + 1e-9, 0] -= 2 * column  # slides by less than `JUMP`
     assert not jump_lengths(pair, PointMap(mesh, SurfacePoints.nearest(mesh, little))).any()
+
+
+def test_half_a_bar_turned_about_its_axis_is_its_sides() -> None:
+    """Twelve cells of a square bar; the sides of the last half have 24 of all 50 faces, the end has one."""
+    bar = voxels([(0, 0, z) for z in range(12)])
+    mesh = TriangleSurface.from_faces(bar.positions, bar.face_indices.reshape(-1, 4))
+    middle = 0.5 * (mesh.positions.min(axis=0) + mesh.positions.max(axis=0))
+    last = mesh.positions[:, 2] > middle[2] + 1e-9
+
+    def share(degrees: float) -> float:
+        turn = Rotation.from_euler("z", degrees, degrees=True)
+        turned = np.where(last[:, None], turn.apply(mesh.positions - middle) + middle, mesh.positions)
+        return turned_share(mesh, mesh.positions, turned)
+
+    assert share(90.0) == pytest.approx(24 / 50, abs=4 / 50)  # one ring
+    assert share(45.0) == 0.0
 
 
 def test_the_identity_has_no_jumps(surface: Surface, prepared: PreparedPair) -> None:

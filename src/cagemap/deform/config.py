@@ -253,6 +253,8 @@ class LandmarkConfig:
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
     #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
     exchange_distance: float = 0.08
+    #: a placement that costs up to this many times the best one is as good; rotated limbs have 1.06 or more
+    max_answer_cost: float = 1.15
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy

@@ -5,7 +5,7 @@ Signs are measured without ground truth; each has a bound (`SIGNS`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ SIGNS: dict[str, Sign] = {
     "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
+    "limb_turned": Sign(0.08, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
     "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
@@ -63,6 +66,8 @@ JUMP = 0.2
 NEIGHBORS, NEAR_SPACINGS = 24, 1.4
 # Weight of normals, of sqrt(area): keeps images on their side of a thin part.
 FACING = 0.05
+# Angle in degrees between the normals of two maps.
+TURNED_DEGREES = 60.0
 # Beginning of the warning about jumps.
 JUMPING = "the map jumps between parts that only touch"
 
@@ -111,6 +116,12 @@ class Confidence:
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
                 f"made {best.name}, another one {others[0].name} (`answer=1`)"
+            )
+        if others and "limb_turned" in self.signs:
+            times = others[0].cost / max(best.cost, 1e-12)
+            return (
+                f"look at it: a map {others[0].name} fits almost as well, at {times:.2f} times the cost (`answer=1`). "
+                f"A landmark at target vertex {vertex} decides"
             )
         answer = f"the target is aligned with the source {best.name}"
         if self.verdict == SURE:
@@ -162,6 +173,22 @@ def answer_confidence(problem: Problem, point_map: PointMap, answers: tuple[Plac
     if confidence.deciding is not None:
         confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
     return confidence
+
+
+def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
+    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
+    best = ranked[0]
+    for other in ranked[1:]:
+        share = turned_share(prepared.mesh, best.positions, other.positions)
+        if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
+            answers = (
+                Placement(best.map_positions, best.cost, name="as the landmarks are given"),
+                Placement(other.positions, other.cost, name="with a limb turned otherwise about its axis"),
+            )
+            apart = np.linalg.norm(best.positions - other.positions, axis=1)
+            deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
+            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
+    return None
 
 
 def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
@@ -243,6 +270,13 @@ def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | 
         f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at ({place}) of the target's file. Add "
         "landmarks on these parts",
     )
+
+
+def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
+    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
+    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
+    areas = mesh.vertex_areas
+    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
 
 
 def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
