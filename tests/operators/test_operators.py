@@ -298,3 +298,11 @@ def test_edges_with_a_cotangent_of_zero_stay_entries():
     right = stiffness(corners, np.array([[0, 1, 2]]))
     assert right[[0], [2]][0] == 0.0
     assert right[:3].nnz == 9
+
+
+def test_laplacians_with_equal_parameters_are_equal() -> None:
+    """Configurations that hold them are compared."""
+    assert MeanTriangulation() == MeanTriangulation()
+    assert AlexaWardetzky() == AlexaWardetzky(1.0)
+    assert AlexaWardetzky() != AlexaWardetzky(2.0)
+    assert AlexaWardetzky() != DeGoesButtsDesbrun()

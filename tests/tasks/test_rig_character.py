@@ -35,7 +35,8 @@ from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.carry_character import Bodies, match_bodies, with_part
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _in_one_square, _kinds, _landmarks, body_in, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, body_in, read_body
+from cagemap.tasks.rig_materials import in_one_square
 
 from command_line import Run
 from example_character import ball, bare_body, character, with_material, write_character
@@ -214,7 +215,7 @@ def test_uv_sets_of_a_body_in_tiles_stay(body: ControlMesh) -> None:
     own = replace(
         body, uvs=3 * body.uvs, uv_name="TEXCOORD_0", uv_sets=(UvSet("TEXCOORD_1", body.uvs, body.uv_indices),)
     )
-    packed = _in_one_square(own)
+    packed = in_one_square(own)
     assert [one.name for one in packed.all_uv_sets] == ["TEXCOORD_0", "TEXCOORD_1", "TEXCOORD_2"]
     assert [one.uvs is given.uvs for one, given in zip(packed.uv_sets, own.all_uv_sets, strict=True)] == [True, True]
 

@@ -44,17 +44,26 @@ _CHOICES = {
 
 @dataclass(frozen=True)
 class SubdivisionOptions:
-    """Options of a subdivision scheme that change the surface."""
+    """Options of a subdivision scheme that change the surface.
 
-    #: Whether a boundary vertex with a single face is fixed (``edge_and_corner``, USD's default) or smoothed along the
-    #: boundary curve like the others (``edge_only``). Under ``none`` faces at the boundary are holes.
+    Attributes
+    ----------
+    boundary : {"edge_and_corner", "edge_only", "none"}
+        Whether a boundary vertex with a single face is fixed (``edge_and_corner``, USD's default) or smoothed along
+        the boundary curve like the others (``edge_only``). Under ``none`` faces at the boundary are holes: they
+        influence the surface but are no part of it.
+    uv_interpolation : {"all", "boundaries", "corners_plus2", "corners_plus1", "corners_only", "none"}
+        Where UVs are interpolated linearly: everywhere, on all island borders, at island corners and (``plus``) at
+        more or fewer similar points, nowhere. USD's default is ``corners_plus1``, Blender's ``boundaries``.
+    creasing : {"uniform", "chaikin"}
+        Whether sharpness only decreases by 1 in every step, or is also averaged along the crease.
+    triangles : {"catmull_clark", "smooth"}
+        Weights of triangles in edge points under Catmull-Clark.
+    """
+
     boundary: Boundary = "edge_and_corner"
-    #: Where UVs are interpolated linearly: everywhere, on all island borders, at island corners and (``plus``) at more
-    #: or fewer similar points, nowhere. USD's default is ``corners_plus1``, Blender's ``boundaries``.
     uv_interpolation: UvInterpolation = "all"
-    #: Whether sharpness only decreases by 1 in every step, or is also averaged along the crease
     creasing: Creasing = "uniform"
-    #: Weights of triangles in edge points under Catmull-Clark
     triangles: TriangleRule = "catmull_clark"
 
     def __post_init__(self) -> None:

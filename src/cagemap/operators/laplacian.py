@@ -9,6 +9,7 @@ W phi = lambda M phi.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -110,6 +111,7 @@ class Laplacian(Protocol):
         ...
 
 
+@dataclass(frozen=True)
 class MeanTriangulation:
     """Mean of the cotangent Laplacians of both triangulations of every quad; the fastest, and the default."""
 
@@ -118,19 +120,18 @@ class MeanTriangulation:
         return face_terms(positions, faces)
 
 
+@dataclass(frozen=True)
 class _Stabilised:
-    """A Laplacian W_f = d^T M_f d, with d the differences along the edges and an inner product M_f.
+    """A Laplacian W_f = d^T M_f d, with d the differences along the edges and an inner product M_f."""
 
-    ``stabilisation`` (above 0, no unit) is the weight of functions without gradient in the polygon's plane.
-    """
+    stabilisation: float = 1.0  #: above 0, no unit: weight of functions without gradient in the polygon's plane
 
-    def __init__(self, stabilisation: float = 1.0) -> None:
-        if not 0.0 < stabilisation < np.inf:
+    def __post_init__(self) -> None:
+        if not 0.0 < self.stabilisation < np.inf:
             raise ParameterError(
-                f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual, and without "
+                f"stabilisation: expected a finite number above 0, got {self.stabilisation}; 1 is usual, and without "
                 "it functions such as +1 and -1 in turn over a quad's corners cost nothing"
             )
-        self.stabilisation = stabilisation
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""
