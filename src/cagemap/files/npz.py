@@ -84,7 +84,7 @@ def read_npy(content: bytes, path: Path, remedy: str) -> NDArray[Any]:
 # Squares and volumes of larger numbers overflow.
 _LARGEST = 1e100
 # Tolerance of barycentric coordinates: beyond [0, 1], and of their sum.
-_ROUNDING = 1e-6
+_BARYCENTRIC_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def check_arrays(
 def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
     """Whether barycentric coordinates (n, 3) are of points inside triangles, up to rounding."""
     sums = barycentric.sum(axis=1)
-    return bool(np.all(barycentric >= -_ROUNDING) and np.all(np.abs(sums - 1) <= _ROUNDING))
+    return bool(np.all(barycentric >= -_BARYCENTRIC_ROUNDING) and np.all(np.abs(sums - 1) <= _BARYCENTRIC_ROUNDING))
 
 
 def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, remedy: str) -> None:

@@ -35,7 +35,7 @@ from cagemap.subdivision import refine, with_options
 from cagemap.transfer import face_colors
 
 # Largest side of the texture in the page; the bake uses the whole image.
-TEXTURE_SIZE = 1024
+PREVIEW_TEXTURE_SIZE = 1024
 # Triangle meshes of at least so many faces may be scans.
 MIN_SCAN_FACES = 20_000
 NO_SCHEME = "none"
@@ -105,9 +105,9 @@ def with_texture(look: Look, path: Path) -> Look:
 
 
 def _shrink_tile(pixels: Pixels, rows: int, columns: int) -> Pixels:
-    """(h, w, 3) in 8 bits: one of rows x columns tiles, reduced to `TEXTURE_SIZE`."""
+    """(h, w, 3) in 8 bits: one of rows x columns tiles, reduced to `PREVIEW_TEXTURE_SIZE`."""
     height, width = pixels.shape[:2]
-    step = max(1, -(-max(rows * height, columns * width) // TEXTURE_SIZE))
+    step = max(1, -(-max(rows * height, columns * width) // PREVIEW_TEXTURE_SIZE))
     small = _resample(pixels, -(-height // step), -(-width // step))
     if small.dtype.kind == "f":  # linear
         small = np.rint(255 * encode_srgb(small.astype(np.float64))).astype(np.uint8)

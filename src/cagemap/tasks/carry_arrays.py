@@ -29,7 +29,7 @@ from cagemap.transfer.skin import carry_skin
 from cagemap.wrap.net import counterpart_mask
 
 # Least trust; control vertices below it take their weights from the vertices around them.
-_TRUSTED = 0.1
+_LEAST_TRUST = 0.1
 # Kinds of places of values, in the order in which a number of rows is looked up.
 PLACES = ("vertices", "faces", "corners", "refined")
 
@@ -137,7 +137,7 @@ def trusted_vertices(result: MatchResult) -> NDArray[np.bool_]:
     """(n1,) whether a target control vertex takes its skinning weights from its image."""
     count = result.target.control.n_vertices
     has_counterpart = counterpart_mask(result.point_map)[:count] >= 0.5
-    return np.asarray((result.trust[:count] >= _TRUSTED) & has_counterpart)
+    return np.asarray((result.trust[:count] >= _LEAST_TRUST) & has_counterpart)
 
 
 @kinds_checked

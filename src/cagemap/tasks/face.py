@@ -37,7 +37,7 @@ from cagemap.tasks.rig_character import (
 )
 
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
-_TRUSTED = 0.8
+_LEAST_TRUSTED_SHARE = 0.8
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
 
@@ -56,7 +56,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Outcome:
     landmarks, notes = _landmarks(request, head, file_character)
     bodies = match_bodies(head, kit, landmarks, stages)
     trusted = bodies.result.quality.trusted_area
-    if trusted < _TRUSTED:
+    if trusted < _LEAST_TRUSTED_SHARE:
         raise ParameterError(
             f"{request.head}: expected a head, but on {1.0 - trusted:.0%} of the part {body.name!r} the face's map "
             "cannot be trusted. Give the head alone, a body with a skeleton whose bones are named, --part or "

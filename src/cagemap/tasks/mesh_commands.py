@@ -32,7 +32,7 @@ from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
-MOST_VERTICES = 20_000_000
+MOST_REFINED = 20_000_000
 MOST_PARTS = 40
 
 
@@ -207,10 +207,10 @@ def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh,
 
 
 def require_size(control: ControlMesh, level: int) -> None:
-    """Refuse levels with more than `MOST_VERTICES` vertices, before memory runs out."""
-    fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control))) - 1
+    """Refuse levels with more than `MOST_REFINED` vertices, before memory runs out."""
+    fits = sum(1 for _ in takewhile(lambda count: count <= MOST_REFINED, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(
-            f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_VERTICES:,}. "
+            f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_REFINED:,}. "
             f"Use --level {fits} or less."
         )

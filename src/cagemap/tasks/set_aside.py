@@ -24,7 +24,7 @@ _AROUND = 16
 # Share of the way from a corner to its face's centre; such points distinguish corners at one place.
 _INWARD = 0.1
 # Barycentric coordinates below this are set to 0.
-_ROUNDING = 1e-6
+_LEAST_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) ->
     sides = TexturedSurface.of_mesh(rest), TexturedSurface.of_mesh(source)
     surfaces = [TriangleSurface.from_faces(side.positions, side.triangles) for side in sides]
     triangle, weights, _ = closest_points(surfaces[1].tree, surfaces[1].scale * laid)
-    weights = np.where(weights < _ROUNDING, 0.0, weights)  # keeps vertices on vertices exact
+    weights = np.where(weights < _LEAST_WEIGHT, 0.0, weights)  # keeps vertices on vertices exact
     barycentric = weights / weights.sum(axis=1, keepdims=True)
     point_map = PointMap.from_arrays(surfaces[0], surfaces[1], triangle, barycentric)
     return Transfer(*sides, point_map, map_surface(*sides, point_map))

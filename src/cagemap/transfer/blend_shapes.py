@@ -34,7 +34,7 @@ _SAMPLES = 25_000
 # Weight of displacements against gradients: gradients determine details smaller than about 0.6 of sqrt(area).
 _ANCHOR = 100.0
 # Weight, relative to the anchor, of control points that hardly move the surface, as those of a cube.
-_RIDGE = 1e-7
+_SHAPE_RIDGE = 1e-7
 # Weight of contacts of the source's shape against the anchor.
 _CONTACT = 100.0
 # Distances from walks' ends to their points are equal if they differ by less, in units of sqrt(area).
@@ -86,7 +86,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     n = target.control.n_vertices
     control = source.control
     linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
-    ridge = sparse.diags_array(_RIDGE * _ANCHOR * (samples.T @ masses))
+    ridge = sparse.diags_array(_SHAPE_RIDGE * _ANCHOR * (samples.T @ masses))
     matrix = samples.T @ (weighted + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
     return ShapeCarrier(
         point_map,

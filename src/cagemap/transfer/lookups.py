@@ -22,7 +22,7 @@ MAX_SAMPLES_PER_AXIS = 16
 # Largest span, in texels of the source, for which one sample is enough: unscaled textures are not blurred.
 UNSCALED = 1.25
 # A span of 2^l texels, less this share of an octave, reads level l.
-_SLACK = 0.1
+_LEVEL_SLACK = 0.1
 # Triangles that one thread plans at a time: 300 bytes each.
 _PLANNED_AT_ONCE = 1 << 15
 # Texels that are rasterised at a time.
@@ -77,8 +77,8 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
 
     The shorter span decides, so that nothing blurs along it; several samples cover the longer span, up to a limit.
     """
-    shorter = np.floor(np.log2(np.maximum(spans.min(axis=1), 1.0)) + _SLACK)
-    longer = np.ceil(np.log2(np.maximum(spans.max(axis=1), 1.0) / MAX_SAMPLES_PER_AXIS) - _SLACK)
+    shorter = np.floor(np.log2(np.maximum(spans.min(axis=1), 1.0)) + _LEVEL_SLACK)
+    longer = np.ceil(np.log2(np.maximum(spans.max(axis=1), 1.0) / MAX_SAMPLES_PER_AXIS) - _LEVEL_SLACK)
     return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
 
 

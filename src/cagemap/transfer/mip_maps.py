@@ -24,7 +24,7 @@ _LOBES = 3
 # Least share of the kernel on covered texels; below it means replace it: negative lobes would amplify.
 _MIN_KERNEL_SHARE = 0.75
 # Rows of a halved image per block: about 100 bytes for each texel of the source.
-_ROWS = 128
+_MIP_ROWS = 128
 # Weight of uncovered texels: so small that they matter only without covered ones.
 _UNCOVERED_WEIGHT = 1e-5
 
@@ -139,7 +139,7 @@ def _filtered(
         result[rows] = np.rint(filtered) if result.dtype.kind == "u" else filtered
         covered[rows] = mean[..., -1]
 
-    in_threads(fill, row_slices(len(result), _ROWS))
+    in_threads(fill, row_slices(len(result), _MIP_ROWS))
     return result, covered
 
 

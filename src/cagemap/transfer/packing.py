@@ -19,7 +19,7 @@ _QUARTER_TURNS = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1
 # Packings that are tried, and most of them until one fits; each takes its side from the previous one.
 _ROUNDS, _MAX_ROUNDS = 4, 12
 # Largest ratio of a packing's height to its width; the padding allows for it.
-_SLACK = 1.1
+_PACKING_SLACK = 1.1
 # Cost of growing the packing taller, as a share of a whole row of the square.
 _HEIGHT_SHARE = 0.25
 
@@ -57,11 +57,11 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     packed = np.empty_like(uvs)
     while rounds < _ROUNDS or not np.isfinite(best):
         rounds += 1
-        placed, height = _sink(shapes, boxes, side, padding * _SLACK * side)
+        placed, height = _sink(shapes, boxes, side, padding * _PACKING_SLACK * side)
         if rounds > _MAX_ROUNDS or not np.isfinite(height):
             raise too_wide
         extent = max(side, height)
-        if extent < best and extent <= _SLACK * side:
+        if extent < best and extent <= _PACKING_SLACK * side:
             best = extent
             for rows, points in zip(members, placed, strict=True):
                 packed[rows] = points / extent

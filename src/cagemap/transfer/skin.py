@@ -16,7 +16,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import factor
 
 # Sums of weights within this distance of 1 are rounding: their rows do not change.
-_ROUNDING = 1e-5
+_SUM_ROUNDING = 1e-5
 # Sums within this distance of 1 are normalised (MakeHuman: 0.954 to 1.063). Others are no weights, or lack joints.
 _MAX_DEVIATION = 0.1
 
@@ -63,10 +63,10 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
             f"{len(wrong)} others, first {wrong[:5].tolist()} (sum {sums[wrong[0]]:.4g}); give the weights of all "
             "joints and nothing else, or normalise them in the rig"
         )
-    scaled = np.flatnonzero(off > _ROUNDING)
+    scaled = np.flatnonzero(off > _SUM_ROUNDING)
     if not len(scaled):
         return skin, ""
-    skin = skin / np.where(off > _ROUNDING, sums, 1.0)[:, None]
+    skin = skin / np.where(off > _SUM_ROUNDING, sums, 1.0)[:, None]
     lowest, highest = sums[scaled].min(), sums[scaled].max()
     return skin, (
         f"weights of {len(scaled)} of {len(skin)} vertices did not sum to 1 (sums from {lowest:.4g} to {highest:.4g}) "

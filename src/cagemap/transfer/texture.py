@@ -26,19 +26,19 @@ from cagemap.transfer.locate import TexelSamples
 Pixels = NDArray[Any]
 
 # Texels on either side of a point that the smooth lookup needs.
-_REACH = 3
+_KERNEL_REACH = 3
 
 
 def smooth_cells(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(h, w) whether the 6 x 6 texels around points between a texel and its lower right one are covered."""
     height, width = covered.shape
     inside = np.zeros((height, width), dtype=np.bool_)
-    rows, columns = height - 2 * _REACH + 1, width - 2 * _REACH + 1
+    rows, columns = height - 2 * _KERNEL_REACH + 1, width - 2 * _KERNEL_REACH + 1
     if rows < 1 or columns < 1:
         return inside
-    whole_columns = reduce(np.logical_and, [covered[k : k + rows] for k in range(2 * _REACH)])
-    whole = reduce(np.logical_and, [whole_columns[:, k : k + columns] for k in range(2 * _REACH)])
-    inside[_REACH - 1 : height - _REACH, _REACH - 1 : width - _REACH] = whole
+    whole_columns = reduce(np.logical_and, [covered[k : k + rows] for k in range(2 * _KERNEL_REACH)])
+    whole = reduce(np.logical_and, [whole_columns[:, k : k + columns] for k in range(2 * _KERNEL_REACH)])
+    inside[_KERNEL_REACH - 1 : height - _KERNEL_REACH, _KERNEL_REACH - 1 : width - _KERNEL_REACH] = whole
     return inside
 
 
@@ -91,10 +91,10 @@ def _leave_even(pixels, cells):  # type: ignore[no-untyped-def]
                         same = False
                         break
                 if same:
-                    square = np.uint8(min(min(right, below[c], across) + 1, 2 * _REACH))
+                    square = np.uint8(min(min(right, below[c], across) + 1, 2 * _KERNEL_REACH))
             across, below[c], right = below[c], square, square
-            if square == 2 * _REACH:
-                cells[r + _REACH - 1, c + _REACH - 1] = False
+            if square == 2 * _KERNEL_REACH:
+                cells[r + _KERNEL_REACH - 1, c + _KERNEL_REACH - 1] = False
 
 
 Wrap = Literal["repeat", "clamp"]

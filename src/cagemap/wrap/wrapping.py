@@ -37,7 +37,7 @@ Closest = tuple[IndexArray, FloatArray, FloatArray]
 # Least level of both surfaces for baking: most programs render a subdivision surface at it.
 _RENDERED = 4
 # Largest number of vertices for baking, whatever the level.
-_MOST_VERTICES = 1_500_000
+_MOST_BAKED_VERTICES = 1_500_000
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, Fl
 def _refined(refinement: Refinement, level: int) -> Refinement:
     """The refinement up to a level, or up to the last level of allowed size."""
     size = refinement.finest.n_vertices
-    while level > refinement.n_levels and size * 4 ** (level - refinement.n_levels) > _MOST_VERTICES:
+    while level > refinement.n_levels and size * 4 ** (level - refinement.n_levels) > _MOST_BAKED_VERTICES:
         level -= 1
     if level == refinement.n_levels or refinement.is_plain:
         return refinement

@@ -14,7 +14,7 @@ from cagemap.numerics.arrays import FloatArray
 
 _CHANNELS = {"translation": "translation_keys", "rotation": "rotation_keys", "scale": "scale_keys"}
 # Tracks whose values differ by less from those at rest are left out.
-_SAME = 1e-6
+_SAME_VALUE = 1e-6
 
 
 def animation_entry(
@@ -51,7 +51,7 @@ def animation_entry(
     tracks = [
         (node, path, times, values)
         for (node, path), (times, values) in sampled.items()
-        if np.abs(values - nodes[node][path]).max() > _SAME
+        if np.abs(values - nodes[node][path]).max() > _SAME_VALUE
     ]
     tracks += [(node, "weights", times, values.ravel()) for node, (times, values) in _weights(baked, channels).items()]
     entry: dict[str, Any] = {"name": get(stack, "name"), "samplers": [], "channels": []}

@@ -25,7 +25,7 @@ _SLOTS = {
     "ambient_occlusion": "occlusionTexture",
 }
 # Relative to the largest number of a transform.
-_ROUNDING = 1e-5
+_MATRIX_ROUNDING = 1e-5
 
 
 class Materials:
@@ -170,7 +170,7 @@ def _transform(texture: Any) -> dict[str, Any] | None:
     angle = float(np.arctan2(-down[0, 1], down[0, 0]))
     scale = [across, float(np.linalg.det(down[:2, :2])) / max(across, 1e-30)]
     c, s = np.cos(angle), np.sin(angle)
-    if np.abs(np.diag(scale) @ [[c, -s], [s, c]] - down[:2, :2]).max() > _ROUNDING * max(map(abs, scale)):
+    if np.abs(np.diag(scale) @ [[c, -s], [s, c]] - down[:2, :2]).max() > _MATRIX_ROUNDING * max(map(abs, scale)):
         return None
     moved = {"offset": down[2, :2].tolist(), "rotation": angle, "scale": scale}
     return {"extensions": {"KHR_texture_transform": moved}}

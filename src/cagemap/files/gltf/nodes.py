@@ -13,7 +13,7 @@ from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Relative to the length of a transform's axes.
-_SHEAR, _ROUNDING = 1e-4, 1e-9
+_SHEAR, _TRANSFORM_ROUNDING = 1e-4, 1e-9
 _REST = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3}
 
 
@@ -147,7 +147,9 @@ def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
         return {"matrix": matrix.ravel().tolist()}
     rotation = Rotation.from_matrix(turn.T).as_quat()
     parts = {"translation": matrix[3, :3], "rotation": rotation, "scale": scale}
-    return {name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _ROUNDING}
+    return {
+        name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _TRANSFORM_ROUNDING
+    }
 
 
 # Relative to the size of the skeleton: transforms that differ by less are equal up to rounding.

@@ -68,7 +68,7 @@ def material_entry(mesh: ControlMesh, number: int) -> dict[str, Any]:
 
 
 # Relative to the largest number of a transform: with a smaller change the document's transform stays.
-_SAME = 1e-6
+_SAME_LOCAL = 1e-6
 
 
 def character_glb(
@@ -273,7 +273,7 @@ class _Made:
             local = local @ np.linalg.inv(above)
             # Tracks are those of `decomposed`.
             same_signs = (scale_signs(self._scene.document, node) > 0.0).all()
-            if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME * np.abs(local).max():
+            if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME_LOCAL * np.abs(local).max():
                 return
         entry = self._nodes[node]
         for name in ("matrix", "translation", "rotation", "scale"):

@@ -24,7 +24,7 @@ _FORM = (
     '{"corners": [3, 4, 9], "weights": [0.2, 0.5, 0.3]} in place of a vertex'
 )
 # Tolerance of weights: their sum may differ from 1 by this, and they may be as negative.
-_ROUNDING = 1e-4
+_WEIGHT_ROUNDING = 1e-4
 
 End = tuple[tuple[int, int, int], tuple[float, float, float]]
 
@@ -146,7 +146,10 @@ def _end(value: Any) -> End | None:
         return None
     if not all(map(_is_vertex, corners)) or not all(isinstance(w, int | float) for w in weights):
         return None
-    if not all(-_ROUNDING <= w <= 1 + _ROUNDING for w in weights) or abs(sum(weights) - 1) > _ROUNDING:
+    if (
+        not all(-_WEIGHT_ROUNDING <= w <= 1 + _WEIGHT_ROUNDING for w in weights)
+        or abs(sum(weights) - 1) > _WEIGHT_ROUNDING
+    ):
         return None
     a, b, c = (max(0.0, float(w)) for w in weights)
     total = a + b + c

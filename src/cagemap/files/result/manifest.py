@@ -47,7 +47,7 @@ from cagemap.spectral.config import MAP_BASIS
 _log = logging.getLogger(__name__)
 
 FORMAT = "cagemap-result"
-FORMAT_VERSION = 1
+MANIFEST_VERSION = 1
 MANIFEST = "manifest.json"
 REMEDY = "Run `cagemap match` again."
 
@@ -173,11 +173,11 @@ def read_manifest(root: Path) -> dict[str, Any]:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise FormatError(f'{path}: expected "format": "{FORMAT}", so this is not a result of `cagemap match`.')
     version = manifest.get("format_version")
-    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= FORMAT_VERSION:
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= MANIFEST_VERSION:
         versions = manifest.get("versions")
         written = versions.get("cagemap", "another version") if isinstance(versions, dict) else "another version"
         raise FormatError(
-            f"{path}: format version {version}, this cagemap {__version__} reads up to {FORMAT_VERSION}. "
+            f"{path}: format version {version}, this cagemap {__version__} reads up to {MANIFEST_VERSION}. "
             f"Use cagemap {written} or newer, or run `cagemap match` again."
         )
     return manifest
@@ -188,7 +188,7 @@ def written_with() -> dict[str, Any]:
     return {
         "written_by": mark(),
         "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format_version": MANIFEST_VERSION,
         "versions": {"cagemap": __version__, "python": platform.python_version(), **_library_versions()},
     }
 

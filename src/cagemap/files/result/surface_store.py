@@ -39,7 +39,7 @@ from cagemap.subdivision import Refinement, Scheme, default_scheme
 from cagemap.subdivision.refinement import vertex_counts
 
 FORMAT = "cagemap-surface"
-FORMAT_VERSION = 4
+SURFACE_VERSION = 4
 SUFFIX = ".surface.npz"
 
 _BASIS_ARRAYS = ("eigenvalues", "residuals", "indices", "gram")
@@ -63,7 +63,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
     """
     scheme = default_scheme(control) if scheme is None else scheme
     parts = {
-        "format": [FORMAT, FORMAT_VERSION, code_version()],
+        "format": [FORMAT, SURFACE_VERSION, code_version()],
         "control": mesh_hash(control),
         "materials": list(control.material_names),
         "level": level,
@@ -78,7 +78,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
     control, operators, basis = surface.control, surface.operators, surface.basis
     header = {
         "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format_version": SURFACE_VERSION,
         "cagemap": __version__,
         "name": control.name,
         "material_names": list(control.material_names),
@@ -176,10 +176,10 @@ def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:
     entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
     if not isinstance(entries, dict) or entries.get("format") != FORMAT:
         raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
-    if entries.get("format_version") != FORMAT_VERSION:
+    if entries.get("format_version") != SURFACE_VERSION:
         raise FormatError(
             f"{path}: format version {entries.get('format_version')}, written by cagemap {entries.get('cagemap')}; "
-            f"this cagemap {__version__} reads version {FORMAT_VERSION}. {_REMEDY}"
+            f"this cagemap {__version__} reads version {SURFACE_VERSION}. {_REMEDY}"
         )
     return checked_record(SurfaceRecord, entries, path, _REMEDY)
 

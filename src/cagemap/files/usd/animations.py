@@ -20,7 +20,7 @@ from cagemap.numerics.arrays import FloatArray
 # Whole frames at one of these rates, if all keys are; otherwise at the last one.
 _RATES = (24, 25, 30, 60)
 # Frames: times that differ less from a frame are rounded to it, since glTF stores them in single precision.
-_ROUNDING = 2e-4
+_FRAME_ROUNDING = 2e-4
 # Frames before the next key at which a stepped value is written once more, since USD interpolates.
 _STEP = 1e-3
 SKELETON, _ANIMATIONS = "/Asset/skeleton", "/Asset/animations"
@@ -97,7 +97,7 @@ def without_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple
 def _frames(times: FloatArray, rate: int) -> FloatArray:
     """Time codes of seconds."""
     frames = times * rate
-    return np.where(np.abs(frames - np.rint(frames)) < _ROUNDING, np.rint(frames), frames)
+    return np.where(np.abs(frames - np.rint(frames)) < _FRAME_ROUNDING, np.rint(frames), frames)
 
 
 def _write_animation(

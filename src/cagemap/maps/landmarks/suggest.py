@@ -9,7 +9,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Radius within which a landmark is taken to decide between answers, of sqrt(area).
-REACH = 0.2
+LANDMARK_REACH = 0.2
 # Weight of the distance from all landmarks, added to the doubt.
 DISTANCE_SHARE = 0.5
 
@@ -41,7 +41,7 @@ def suggested_vertices(
     for vertex in known:
         gap = np.minimum(gap, near(int(vertex)))
     for _ in range(count):
-        score = apart * np.minimum(gap / REACH, 1.0) + gap * (DISTANCE_SHARE + 1.0 - trust)
+        score = apart * np.minimum(gap / LANDMARK_REACH, 1.0) + gap * (DISTANCE_SHARE + 1.0 - trust)
         score[[*known.tolist(), *chosen]] = -1.0
         chosen.append(int(np.argmax(score)))
         gap = np.minimum(gap, near(chosen[-1]))
