@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 from examples.shapes import creature, cube, voxels
+from scipy.spatial.transform import Rotation
 
 from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidLandmarksError
@@ -21,8 +22,9 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.schemes import Scheme
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
+from cagemap.surface.triangle_surface import TriangleSurface
 
-from plain_meshes import bent
+from plain_meshes import ball, bent
 from quick_match import SEARCHED
 
 
@@ -47,14 +49,28 @@ def test_there_are_24_rotations_and_none_mirrors() -> None:
 def test_boxes_agree_and_no_start_mirrors() -> None:
     rng = np.random.default_rng(2)
     points, others = rng.normal(size=(50, 3)) * (1, 2, 3), rng.normal(size=(80, 3)) * (3, 1, 1) + 5
-    centred = points - points.mean(axis=0)
-    for start in rigid_starts(points, others):
+    centred, areas = points - points.mean(axis=0), rng.random(50)
+    starts = rigid_starts(points, areas, TriangleSurface(others, np.arange(78)[:, None] + np.arange(3)))
+    for start in starts:
         linear = np.linalg.lstsq(centred, start.positions - start.positions.mean(axis=0), rcond=None)[0]
         assert np.linalg.det(linear) > 0, start.name
-    assert len(rigid_starts(points, others)) == 2 * 24 + 4  # boxes of one scale and of three, and principal frames
-    stretched = rigid_starts(points, others)[1].positions
+    assert len(starts) == 2 * 24 + 4  # boxes of one scale and of three, and principal frames
+    stretched = starts[1].positions
     np.testing.assert_allclose(np.ptp(stretched, axis=0), np.ptp(others, axis=0))
     np.testing.assert_allclose(stretched.min(axis=0), others.min(axis=0), atol=1e-12)
+
+
+def test_principal_frames_do_not_depend_on_where_vertices_are_dense() -> None:
+    """An ellipsoid of nearly equal axes on itself with many vertices at one side, rotated far from all axes."""
+    mesh = TriangleSurface.from_faces(ball().positions * (1.0, 1.1, 1.2), ball().face_indices.reshape(-1, 3))
+    places = mesh.positions
+    turn = Rotation.from_euler("xyz", (20, 46, 30), degrees=True)
+    # Vertices of no triangle lie on the surface too, and have no area.
+    dense = np.repeat(places[places @ (0.6, 0.6, 0.5) > 0.2], 9, axis=0)
+    source = TriangleSurface(turn.apply(np.concatenate([places, dense])), mesh.triangles)
+    starts = rigid_starts(places, mesh.vertex_areas, source)[-4:]
+    apart = min(np.linalg.norm(start.positions - turn.apply(np.array(places)), axis=1).max() for start in starts)
+    assert apart < 1e-9
 
 
 @pytest.mark.slow

@@ -321,7 +321,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
             with thread_limit(1):
                 return coarse_fit(onto, start, shape).cost
 
-        nearest = sorted(rigid_starts(graph.positions, surface.positions), key=squared_distance)
+        nearest = sorted(rigid_starts(graph.positions, graph.areas, surface), key=squared_distance)
         tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 

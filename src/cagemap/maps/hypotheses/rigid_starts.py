@@ -15,6 +15,7 @@ from cagemap.deform.config import SearchConfig
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.triangle_surface import TriangleSurface
 
 AS_FILED = "as the files stand"
 # The first so many of `rigid_starts` keep the files' axes.
@@ -60,8 +61,8 @@ def rotation_penalty(matrix: FloatArray, config: SearchConfig) -> float:
     return 1.0 if matrix[0, 0] > 0.5 else config.turned_penalty
 
 
-def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
-    """Placements of points (k, 3) that align bounding boxes or principal frames with the source's (m, 3).
+def rigid_starts(points: FloatArray, areas: FloatArray, source: TriangleSurface) -> list[Placement]:
+    """Placements of points (k, 3) with areas (k,) that align bounding boxes or principal frames with the source's.
 
     Boxes in all 24 axis rotations, with equal diagonals (one scale) or equal extents (three scales). Principal frames
     in four rotations, not scaled.
@@ -69,9 +70,9 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placemen
     starts = []
     for matrix in axis_rotations():
         turned = points @ matrix.T
-        starts += [Placement(_fit_to_box(turned, source_points, stretched)) for stretched in (False, True)]
-    centre, frame = _principal_frame(points)
-    source_centre, source_frame = _principal_frame(source_points)
+        starts += [Placement(_fit_to_box(turned, source.positions, stretched)) for stretched in (False, True)]
+    centre, frame = _principal_frame(points, areas)
+    source_centre, source_frame = _principal_frame(source.positions, source.vertex_areas)
     for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         flips = np.array([*signs, signs[0] * signs[1]], dtype=np.float64)
         positions = (points - centre) @ (frame * flips) @ source_frame.T + source_centre
@@ -88,10 +89,10 @@ def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) 
     return np.asarray((points - (low + high) / 2) * scale + (source_low + source_high) / 2)
 
 
-def _principal_frame(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centre and a right-handed frame of columns along the principal axes, longest first."""
-    centre = points.mean(axis=0)
-    frame = np.linalg.svd(points - centre, full_matrices=False)[2].T
+def _principal_frame(points: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre and a right-handed frame of columns along the principal axes of a surface, longest first."""
+    centre = areas @ points / areas.sum()
+    frame = np.linalg.svd(np.sqrt(areas)[:, None] * (points - centre), full_matrices=False)[2].T
     frame[:, 2] *= np.sign(np.linalg.det(frame)) or 1.0
     return centre, frame
 

@@ -80,7 +80,7 @@ def fit_small_graph(
         return tips, fit_start(start_map(problem, shape), shape)
 
     unmoved = unmoved_start(problem.prepared, graph.positions)
-    starts = [*unmoved, *rigid_starts(graph.positions, problem.prepared.source_surface.positions)]
+    starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, problem.prepared.source_surface)]
     unrotated = distinct_placements(starts[: len(unmoved) + AS_FILED_STARTS], graph.areas, config.min_start_distance)
     rigid_fits = rank_placements(fit_rigid_starts(unrotated))
     show(rigid_fits[0])
