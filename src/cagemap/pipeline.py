@@ -75,7 +75,8 @@ def match(
 ) -> MatchResult:
     """Map a target surface to a source surface (paper, section 5).
 
-    With fewer than three landmarks many alignments are tried, and the result has a ``confidence``.
+    With fewer than three landmarks many alignments are tried. The result has a ``confidence`` then, and with more
+    landmarks if they are mirrored or leave the rotation of a limb open.
 
     Parameters
     ----------

@@ -146,13 +146,13 @@ class PreparedPair:
         masks: Masks,
     ) -> PreparedPair:
         """Build the pair with a given graph of the target's level."""
-        mesh, fitted = target.triangles(levels[0]), source.hierarchy.coarsest_level(elastic.source_vertices)
-        part = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted))
-        rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, part)
-        return cls(target, source, start, elastic, levels, rest, source.triangles(fitted), masks)
+        mesh, fitted_level = target.triangles(levels[0]), source.hierarchy.coarsest_level(elastic.source_vertices)
+        level_masks = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted_level))
+        rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, level_masks)
+        return cls(target, source, start, elastic, levels, rest, source.triangles(fitted_level), masks)
 
     def require_same(self, start: StartConfig, elastic: ElasticConfig, masks: Masks) -> None:
-        """Raise ParameterError unless configs and masks are those of the pair, or defaults, which stand for these."""
+        """Raise ParameterError unless configs and masks are the pair's own; default configs mean those."""
         counts = [len(side.vertices) for side in (self.target, self.source)]
         masks.require_fit(*counts)
         own = self.masks
@@ -198,7 +198,7 @@ class PreparedPair:
 
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
-        """Graphs of both searched levels, on which landmarks are checked; built on first access."""
+        """Elastic graphs of the searched levels of target and source; built on first access."""
         return self.rest.graph, level_graph(self.source, self.levels[1], self.elastic.graph)
 
     @kept

@@ -211,8 +211,9 @@ def pair_parts(
 ) -> tuple[tuple[tuple[Part, Part], ...], tuple[Part, ...], tuple[Part, ...]]:
     """Pair the pieces of two meshes by shared landmarks, then by name, then the only remaining ones.
 
-    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. Names that end in a
-    number are ignored. Returns the pairs, larger target pieces first, and the unpaired pieces of target and source.
+    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. A name whose last
+    word is a number ("arm 2") is ignored. Returns the pairs, larger target pieces first, and the unpaired pieces of
+    target and source.
     """
     of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
     target_parts = sorted(of_target, key=lambda part: -len(part.faces))

@@ -1,4 +1,4 @@
-"""The paper's method, level by level (section 5), without additions from later papers."""
+"""The paper's method, level by level (section 5), without additions from later papers but `MapWeights.decay`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SAMPLE_VERTICES = 30_000
 
 @dataclass(frozen=True, repr=False)
 class PaperConfig(Brief):
-    """Parameters of the paper's method; the paper gives no values, as its section 6 is missing."""
+    """Parameters of the paper's method. Our copy of the paper lacks section 6, which gives their values."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels

@@ -32,7 +32,7 @@ from cagemap.transfer.vectors import bake_normal_map
 def with_own_materials(
     carried: CarriedCharacter, document: Document, given: Document | None, *, body: bool
 ) -> tuple[Character, Document]:
-    """The character and document with own materials of the target's parts; ``body``: of its body too."""
+    """The character and document with the target's own materials on its parts; ``body``: on its body too."""
     parts = list(carried.character.parts)
     own_parts = range(0 if body else 1, len(parts) - len(carried.passengers))
     known = () if given is None else material_names(given)
@@ -121,19 +121,19 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
 def in_one_square(mesh: ControlMesh) -> ControlMesh:
     """A mesh with UVs in the unit square, as glTF needs: unwrapped, or with its tiles side by side.
 
-    The UVs in tiles are kept as a second set, further sets follow.
+    The UVs in tiles are kept as a second set, before further sets.
     """
     if mesh.uvs is None or mesh.uv_indices is None:
         return unwrap(mesh)
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     cells = np.zeros((mesh.n_faces, 2))
     cells[faces] = tile_cells(mesh.uvs[mesh.uv_indices[corners]])
-    tiles, number = np.unique(cells, axis=0, return_inverse=True)
+    tiles, tile_of_face = np.unique(cells, axis=0, return_inverse=True)
     if not tiles.any():
         return mesh
     side = int(np.ceil(np.sqrt(len(tiles))))
     shift = np.column_stack([np.arange(len(tiles)) % side, np.arange(len(tiles)) // side]) - tiles
-    of_corner = np.repeat(number.ravel(), mesh.face_sizes)
+    of_corner = np.repeat(tile_of_face.ravel(), mesh.face_sizes)
     keys, indices = np.unique(np.column_stack([mesh.uv_indices, of_corner]), axis=0, return_inverse=True)
     before = UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets
     others = tuple(replace(one, name=f"TEXCOORD_{number}") for number, one in enumerate(before, 1))

@@ -61,7 +61,7 @@ def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> Non
     """Write a UV set as a primvar."""
     pxr = usd_modules()
     api = pxr.UsdGeom.PrimvarsAPI(prim)
-    primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+    primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, CORNERS)
     primvar.Set(pxr.Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32)))
     primvar.SetIndices(_ints(indices))
 

@@ -1,4 +1,4 @@
-"""Confidence in a map with few landmarks or none: signs of a wrong map, the verdict, other possible alignments.
+"""Confidence in a map that its landmarks do not determine: signs of a wrong map, verdict, other alignments.
 
 Signs are measured without ground truth; each has a bound (`SIGNS`).
 """
@@ -49,7 +49,7 @@ SIGNS: dict[str, Sign] = {
     # Median `distortion`, by the target's area.
     "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
     # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
-    "limb_turned": Sign(0.08, "a map that turns {percent:.0f} % of the target the other way fits almost as well"),
+    "limb_turned": Sign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
     "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
