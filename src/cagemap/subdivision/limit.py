@@ -115,7 +115,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     semi, dart, crease, corner = _features(topology, sharpness)
     ends, fixed = topology.edge_ends[sharpness.edges >= INFINITE_SHARPNESS], np.flatnonzero(corner | crease)
     own_weight, neighbour_weight = CREASE_LIMIT
-    along = neighbour_weight * crease[ends]
+    along = np.where(crease[ends], neighbour_weight, 0.0)
     entries: list[Entries] = [
         (fixed, fixed, np.where(corner[fixed], 1.0, own_weight)),
         (ends[:, 0], ends[:, 1], along[:, 0]),
