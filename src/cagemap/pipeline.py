@@ -179,7 +179,7 @@ def match_pair(
     prepared.require_same(config.start, config.elastic, config.masks)
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, prepared.target.control, prepared.source.control)
-    return _match_elastic(prepared, landmarks, config, progress, {} if timings is None else timings, preview)
+    return _match_elastic(prepared, landmarks, config, progress, dict(timings or {}), preview)
 
 
 def _match_elastic(
@@ -190,7 +190,7 @@ def _match_elastic(
     timings: dict[str, float],
     preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
-    """Match: the steps of the default method, for landmarks that fit the control meshes."""
+    """Match by the steps of the default method; the landmarks were checked against the control meshes."""
     problem = Problem.of_landmarks(prepared, landmarks)
     check, confidence = LandmarkCheck(), None
     placements: Sequence[Placement]

@@ -25,9 +25,12 @@ from cagemap.maps.landmarks.outliers import (
     place_by_distances,
 )
 from cagemap.maps.pair import Pair, no_progress, point_pairs
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
 from cagemap.pipeline import prepare_pair
+from cagemap.subdivision import finest_mesh, refine
 
 from quick_match import QUICK
 
@@ -275,6 +278,19 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
     assert len(found.landmark_check.strains) == len(landmarks)
     assert int(np.argmax(found.landmark_check.strains)) == i
     assert any("knee_L" in note and "kept" in note for note in found.landmark_check.notes)
+
+
+def test_a_suspect_of_a_plain_mesh_names_the_vertex_that_was_given(monkeypatch) -> None:
+    """Most vertices of a plain mesh are on no coarse level; steps of the search use others near them."""
+    monkeypatch.setattr("cagemap.maps.pair.NEAR_VERTICES", 1000)  # so that a small mesh has a coarser level for them
+    mesh = replace(finest_mesh(refine(torus(14, 10), 2)), scheme=Plain())
+    surface = prepare_surface(mesh, 0, BasisConfig(count=40))
+    given = np.flatnonzero(surface.hierarchy.on_level(0, np.arange(mesh.n_vertices)) < 0)[::40]
+    names = tuple(f"point {vertex}" for vertex in given)
+    problem = Problem.of_landmarks(prepare_pair(surface, surface), Landmarks(names, given, given))
+    found = PointMap.from_vertices(surface.finest_triangles, surface.finest_triangles, np.arange(mesh.n_vertices))
+    (suspect,) = check.check_on_map(problem, names, found, {2: DISTANCES}, ()).suspects
+    assert (suspect.name, suspect.source_vertex, suspect.nearest_vertex) == (names[2], given[2], given[2])
 
 
 def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):

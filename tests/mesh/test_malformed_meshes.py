@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import torus
+from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -217,3 +219,26 @@ def test_abuse_survives_the_way_through_files(mesh: ControlMesh, tmp_path: Path)
         write_mesh(file, before)
         after = check_mesh(read_mesh(file))
         assert after.problems == check_mesh(before).problems
+
+
+def test_empty_creases_corners_and_holes_are_none(mesh: ControlMesh) -> None:
+    none = np.zeros(0, dtype=np.int64)
+    creases = {"crease_edges": none.reshape(0, 2), "crease_sharpness": np.zeros(0)}
+    corners = {"corner_vertices": none, "corner_sharpness": np.zeros(0)}
+    assert check_mesh(replace(mesh, **creases, **corners, hole_faces=none)).problems == check_mesh(mesh).problems
+
+
+@pytest.mark.parametrize(
+    ("arrays", "problem"),
+    [
+        ({"crease_sharpness": np.ones(2)}, r"expected crease_edges of shape \(k, 2\) together with crease_sharpness"),
+        ({"corner_vertices": np.array(3), "corner_sharpness": np.array(1.0)}, r"corner_vertices of shape \(k,\)"),
+        ({"corner_vertices": np.array([1, -3]), "corner_sharpness": np.ones(2)}, "got others in 1 corner, corners: -3"),
+        ({"corner_vertices": np.array([1, 2]), "corner_sharpness": np.ones(3)}, r"one sharpness per corner \(2\)"),
+    ],
+)
+def test_broken_creases_and_corners_are_named_by_their_array(
+    arrays: dict[str, NDArray[np.generic]], problem: str
+) -> None:
+    with pytest.raises(InvalidMeshError, match=problem):
+        require_valid(replace(torus(), **arrays))

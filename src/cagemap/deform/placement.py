@@ -36,9 +36,9 @@ class Placement:
         return self.positions if self.finished_positions is None else self.finished_positions
 
     @property
-    def keeps_axes(self) -> bool:
-        """Whether the files' axes are kept."""
-        return self.penalty == 1.0
+    def has_penalty(self) -> bool:
+        """Whether the cost has a penalty because the files' axes are rotated."""
+        return self.penalty > 1.0
 
     @property
     def penalised_cost(self) -> float:

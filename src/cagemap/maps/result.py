@@ -299,7 +299,8 @@ def result_of_fit(
     confidence: Confidence | None = None,
 ) -> MatchResult:
     """Result of an elastic match, with the quality of its map; area without a counterpart is not counted."""
-    target, source, trusted, start = prepared.target, prepared.source, check.trusted(landmarks), time.perf_counter()
+    start = time.perf_counter()
+    target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     with one_blas_thread(), ThreadPool(1) as pool:
         counted = masks if shared is None else shared.within(masks)

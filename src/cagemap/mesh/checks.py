@@ -254,9 +254,9 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
     if len(sizes) == 1:
         return None
     first_faces = np.unique(labels, return_index=True)[1]
-    compared = [(labels == label)[mesh.corner_faces] for label in range(min(len(sizes), MAX_COMPARED))]
-    points = [mesh.positions[np.unique(mesh.face_indices[corners])] for corners in compared]
-    copied = len({cloud[np.lexsort(cloud.T)].tobytes() for cloud in points}) < len(points)
+    compared = range(min(len(sizes), MAX_COMPARED))
+    points = (mesh.positions[np.unique(mesh.face_indices[(labels == i)[mesh.corner_faces]])] for i in compared)
+    copied = len({cloud[np.lexsort(cloud.T)].tobytes() for cloud in points}) < len(compared)
     tolerance = None if copied else weld_tolerance(mesh)
     seams = ""
     if tolerance is not None:

@@ -69,7 +69,10 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
 
 
 def landmark_pairs(landmarks: Any) -> Landmarks:
-    """Landmarks ``point 0``, ... of pairs (p, 2) of target and source vertices; InvalidLandmarksError for others."""
+    """Landmarks ``point 0``, ... from an array (p, 2) of pairs (target vertex, source vertex), 0-based.
+
+    InvalidLandmarksError if the array has another shape; ParameterError if the vertices are no whole numbers.
+    """
     if isinstance(landmarks, Landmarks):
         return landmarks
     pairs = whole_numbers(landmarks, "landmarks")

@@ -208,7 +208,9 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
         repeated = at_vertices[find_repeats(vertices[at_vertices])]
         if len(repeated):
             pairs = first_few(f"{landmarks.names[i]} ({vertices[i]})" for i in repeated)
-            faults.append(f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one.")
+            faults.append(
+                f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one of each."
+            )
     faults = [fault for fault in (*faults, *curve_faults(landmarks.curves, target, source)) if fault]
     if faults:
         made_for = landmarks.target_name, landmarks.source_name

@@ -125,7 +125,7 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
 
 
 def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return some faces as a mesh without unused vertices and UVs, which keeps their numbers in the file."""
+    """Return some faces as a mesh without unused vertices and UVs, with ``file_vertices`` and ``file_faces``."""
     kept = keep_faces(mesh, faces)
     vertices, indices = np.unique(kept.face_indices, return_inverse=True)
     number = places_of(vertices, mesh.n_vertices)
@@ -263,16 +263,17 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
     faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
 
-    def known(field: str, shifts: IndexArray = 0 * vertices) -> NDArray[Any] | None:
+    def concatenate(field: str, shifts: IndexArray = 0 * vertices) -> NDArray[Any] | None:
         """Concatenate the meshes' arrays that are not None, with shifts added; None if all are None."""
         arrays = [(getattr(mesh, field), shift) for mesh, shift in zip(meshes, shifts, strict=True)]
         shifted = [array + shift for array, shift in arrays if array is not None]
         return np.concatenate(shifted) if shifted else None
 
     uv_sets, labels = _uv_sets(meshes), _joined_labels(meshes)
-    colors = [np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes]
+    colored = any(mesh.vertex_colors is not None for mesh in meshes)
+    colors = (np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes)
     numbered = [name for name in ("file_vertices", "file_faces") if all(getattr(m, name) is not None for m in meshes)]
-    file_numbers: dict[str, Any] = {name: known(name) for name in numbered}
+    file_numbers: dict[str, Any] = {name: concatenate(name) for name in numbered}
     joined = ControlMesh(
         np.concatenate([mesh.positions for mesh in meshes]),
         offsets_of(np.concatenate([mesh.face_sizes for mesh in meshes])),
@@ -280,14 +281,14 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
         uv_sets=tuple(uv_sets),
         **labels,
         material_colors=_material_colors(meshes, labels["material_names"]),
-        vertex_colors=np.concatenate(colors) if any(mesh.vertex_colors is not None for mesh in meshes) else None,
-        crease_edges=known("crease_edges", vertices),
-        crease_sharpness=known("crease_sharpness"),
-        corner_vertices=known("corner_vertices", vertices),
-        corner_sharpness=known("corner_sharpness"),
-        hole_faces=known("hole_faces", faces),
+        vertex_colors=np.concatenate(list(colors)) if colored else None,
+        crease_edges=concatenate("crease_edges", vertices),
+        crease_sharpness=concatenate("crease_sharpness"),
+        corner_vertices=concatenate("corner_vertices", vertices),
+        corner_sharpness=concatenate("corner_sharpness"),
+        hole_faces=concatenate("hole_faces", faces),
         **file_numbers,
-        file_copies=known("file_copies", np.column_stack([vertices, 0 * vertices])),
+        file_copies=concatenate("file_copies", np.column_stack([vertices, 0 * vertices])),
         scheme=meshes[0].scheme,
         name=meshes[0].name,
     )

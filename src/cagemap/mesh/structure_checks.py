@@ -6,7 +6,7 @@ import numpy as np
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.mesh_report import MeshProblem, list_problems, problem_at
+from cagemap.mesh.mesh_report import MeshProblem, count_noun, list_problems, problem_at
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
@@ -19,8 +19,8 @@ def structure_problems(mesh: ControlMesh) -> tuple[MeshProblem, ...]:
         problems += [
             _uvs(mesh),
             _labels(mesh),
-            _sharp(mesh, "creases", mesh.crease_edges, mesh.crease_sharpness, (2,)) or _loose_creases(mesh),
-            _sharp(mesh, "corners", mesh.corner_vertices, mesh.corner_sharpness, ()),
+            _sharp(mesh, "crease", mesh.crease_edges, mesh.crease_sharpness, (2,)) or _loose_creases(mesh),
+            _sharp(mesh, "corner", mesh.corner_vertices, mesh.corner_sharpness, ()),
             _holes(mesh),
         ]
     return tuple(problem for problem in problems if problem is not None)
@@ -38,10 +38,10 @@ def _problem(found: str, remedy: str = _EXPORT) -> MeshProblem:
 
 
 def _out_of_range(numbers: IndexArray, count: int, what: str, elements: IndexArray, where: str) -> MeshProblem | None:
-    """Problem of elements (k,), called ``where``, whose numbers (k,) or (k, 2) are not all from 0 to ``count - 1``."""
-    outside = ((numbers < 0) | (numbers >= count)).reshape(len(numbers), -1).any(axis=1)
-    bad = np.unique(elements[outside])
-    found = f"expected {what} from 0 to {count - 1}, got others in {len(bad)} {where}, {where}"
+    """Problem of elements (k,), each a ``where``, whose numbers (k,) or (k, 2) are not all from 0 to ``count - 1``."""
+    outside = (numbers < 0) | (numbers >= count)
+    bad = np.unique(elements[outside if outside.ndim == 1 else outside.any(axis=1)])
+    found = f"expected {what} from 0 to {count - 1}, got others in {count_noun(len(bad), where)}, {where}s"
     return problem_at("broken data", found, bad, _EXPORT)
 
 
@@ -70,7 +70,7 @@ def _faces(mesh: ControlMesh) -> MeshProblem | None:
     if len(empty):
         found = f"expected corners on every face, got {len(empty)} face(s) without, faces"
         return problem_at("broken data", found, empty, _EXPORT)
-    return _out_of_range(indices, len(mesh.positions), "vertex numbers", mesh.corner_faces, "faces")
+    return _out_of_range(indices, len(mesh.positions), "vertex numbers", mesh.corner_faces, "face")
 
 
 def _uvs(mesh: ControlMesh) -> MeshProblem | None:
@@ -83,7 +83,7 @@ def _uvs(mesh: ControlMesh) -> MeshProblem | None:
         return _problem(f"expected one UV index per corner ({len(mesh.face_indices)}), got {indices.shape}")
     bad = np.flatnonzero(~np.isfinite(uvs).all(axis=1))
     found = f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs"
-    outside = _out_of_range(indices, len(uvs), "UV indices", mesh.corner_faces, "faces")
+    outside = _out_of_range(indices, len(uvs), "UV indices", mesh.corner_faces, "face")
     return outside or problem_at("broken data", found, bad, _EXPORT)
 
 
@@ -99,7 +99,7 @@ def _labels(mesh: ControlMesh) -> MeshProblem | None:
             continue
         if numbers.shape != (mesh.n_faces,) or not _integers(numbers):
             return _problem(f"expected one integer {what} per face ({mesh.n_faces}), got {numbers.shape}")
-        problem = _out_of_range(numbers, len(names), f"{what} numbers", np.arange(mesh.n_faces), "faces")
+        problem = _out_of_range(numbers, len(names), f"{what} numbers", np.arange(mesh.n_faces), "face")
         if problem is not None:
             return problem
     return None
@@ -111,13 +111,16 @@ def _sharp(
     """Problem of creases or corners, arrays with rows of the given shape, and their sharpness."""
     if elements is None and sharpness is None:
         return None
-    if elements is None or sharpness is None or elements.shape[1:] != row or not _integers(elements):
-        return _problem(f"expected vertices of {what}, rows {row}, together with their sharpness, or neither")
+    shaped = elements is not None and elements.ndim == 1 + len(row) and elements.shape[1:] == row
+    if elements is None or sharpness is None or not shaped or not _integers(elements):
+        array = "crease_edges of shape (k, 2)" if row else "corner_vertices of shape (k,)"
+        return _problem(f"expected {array} together with {what}_sharpness, or neither")
     if sharpness.shape != elements.shape[:1]:
-        return _problem(f"expected one sharpness for each of the {what}, got {elements.shape} and {sharpness.shape}")
+        return _problem(f"expected one sharpness per {what} ({len(elements)}), got {sharpness.shape}")
     bad = np.flatnonzero(~(sharpness >= 0))
-    found = f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}"
-    outside = _out_of_range(elements, mesh.n_vertices, f"vertices of {what}", np.arange(len(elements)), what)
+    found = f"expected sharpness of 0 or more, got {count_noun(len(bad), what)} with less or with NaN, {what}s"
+    listed = np.arange(len(elements)) if row else elements
+    outside = _out_of_range(elements, mesh.n_vertices, f"vertices of {what}s", listed, what)
     return outside or problem_at("broken data", found, bad, _EXPORT)
 
 
@@ -140,7 +143,7 @@ def _holes(mesh: ControlMesh) -> MeshProblem | None:
         return None
     if holes.ndim != 1 or not _integers(holes):
         return _problem("expected hole_faces of shape (h,) and an integer type")
-    return _out_of_range(holes, mesh.n_faces, "faces of holes", holes, "holes")
+    return _out_of_range(holes, mesh.n_faces, "faces of holes", holes, "hole")
 
 
 def _integers(array: IndexArray) -> bool:

@@ -15,7 +15,15 @@ from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import extract_faces, renumbered_copies
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, offsets_of, pair_keys
+from cagemap.numerics.arrays import (
+    FloatArray,
+    IndexArray,
+    grouped_sums,
+    label_components,
+    offsets_of,
+    pair_keys,
+    places_of,
+)
 
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Not larger, as borders of separate pieces, such as eyelashes, can be 1e-4 apart.
@@ -91,7 +99,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
         )
     ready = extract_faces(work, np.arange(work.n_faces))
     kept = np.unique(work.face_indices)
-    vertex_of = np.where(np.isin(first, kept), np.searchsorted(kept, first), -1)
+    vertex_of = places_of(kept, mesh.n_vertices)[first]
     ready = replace(ready, file_copies=file_copies(mesh, joined, vertex_of))
     notes = [
         f"{mesh.name}: {len(joined)} of {mesh.n_vertices} vertices are welded to others {within}; "

@@ -83,7 +83,7 @@ def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArr
 
 
 def read_only(array: Array) -> Array:
-    """Read-only view; compiled kernels get only such, so that each kernel is compiled only once."""
+    """Read-only view of an array. Compiled kernels get no others, so that each is compiled only once."""
     if not array.flags.writeable:
         return array
     view: Array = array.view()

@@ -33,7 +33,10 @@ def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
 
 
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
-    """(n,) diagonal of the mass matrix, length squared: thirds of the triangles (of quads the mean) around vertices."""
+    """(n,) diagonal of the mass matrix: a third of the areas of the triangles around each vertex.
+
+    Sums to the area of faces (m, 4) or (m, 3), for quads the mean over both triangulations. Unit: length squared.
+    """
     return face_terms(positions, faces)[1]
 
 

@@ -193,8 +193,8 @@ def hierarchical_basis(
         counts = (*counts[:-1], min(config.count, size))
     elif len(counts) > len(sizes) or np.any(np.cumsum(counts) > sizes[: len(counts)]):
         raise ParameterError(
-            f"schedule: expected at most {len(sizes)} counts, one for each level, whose sums are at most the levels' "
-            f"numbers of vertices {sizes}, got {counts}; refine further, move counts to finer levels, or give count"
+            f"schedule: expected at most {len(sizes)} counts, one for each level, with sums up to every level of "
+            f"at most its vertices {sizes}, got {counts}; refine further, move counts to finer levels, or give count"
         )
     while not counts[-1]:
         counts = counts[:-1]

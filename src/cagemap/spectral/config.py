@@ -51,7 +51,10 @@ class BasisConfig:
         """Check the ranges."""
         counts = (self.count, *(() if self.schedule is None else self.schedule))
         if not all(isinstance(count, int | np.integer) for count in counts):
-            raise ParameterError(f"count and schedule: expected whole numbers, such as 150 or (100, 50), got {counts}")
+            raise ParameterError(
+                f"count and schedule: expected whole numbers, such as 150 or (100, 50), got {self.count!r} and "
+                f"{self.schedule!r}"
+            )
         if self.schedule is not None:
             object.__setattr__(self, "schedule", tuple(self.schedule))
         if self.count < 1:

@@ -99,7 +99,10 @@ def nearest_samples(
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
-    """(b,) nearest point (n, k) to every query (b, k), by products; a k-d tree takes 2 s, not 0.3 s, of 200 columns."""
+    """(b,) index of the nearest point (n, k) to every query (b, k), by blocked matrix products.
+
+    A k-d tree is slow while a map is inaccurate: 2 s instead of 0.3 s for 6000 points of 200 coordinates.
+    """
     half_norms = 0.5 * np.einsum("ij,ij->i", points, points)
     transposed = np.ascontiguousarray(points.T)
     nearest = np.empty(len(queries), dtype=np.int64)
@@ -114,5 +117,8 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
 
 
 def evenly_spaced_vertices(n: int, count: int) -> IndexArray:
-    """At most ``count`` vertices at equal steps of the numbering, dense where the mesh is: weight them by area."""
+    """At most ``count`` vertices at equal steps of the numbering, dense where the mesh is: weight them by area.
+
+    Steps of equal area leave too few samples on hands.
+    """
     return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))

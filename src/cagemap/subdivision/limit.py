@@ -113,11 +113,11 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     if sharpness is None:
         return smooth_limits
     semi, dart, crease, corner = _features(topology, sharpness)
-    ends, vertices = topology.edge_ends, np.arange(topology.n_vertices)
+    ends, fixed = topology.edge_ends[sharpness.edges >= INFINITE_SHARPNESS], np.flatnonzero(corner | crease)
     own_weight, neighbour_weight = CREASE_LIMIT
-    along = np.where((sharpness.edges[:, None] >= INFINITE_SHARPNESS) & crease[ends], neighbour_weight, 0.0)
+    along = np.where(crease[ends], neighbour_weight, 0.0)
     entries: list[Entries] = [
-        (vertices, vertices, corner + own_weight * crease),
+        (fixed, fixed, np.where(corner[fixed], 1.0, own_weight)),
         (ends[:, 0], ends[:, 1], along[:, 0]),
         (ends[:, 1], ends[:, 0], along[:, 1]),
     ]
@@ -216,13 +216,13 @@ def _dart_rows(
     centres = topology.vertices[around]
     valences = topology.valences[centres]
     ranks = (topology.ranks[around] - first[centres]) % valences
-    order = np.lexsort([ranks, centres])
+    order, rings = np.lexsort([ranks, centres]), rings_of(topology, scheme)
     none = np.zeros(0, dtype=np.int64)
     entries: list[list[Entries]] = [[(none, none, np.zeros(0))] for _ in range(3)]
     for valence in np.unique(valences).tolist():
         corners = around[order[valences[order] == valence]].reshape(-1, valence)  # of one dart in every row
         darts = topology.vertices[corners[:, :1]]
-        columns = np.hstack([darts, *(ring[corners] for ring in rings_of(topology, scheme))])
+        columns = np.hstack([darts, *(ring[corners] for ring in rings)])
         for kind, weights in zip(entries, _dart_weights(scheme, valence), strict=True):
             kind.append((np.repeat(darts, columns.shape[1]), columns.ravel(), np.tile(weights, len(darts))))
     position, first_tangent, second = (matrix_of(kind, topology.n_vertices) for kind in entries)

@@ -165,7 +165,7 @@ class Refinement:
         return self.rows(slice(None), fine, coarse)
 
     def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
-        """Rows (m, n_coarse) of ``S^{fine,coarse}`` for some vertices (m,) alone; ParameterError for others."""
+        """Rows (m, n_coarse) of ``S^{fine,coarse}`` for vertices (m,), computed alone; ParameterError for others."""
         self._check_order(fine, coarse)
         n = self.levels[fine].n_vertices
         chosen = np.arange(n)[vertices] if isinstance(vertices, slice) else vertices

@@ -174,7 +174,7 @@ class SurfacePoints:
         return self.surface.at_boundary(self.triangle, self.barycentric)
 
     def interpolate(self, values: FloatArray) -> FloatArray:
-        """Values (m,) or (m, q) at the points of vertex values (n,) or (n, q), linearly; ParameterError for others."""
+        """(m,) or (m, q) values at the points, linear between vertices' (n,) or (n, q); ParameterError for others."""
         values = array_of(values)
         values = values if values.dtype.kind in "biuf" else real_numbers(values, "values")
         if values.ndim == 0 or len(values) != self.surface.n:

@@ -29,7 +29,7 @@ from cagemap.maps.landmarks.outliers import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
-from cagemap.maps.pair import Progress, near_vertices
+from cagemap.maps.pair import Progress, near_vertices, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -274,7 +274,9 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
 
 def _suspect(problem: Problem, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    given = int(near_vertices(problem.landmarks.source, problem.prepared.source)[place])
+    points = problem.landmarks.source
+    at_vertex, near = vertices_at(points), near_vertices(points, problem.prepared.source)
+    given = int(np.where(at_vertex < 0, near, at_vertex)[place])  # near vertices differ on a plain mesh's finest level
     return LandmarkSuspect(
         names[place], place, *landmark_miss(problem, found, place), source_vertex=given, evidence=evidence
     )
