@@ -69,7 +69,7 @@ def one_start() -> Iterator[None]:
 
 @pytest.fixture
 def jobs_in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers of a job are threads of this process, where a test asks for something else: no imports of their own."""
+    """Workers of a job are threads of this process: processes would import everything again."""
     import distributed
 
     cluster = distributed.LocalCluster

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -328,15 +329,38 @@ def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("names", ["a.mtl b.mtl gone.mtl", "a b.mtl", f"a.mtl {60 * 'gone.mtl '}b.mtl"])
-def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path: Path, names: str) -> None:
-    for name in ("a.mtl", "b.mtl", "a b.mtl"):
-        (tmp_path / name).write_text(f"newmtl {name[:-4]}\nKd 0.5 0.25 1\n")
-    mesh = read_text(tmp_path, f"mtllib {names}\n{SQUARE}usemtl {names.split('.')[0]}\nf 1 2 3\n")
-    (tmp_path / "copies").mkdir()
-    (original,) = tmp_path.glob("*.obj")
-    write_obj_positions(tmp_path / "copies/moved.obj", original, mesh)
-    np.testing.assert_array_equal(read_obj(tmp_path / "copies/moved.obj").material_colors, [[0.5, 0.25, 1.0]])
+@pytest.mark.parametrize("on_another_drive", [False, True])
+@pytest.mark.parametrize("folder", ["scene", "my scene"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        "a.mtl b.mtl gone.mtl",
+        "a b.mtl",
+        f"a.mtl {60 * 'gone.mtl '}b.mtl",
+        "\\\n a.mtl",
+        "..\\mats/a.mtl",
+        "a\u0308.mtl",
+    ],
+)
+def test_material_files_are_named_from_the_folder_of_a_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: str, folder: str, on_another_drive: bool
+) -> None:
+    scene = tmp_path / folder
+    for place in (scene, tmp_path / "mats", tmp_path / "deep/er"):
+        place.mkdir(parents=True)
+    (tmp_path / "copies").symlink_to(tmp_path / "deep/er")
+    for file in ("a.mtl", "b.mtl", "a b.mtl", "\u00e4.mtl", "../mats/a.mtl"):
+        (scene / file).write_text(f"newmtl {Path(file).stem}\nKd 0.5 0.25 1\n")
+    used = unicodedata.normalize("NFC", Path(names.replace("\\", "/").split(".mtl")[0]).stem.strip())
+    mesh = read_text(scene, f"mtllib {names}\n{SQUARE}usemtl {used}\nf 1 2 3\n")
+    if on_another_drive:
+        monkeypatch.setattr("os.path.relpath", Mock(side_effect=ValueError))
+    write_obj_positions(tmp_path / "copies/moved.obj", scene / "mesh.obj", mesh)
+    write_mesh(tmp_path / "copies/fine.obj", mesh, like=scene / "mesh.obj")
+    for copy in ("moved", "fine"):
+        found = read_obj(tmp_path / "copies" / f"{copy}.obj")
+        assert_same_arrays(found, mesh, ["positions", "face_indices", "material_colors"])
+    assert not list((tmp_path / "copies").glob("*.mtl"))
 
 
 def test_a_layout_over_a_file_of_others_writes_nothing(tmp_path: Path) -> None:

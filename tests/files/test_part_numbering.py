@@ -61,7 +61,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_rows_of_a_part_in_any_order() -> None:
     scene = _scene()
     rows = FileRows(extract_faces(scene, find_part(scene, "body").faces[::-1]), scene)
-    for count, own in ((scene.n_vertices, rows.vertices), (scene.n_faces, rows.faces)):
+    corners = np.arange(len(scene.face_indices))
+    sizes = (scene.n_vertices, rows.vertices), (scene.n_faces, rows.faces), (len(corners), rows.to_part(corners))
+    for count, own in sizes:
         values = np.arange(count)
         np.testing.assert_array_equal(rows.to_part(values), own)
         below = -np.ones(count, dtype=np.int64)
@@ -70,7 +72,6 @@ def test_rows_of_a_part_in_any_order() -> None:
         fractions = rows.to_file(own, below + 0.5)  # whole numbers over fractions
         assert (np.delete(fractions, own) == -0.5).all()
         np.testing.assert_array_equal(fractions[own], own)
-    corners = np.arange(len(scene.face_indices))
     np.testing.assert_array_equal(scene.face_indices[rows.to_part(corners)], rows.vertices[rows.part.face_indices])
     np.testing.assert_array_equal(rows.placed(rows.part.positions), scene.positions)
 

@@ -305,6 +305,7 @@ def test_a_passenger_is_at_its_place_in_the_world(folder: Path, given: str, outp
         found = moved(found, to_standard(folder / output)) if output == "worn.usda" else found
         expected = moved(expected, to_standard(folder / "large.usda"))
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
+    assert (folder / "worn.mtl").exists() == (output == "worn.obj" and given != "hat.obj"), "materials of hat.mtl"
 
 
 def test_a_cage_wrapped_on_a_glb_is_in_the_targets_own_units(folder: Path) -> None:

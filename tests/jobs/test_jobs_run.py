@@ -18,6 +18,7 @@ import pytest
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.manifest import stated_inputs
 from cagemap.jobs import Plan, Task, TaskOutcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.plan import content_hash
@@ -81,6 +82,8 @@ def test_the_hash_of_a_gltf_depends_on_its_buffer_however_it_is_named(stated: st
     assert not set(hashes[0]) & set(hashes[1])
     (tmp_path / file).write_bytes(head[:-1])  # cut short: its reader says so
     assert content_hash(str(tmp_path / file))
+    (tmp_path / file).unlink()
+    assert referred_files(tmp_path / file) == []
 
 
 @pytest.mark.parametrize(

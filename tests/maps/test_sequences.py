@@ -9,7 +9,7 @@ import pytest
 from examples.shapes import torus
 
 from cagemap.deform.config import ElasticConfig, RefitConfig
-from cagemap.errors import ParameterError
+from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.pipeline import MatchConfig, MatchResult, match_next, match_pair, prepare_pair, prepare_surface
@@ -100,6 +100,14 @@ def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkey
         no_work.delattr("cagemap.tasks.wrap.match_files")
         with pytest.raises(ParameterError, match="different names"):
             run_wrap(WrapRequest(again, output, target=cage, blend_shapes=True), Stages())
+        write_mesh(tmp_path / "again" / "cage.obj", body)
+        for target, taken, found in (
+            ("again/cage.obj", "again", "is an input too"),
+            ("cage.obj", "old.obj", "a folder"),
+        ):
+            write_mesh(tmp_path / "old.obj", body)
+            with pytest.raises(CagemapError, match=found):
+                run_wrap(WrapRequest(frames, tmp_path / taken, target=tmp_path / target, blend_shapes=True), Stages())
     stages, notes, prepared = Stages(), list[str](), list[str]()
     monkeypatch.setattr(stages, "note", notes.append)
     monkeypatch.setattr(

@@ -17,9 +17,7 @@ from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import (
-    png_bytes,
-)
+from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.landmarks.pairs import read_landmarks

@@ -240,10 +240,10 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     worn = mesh.with_positions(moved(mesh.positions, between_spaces(source, request.passenger)))
     carried = carry_passenger(result, worn, kind=cast(PassengerKind | None, request.kind))
     places, like = carried.positions, request.passenger
-    if not states_units(request.passenger):
-        like = target if target is not None and is_usd(target) else like
-    elif states_units(request.output):  # in the passenger's own units and axes
+    if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
         places = moved(places, between_spaces(request.passenger, target))
+    elif states_units(request.output) and target is not None and is_usd(target):
+        like = target
     write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     warnings = []

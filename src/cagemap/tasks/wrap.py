@@ -72,7 +72,8 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
         )
     if request.blend_shapes:  # refuse names and files before the matches
         files = _shape_files(request, request.target, sources)
-        check_outputs(files if request.output.is_dir() else [request.output], sources, force=request.force)
+        written = files if request.output.is_dir() else [request.output]
+        check_outputs(written, [request.target, *sources], force=request.force)
     with tempfile.TemporaryDirectory() as folder:
         results, warnings = _found(request, request.target, sources, Path(folder), stages)
         request = replace(request, results=results)
@@ -322,7 +323,9 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
 
 
 def _shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) -> list[Path]:
-    """The files of blend shapes, by the names of target and sources; refuses equal names."""
+    """The files of blend shapes, by the names of target and sources; refuses equal names, and a file as folder."""
+    if request.output.is_file():
+        raise ParameterError(f"{request.output}: expected a folder for --blend-shapes, got a file. Give another name.")
     names = [path.stem for path in (target, *sources)]
     if len(set(names)) < len(names):
         raise ParameterError(f"--blend-shapes: expected different names, got {', '.join(names)}. Rename the files.")

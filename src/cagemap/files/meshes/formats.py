@@ -126,7 +126,7 @@ def referred_files(path: Path) -> list[Path]:
         if suffix == ".fbx":
             return named_textures(path)
         return other_files(path) if suffix in USD_SUFFIXES else []
-    except (FormatError, ValueError):  # its reader reports it
+    except (FormatError, OSError, ValueError):  # its reader reports it
         return []
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def write_obj(
     if own:
         parts.append(f"mtllib {library.name}\n")
     elif mesh.face_materials is not None and like is not None:
-        parts += [f"{found[0]}\n" for found in _LIBRARY.finditer(_text_for(file, Path(like)))]
+        parts.append(_libraries(read_text(Path(like), "an OBJ file"), Path(like), file.parent))
     parts += obj_statements(mesh)
     if own:
         statements = color_statements(mesh.material_names, mesh.material_colors)
@@ -152,7 +153,6 @@ _POSITION_LINE = re.compile(r"(?m)^[ \t]*v(?:(?:[ \t]|\\[ \t]*\n)+[^\s\\]+){3}([
 _NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
 _WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
 _FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
-_LIBRARY = re.compile(r"(?m)^([ \t]*mtllib[ \t]+)([^\n]*?)[ \t]*$")
 _MATERIAL = re.compile(r"(?m)^[ \t]*usemtl[ \t]+([^\n]*)")
 _OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
 
@@ -222,7 +222,18 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
 def _text_for(file: Path, original: Path) -> str:
     """The text of an OBJ file for a copy in another folder, without cagemap's mark."""
     text = _OLD_MARK.sub("", read_text(original, "an OBJ file"))
-    return _LIBRARY.sub(lambda found: found[1] + _moved(found[2], original.parent, file.parent), text)
+    return MATERIAL_FILE_LINE.sub(lambda found: _libraries(found[0], original, file.parent) or found[0], text)
+
+
+def _libraries(text: str, original: Path, folder: Path) -> str:
+    """``mtllib`` lines for a copy of an OBJ file in a folder: one for each material file that exists.
+
+    Paths are relative to the folder without symbolic links, on another drive absolute.
+    """
+    files = material_files(original.parent.resolve() / original.name, text)
+    with suppress(ValueError):  # another drive
+        files = [Path(os.path.relpath(file, folder.resolve())) for file in files]
+    return "".join(f"mtllib {file.as_posix()}\n" for file in files)
 
 
 def _without_normal(corner: re.Match[str]) -> str:
@@ -239,14 +250,3 @@ def _renumbered(line: str, numbers: Iterator[int]) -> str:
         normal = f"/{fields[1]}" if len(fields) > 1 and fields[1] else ""
         words.append(f"{vertex}/{next(numbers)}{normal}")
     return " ".join([keyword, *words]) + (f" {hash_mark}{comment}" if hash_mark else "")
-
-
-def _moved(stated: str, before: Path, after: Path) -> str:
-    """Names of material libraries relative to another folder; unchanged if there are no such files."""
-    if not os.path.isfile(before / stated.replace("\\", "/")):
-        words = stated.split()
-        return " ".join(_moved(word, before, after) for word in words) if len(words) > 1 else stated
-    try:
-        return Path(os.path.relpath(before / stated.replace("\\", "/"), after)).as_posix()
-    except ValueError:  # another drive
-        return stated

@@ -85,7 +85,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
             logger.warning(text, file, first_few(left_out))
         final = [prim for prim in prims if _is_final(prim)]
         if hidden := [str(prim.GetPath()) for prim in prims if final and not _is_final(prim)]:
-            text = "%s: left out meshes that are invisible or for previews: %s; make them visible to keep them"
+            text = "%s: left out invisible meshes and previews: %s; make them visible, of purpose default, to keep them"
             logger.warning(text, file, first_few(hidden))
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         labels = material_labels(stage)

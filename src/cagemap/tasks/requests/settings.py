@@ -88,13 +88,13 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
             )
         except ValidationError as error:
             raise ParameterError(f"--set {name}: {error.errors()[0]['msg']}, got '{value}'.") from None
-        checked = tuple(_beside(folder, item) for item in checked) if several else _beside(folder, checked)
+        checked = tuple(_in_folder(folder, item) for item in checked) if several else _in_folder(folder, checked)
         values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())
     return values | ({_PARAMETERS: stated} if stated else {})
 
 
-def _beside(folder: Path, value: Any) -> Any:
+def _in_folder(folder: Path, value: Any) -> Any:
     """A file in a folder; other values are unchanged."""
     return folder / value if isinstance(value, Path) else value
 
