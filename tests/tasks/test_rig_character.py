@@ -199,16 +199,17 @@ def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Charact
 
 
 def test_a_kept_texture_keeps_its_layout(run: Run, files: Character, body: ControlMesh) -> None:
-    """A character without materials: the body keeps its own, and its UVs in several unit squares."""
+    """A character without materials: the body keeps its own, its UVs in several unit squares, and gets no tint."""
     spread = replace(body, uvs=3 * body.uvs)
     image = png_bytes(Image(np.zeros((4, 4, 3), np.uint8)))
     own = character_glb(Character((Part("body", with_material(spread)),)), images={("body", "baseColorTexture"): image})
     write_document("B.glb", own, force=True)
-    plain = replace(files.parts[0], mesh=replace(body, name="body"))
+    plain = replace(files.parts[0], mesh=replace(body, name="body", vertex_colors=np.full_like(body.positions, 0.5)))
     write_document("C.glb", character_glb(replace(files, parts=(plain,))), force=True)
     mesh = _part(_rig(run), "body").mesh
     assert [one.name for one in mesh.all_uv_sets] == ["TEXCOORD_0"]
     np.testing.assert_allclose(np.ptp(mesh.uvs, axis=0), np.ptp(spread.uvs, axis=0), atol=1e-5)
+    assert mesh.vertex_colors is None
 
 
 def test_uv_sets_of_a_body_in_tiles_stay(body: ControlMesh) -> None:

@@ -70,7 +70,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     stages("textures")
     dressed, document = with_own_materials(carried, document, body_document, body=keeps)
     baked, notes = BakedImages(), list[str]()
-    if not request.keep_textures and not (keeps and of.mesh.vertex_colors is None):
+    bare = to.mesh.face_materials is None and of.mesh.vertex_colors is not None and not request.keep_textures
+    if bare or not keeps:
         dressed = replace(dressed, parts=(colored(carried, dressed.parts[0], of), *dressed.parts[1:]))
     if not keeps:
         dressed, document, baked, notes = textured(
