@@ -1,7 +1,8 @@
 """Fit the target to the source: a coarse stage for whole limbs, then a fine stage for a level's mesh.
 
-The target's mesh is deformed as affinely as possible (`cagemap.deform.graph`) until it is on the source. Data terms are
-point-to-plane, so that only the energy resists tangential motion. Landmarks and curves are constraints.
+The target's mesh is deformed until it is on the source, everywhere as close to affinely as possible
+(`cagemap.deform.graph`). Data terms are point-to-plane, so that only the energy resists tangential motion. Landmarks
+and curves are constraints.
 """
 
 from __future__ import annotations
@@ -42,21 +43,21 @@ def cluster_terms(
         guess = None if before is None else before.guesses[0]
         normals = deformed_normals(rest.graph.normals, differentials.result()[0])
         nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
-        term = target_to_source(rest.graph.areas, nearest, normals, rest.masks, beyond=True)
-        blocks, right = term.blocks, term.right
+        target_term = target_to_source(rest.graph.areas, nearest, normals, rest.masks, beyond=True)
+        blocks, right = target_term.blocks, target_term.right
         if samples is not None:
-            back = source_to_clusters(
+            source_term = source_to_clusters(
                 samples,
                 positions,
                 normals,
-                closest=term.closest,
+                closest=target_term.closest,
                 normal_weight=weight,
                 masks=rest.masks,
                 config=config.data,
             )
-            blocks, right = blocks + back.blocks, right + back.right
+            blocks, right = blocks + source_term.blocks, right + source_term.right
         constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, guesses=(term.triangles, None))
+        return VertexTerms(rest.energy, blocks, right, guesses=(target_term.triangles, None))
 
     return terms
 
@@ -70,7 +71,7 @@ def mesh_terms(
 ) -> Terms:
     """Data terms in both directions, and constraints, of a mesh.
 
-    Source-to-target terms extend it into fingers, ears and lips.
+    Source-to-target terms pull the mesh into fingers, ears and lips.
     """
     mesh, received = rest.mesh, rest.received
     assert mesh is not None
@@ -85,24 +86,24 @@ def mesh_terms(
         nearest = SurfacePoints.nearest(
             source, positions, normals, normal_weight=config.fine_normal_weight, guess=guesses[0]
         )
-        term = target_to_source(rest.graph.areas, nearest, normals, rest.masks)
-        back = source_to_target(
+        target_term = target_to_source(rest.graph.areas, nearest, normals, rest.masks)
+        source_term = source_to_target(
             mesh,
             samples,
             positions,
             normals,
-            closest=term.closest,
+            closest=target_term.closest,
             alpha=alpha,
             normal_weight=config.normal_weight,
             guess=guesses[1],
             masks=rest.masks,
             config=config.data,
         )
-        shares = received_weights(received, back.weights, config.data, of_parts=of_parts)
-        blocks = shares[:, None, None] * term.blocks + back.blocks
-        right = shares[:, None] * term.right + back.right
+        shares = received_weights(received, source_term.weights, config.data, of_parts=of_parts)
+        blocks = shares[:, None, None] * target_term.blocks + source_term.blocks
+        right = shares[:, None] * target_term.right + source_term.right
         constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, (term.triangles, back.triangles))
+        return VertexTerms(rest.energy, blocks, right, (target_term.triangles, source_term.triangles))
 
     return terms
 
@@ -115,8 +116,8 @@ def coarse_fit(
 ) -> Placement:
     """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 
-    By default of the problem's clusters. Source ``samples`` give source-to-target terms, with which limbs reach the
-    ends of the source's limbs.
+    The ``shape`` is the problem's coarse shape by default. Source ``samples`` give source-to-target terms, with which
+    limbs reach the ends of the source's limbs.
 
     Raises
     ------
@@ -146,7 +147,7 @@ def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
-    """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which untwists limbs."""
+    """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which bends limbs."""
     graph, constraints = shape.rest.graph, shape.constraints
     places, constrained = constraints.places, constraints.anchors.corners[:, 0]
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
@@ -191,7 +192,7 @@ def vertex_costs(
     config: ElasticConfig,
     smoothing: float,
 ) -> FloatArray:
-    """(n,) cost by vertex: squared distance in position and normal, plus the energy at a fixed stiffness."""
+    """(n,) cost by vertex: squared distance in position and normal, plus the energy at ``cost_stiffness``."""
     graph = rest.graph
     normals = deformed_normals(graph.normals, maps)
     nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=config.normal_weight)

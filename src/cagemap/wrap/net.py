@@ -5,9 +5,10 @@ are distances of surface samples from the source:
 
     sum_i w_i ( (n_i . (S X - q)_i)^2 + anchor |(S X - P)_i|^2 )
 
-with closest points q and normals n of the source. The system couples the three coordinates through the tangent planes.
-It is solved by conjugate gradients from the current positions; the system without planes, ``S^T w S + fairness L``,
-is the preconditioner, the same for all coordinates and all rounds.
+with closest points q and normals n of the source. For samples that are held at their image, such as those of
+boundaries, the term is ``w_i |(S X - P)_i|^2`` alone. The system couples the three coordinates through the tangent
+planes. It is solved by conjugate gradients from the current positions; the system without planes,
+``S^T w S + fairness L``, is the preconditioner, the same for all coordinates and all rounds.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ class Samples:
 
     rows: sparse.csr_array  # (s, n_l) of S: the samples from the net's points
     images: SurfacePoints  # images by the map
-    reach: FloatArray  # (s,): how far from its image a sample may slide
+    reach: FloatArray  # (s,): how far from its image a sample may slide; those farther are held there
     weights: FloatArray  # (s,): areas times follow weights
     held: NDArray[np.bool_]  # (s,): samples that stay at their image (boundaries), instead of sliding along the surface
 
@@ -147,10 +148,10 @@ class NetTerms:
 
     samples: Samples
     config: WrapConfig
-    moving: IndexArray
-    transposed: sparse.csr_array
-    laplacian: sparse.csr_array
-    factors: Factorization
+    moving: IndexArray  # (m,)
+    transposed: sparse.csr_array  # (n, s): the transpose of the samples' rows
+    laplacian: sparse.csr_array  # (n, n) of the net at rest
+    factors: Factorization  # of the preconditioner, in the moving points
 
     @classmethod
     def build(
@@ -176,7 +177,7 @@ class NetTerms:
         return positions
 
     def at(self, positions: FloatArray, found: object, alpha: float, before: SampleTerms | None) -> SampleTerms:
-        """Terms with the source's closest points to positions (n, 3)."""
+        """Terms with the source's closest points to positions (n, 3); other arguments are those of `minimise`."""
         samples, images = self.samples, self.samples.images
         guess = images.triangle if before is None else before.closest.triangle
         weight = self.config.net.normal_weight
@@ -195,13 +196,13 @@ class SampleTerms:
     """Terms of one round: weights (s,) of distances to planes (``across``) and to images (``along``)."""
 
     terms: NetTerms
-    closest: SurfacePoints
+    closest: SurfacePoints  # of the source, to the samples
     across: FloatArray
     along: FloatArray
-    right: FloatArray
+    right: FloatArray  # (n, 3) right side of the system
 
     def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
-        """The terms themselves: the stiffness is always the fairness."""
+        """The terms themselves: the stiffness is the fairness in all rounds."""
         return self
 
     def times(self, positions: FloatArray) -> FloatArray:
@@ -252,7 +253,7 @@ def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> Fl
 
 
 def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
-    """(n1,) squeezed parts (not ``whole``) and the area behind them, if its images overlap the rest."""
+    """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest."""
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():

@@ -69,7 +69,7 @@ def _opened(file: Path) -> tuple[Any, list[str]]:
     """The stage of a file, and what USD says of files that it refers to."""
     pxr = usd_modules()
     require_file(file, "a USD file")
-    # instead of USD's own messages, which name its source files
+    # Collects USD's messages, which would name its own source files on the console
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
     try:
         stage = pxr.Usd.Stage.Open(text_name(file))
@@ -93,7 +93,7 @@ def opened_once() -> Iterator[None]:
 
 def other_files(path: str | Path) -> list[Path]:
     """Existing files of the other layers that a USD file is composed of, and of all images that its layers name."""
-    stage, _ = _opened(Path(path))  # its layers end with it
+    stage, _ = _opened(Path(path))  # a variable, since its layers are freed with the stage
     with named_damage(path):
         layers = [layer for layer in stage.GetUsedLayers() if layer.realPath]
         assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _of_layer(layer.realPath))
@@ -102,7 +102,7 @@ def other_files(path: str | Path) -> list[Path]:
             *(tile for name in assets for tile in texture_files(name)),
         }
     own = Path(stage.GetRootLayer().realPath)
-    return sorted(file for file in files if file.is_file() and file != own)  # entries of a package are no files
+    return sorted(file for file in files if file.is_file() and file != own)  # entries of a .usdz are no files
 
 
 def _reason(error: Exception) -> str:

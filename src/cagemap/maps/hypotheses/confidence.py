@@ -65,13 +65,13 @@ JUMP = 0.2
 # normals count as twice this distance.
 NEIGHBORS, NEAR_SPACINGS = 24, 1.4
 # Weight of normals, of sqrt(area): keeps images on their side of a thin part.
-FACING = 0.05
+NORMAL_WEIGHT = 0.05
 # Angle in degrees between the normals of two maps.
 TURNED_DEGREES = 60.0
 # Beginning of the warning about jumps.
 JUMPING = "the map jumps between parts that only touch"
 
-ACROSS = np.array([-1.0, 1.0, 1.0])
+MIRROR_X = np.array([-1.0, 1.0, 1.0])
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
 # Reason shown for a result file without signs.
 NOT_JUDGED = "it was matched by an older version of cagemap: match again"
@@ -240,8 +240,8 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | N
     places, normals = images.positions, images.normals
     once = target.heads < target.tails
     edges = np.column_stack([target.heads[once], target.tails[once]])
-    tree = cKDTree(np.hstack([source.positions, FACING * source.normals]))
-    at = tree.query(np.hstack([places, FACING * normals]))[1]
+    tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
+    at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
     pairs = np.concatenate([edges, image_pairs(places, normals)])
     counts = prepared.masks.of_target(found.target.n) if counts is None else counts
     pairs = pairs[(counts[prepared.vertices] > 0)[pairs].all(axis=1)]
@@ -307,7 +307,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     small, source = problem.small_shape, problem.prepared.source_surface
     graph, constraints = small.rest.graph, small.constraints
     config = problem.prepared.elastic.search
-    mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
+    mirrored = TriangleSurface(source.positions * MIRROR_X, source.triangles[:, ::-1])
 
     def least_cost(surface: TriangleSurface, constraints: PlacementConstraints, *known: FloatArray) -> float:
         """Least cost of fits to a surface from the nearest rigid starts, and from known ones."""
@@ -327,8 +327,8 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
 
     cost = least_cost(source, constraints, positions[small.vertices])
     curves = (
-        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
+        replace(curve, source=Polyline(curve.source.positions * MIRROR_X, curve.source.closed))
         for curve in constraints.curves
     )
-    mirrored_constraints = replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves))
+    mirrored_constraints = replace(constraints, places=constraints.places * MIRROR_X, curves=tuple(curves))
     return cost / least_cost(mirrored, mirrored_constraints)

@@ -58,7 +58,7 @@ OFFSETS = (0.0, 0.25, 0.5, 0.75)
 
 # Why suspected pairs are kept.
 NO_BETTER = "the map is hardly better without"
-GROWN = "one surface has handles that the other lacks, as if parts that touch had grown together"
+EXTRA_HANDLES = "one surface has handles that the other lacks, as if parts that touch had grown together"
 
 DISTANCES, SIDES = "distances", "sides"
 EVIDENCE = {
@@ -139,7 +139,7 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
     if suspected is None:
         return {}, [CONTRADICTION]
     if suspected and has_merged_parts(problem):
-        return {}, [kept_note(suspected, names, GROWN)]
+        return {}, [kept_note(suspected, names, EXTRA_HANDLES)]
     if suspected:
         progress("map without doubtful landmarks")
         costs = coarse_map_cost(problem), coarse_map_cost(problem.without(suspected))
@@ -173,9 +173,9 @@ def check_on_map(
         typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
         if typical <= config.max_strain_misfit:
             strain_notes.append(
-                f"landmark '{names[kept[strained]]}' strains the map around it, and only there: let go, it would move "
-                f"by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it was a slip, "
-                "correct it"
+                f"landmark '{names[kept[strained]]}' strains the map around it and nowhere else: released, it would "
+                f"move by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it is a "
+                "mistake, correct it"
             )
     suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
     return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
@@ -255,7 +255,7 @@ def check_changes(
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in suspected.items() if kept[i] in changed}
     if wrong and has_merged_parts(problem):
-        return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
+        return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, EXTRA_HANDLES)))))
     contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.max_confirmed_miss]
     new = tuple(_suspect(problem, before, names, i, wrong[i]) for i in contradicted)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
@@ -272,13 +272,13 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
     )
 
 
-def _suspect(problem: Problem, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
+def _suspect(problem: Problem, found: PointMap, names: Sequence[str], pair: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
     points = problem.landmarks.source
     at_vertex, near = vertices_at(points), near_vertices(points, problem.prepared.source)
-    given = int(np.where(at_vertex < 0, near, at_vertex)[place])  # near vertices differ on a plain mesh's finest level
+    given = int(np.where(at_vertex < 0, near, at_vertex)[pair])  # near vertices differ on a plain mesh's finest level
     return LandmarkSuspect(
-        names[place], place, *landmark_miss(problem, found, place), source_vertex=given, evidence=evidence
+        names[pair], pair, *landmark_miss(problem, found, pair), source_vertex=given, evidence=evidence
     )
 
 
