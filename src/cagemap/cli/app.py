@@ -42,9 +42,9 @@ app = typer.Typer(
     name="cagemap",
     help=(
         "Dense maps between subdivision surfaces, from their control meshes and a few landmarks, "
-        "and textures carried across.\n\n"
-        "The target receives, the source gives: `cagemap match` finds for every point of the target its place on the "
-        "source, `cagemap transfer` fetches what is there. Try `cagemap demo` first."
+        "and transfer along them.\n\n"
+        "The target receives, the source gives: `cagemap match` finds for every point of the target its point on the "
+        "source, `cagemap transfer` transfers values along this map. Try `cagemap demo` first."
     ),
     no_args_is_help=True,
     add_completion=False,

@@ -29,7 +29,7 @@ class RigRequest:
     ] = None
     passengers: Annotated[
         str | None,
-        Option(group=INPUT, help="Clothes, eyes and hair to carry, by name: eyes,shirt or none.  [default: all]"),
+        Option(group=INPUT, help="Clothes, eyes and hair to transfer, by name: eyes,shirt or none.  [default: all]"),
     ] = None
     rigid: Annotated[str | None, Option(group=INPUT, help="Passengers whose pieces keep their shape: hat,glasses.")] = (
         None

@@ -23,7 +23,7 @@ class RunRequest:
     workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
         None
     )
-    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list the tasks and estimate their time.")] = False
+    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list tasks; estimate time and disk space.")] = False
     task: Annotated[
         str | None,
         Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),

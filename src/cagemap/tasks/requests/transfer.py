@@ -87,7 +87,7 @@ class TransferRequest:
     blend_shapes: Annotated[
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
     ] = ()
-    passenger: Annotated[Path | None, Option(help="Mesh on the source to carry: clothes, eyes, hair, a prop.")] = None
+    passenger: Annotated[Path | None, Option(help="Mesh on the source to transfer: clothes, eyes, hair, prop.")] = None
     kind: Annotated[
         str | None,
         Option(("--as",), help="Passenger: cloth, rigid or similarity.  [default: chosen for each piece]"),
