@@ -83,6 +83,20 @@ class CurveConstraint:
         return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)
 
 
+def add_curves(
+    curves: Sequence[CurveConstraint],
+    blocks: FloatArray,
+    right: FloatArray,
+    positions: FloatArray,
+    config: ElasticConfig,
+) -> None:
+    """Add the terms of curves to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+    weight = config.curve_weight
+    for curve in curves:
+        terms, forces = curve.terms(positions)
+        add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
+
+
 def constrained_clusters(
     curves: Sequence[CurveConstraint], constrained: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
@@ -108,15 +122,16 @@ class PlacementConstraints:
     curves: tuple[CurveConstraint, ...] = ()
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the constraints' terms to a data term (n, 3, 3), (n, 3) at positions (n, 3).
+        """Add the terms of curves and points to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+        add_curves(self.curves, blocks, right, positions, config)
+        self.add_points(blocks, right, positions, config)
+
+    def add_points(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of points alone.
 
         A point at a vertex replaces the vertex's other terms. Between vertices, ``|sum_k b_k x_k - y|^2`` gives every
         corner the residual with weight b_k, as in `source_to_target`.
         """
-        for curve in self.curves:
-            terms, forces = curve.terms(positions)
-            weight = config.curve_weight
-            add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
         weight, at_vertex = config.landmark_weight, self.anchors.weights[:, 0] == 1.0
         vertices = self.anchors.corners[at_vertex, 0]
         blocks[vertices] = weight * np.eye(3)

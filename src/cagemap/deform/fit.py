@@ -8,7 +8,6 @@ and curves are constraints.
 from __future__ import annotations
 
 from concurrent.futures import Future
-from dataclasses import replace
 
 import numpy as np
 
@@ -153,7 +152,7 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
-    replace(constraints, curves=()).add(blocks, right, start, config)
+    constraints.add_points(blocks, right, start, config)
     return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
 
 

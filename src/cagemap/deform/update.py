@@ -13,12 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import PlacementConstraints, constrained_clusters
+from cagemap.deform.constraints import add_curves, constrained_clusters
 from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
 from cagemap.deform.graph import ElasticGraph, cluster_graph, extrapolate
 from cagemap.deform.problem import Problem
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import vertex_normals
 
@@ -60,8 +59,7 @@ def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     normals = vertex_normals(positions, mesh.triangles)[vertices]
     offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
     blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
-    no_points = CagePoints.of_vertices(constrained[:0])
-    PlacementConstraints(no_points, positions[:0], curves).add(blocks, right, positions[vertices], config)
+    add_curves(curves, blocks, right, positions[vertices], config)
     terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
     response = displacement_response(coarse, normals, np.arange(len(constrained)), offsets, config, terms)
     return positions + extrapolate(coarse, *response, graph, config.graph)
