@@ -31,7 +31,9 @@ class StageSpace:
 
 
 def stage_units(path: str | Path) -> StageSpace:
-    """Unit and up axis of a USD file, without the transform of its mesh."""
+    """Unit and up axis of a USD file, without the transform of its mesh; glTF and FBX are read in metres, Y up."""
+    if Path(path).suffix.lower() in SCENE_SUFFIXES:
+        return StageSpace("Y", 1.0)
     pxr, stage = usd_modules(), open_stage(path)
     with named_damage(path):
         axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
@@ -65,17 +67,15 @@ def unit_notes(*files: Path) -> tuple[str, ...]:
     """A sentence on target and source if both state their units and axes, and these differ."""
     if not all(map(states_units, files)):
         return ()
-    (target, target_space), (source, source_space) = (
-        (file.name, stage_units(file) if is_usd(file) else StageSpace("Y", 1.0)) for file in files
-    )
+    (target, target_space), (source, source_space) = ((file.name, stage_units(file)) for file in files)
     if (target_space.up_axis, target_space.meters_per_unit) == (source_space.up_axis, source_space.meters_per_unit):
         return ()
     return (f"{target} has {target_space}, {source} {source_space}: results are in the target's own",)
 
 
 def to_standard(path: Path) -> FloatArray:
-    """(4, 4) from the space of a USD file's control mesh to metres in world space with Y up."""
-    return to_metres(stage_space(path))
+    """(4, 4) from the space of the control mesh of a USD, glTF or FBX file to metres in world space with Y up."""
+    return to_metres(stage_space(path) if is_usd(path) else stage_units(path))
 
 
 def to_metres(space: StageSpace) -> FloatArray:
@@ -98,6 +98,4 @@ def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
     """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes."""
     if target is None or source is None or not (states_units(target) and states_units(source)):
         return np.eye(4)
-    # glTF and FBX are read in metres with Y up.
-    from_target, from_source = (to_standard(path) if is_usd(path) else np.eye(4) for path in (target, source))
-    return np.asarray(from_source @ np.linalg.inv(from_target), dtype=np.float64)
+    return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
