@@ -46,17 +46,13 @@ def write_obj(
     mesh = replace(mesh, material_names=_distinct(mesh.material_names))
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
-    for written in obj_files(file, mesh, like):
+    library, has_materials = file.with_suffix(".mtl"), mesh.face_materials is not None
+    named = _libraries_of(like, file.parent) if has_materials else ""
+    is_own = has_materials and not named
+    for written in [library, file] if is_own else [file]:
         require_replaceable(written, force=force)
-    library = file.with_suffix(".mtl")
-    own = mesh.face_materials is not None and not _has_materials(like)
-    parts = [f"# {mark()}\n"]
-    if own:
-        parts.append(f"mtllib {library.name}\n")
-    elif mesh.face_materials is not None and like is not None:
-        parts.append(_libraries(read_text(Path(like), "an OBJ file"), Path(like), file.parent))
-    parts += obj_statements(mesh)
-    if own:
+    parts = [f"# {mark()}\n", f"mtllib {library.name}\n" if is_own else named, *obj_statements(mesh)]
+    if is_own:
         statements = color_statements(mesh.material_names, mesh.material_colors)
         write_materials(library, statements, images, force=force)
     write_whole(file, "".join(parts), force=force)
@@ -81,14 +77,15 @@ def _distinct(names: Sequence[str]) -> tuple[str, ...]:
 
 def obj_files(path: Path, mesh: ControlMesh, like: str | Path | None = None) -> list[Path]:
     """Files that `write_obj` writes for a mesh."""
-    return [path] if mesh.face_materials is None or _has_materials(like) else [path.with_suffix(".mtl"), path]
+    is_own = mesh.face_materials is not None and not _libraries_of(like, path.parent)
+    return [path.with_suffix(".mtl"), path] if is_own else [path]
 
 
-def _has_materials(file: str | Path | None) -> bool:
-    """Whether a file is an OBJ file whose material files exist."""
+def _libraries_of(file: str | Path | None, folder: Path) -> str:
+    """``mtllib`` lines for a copy of a file in a folder; '' unless it is an OBJ file whose material files exist."""
     if file is None or Path(file).suffix.lower() != ".obj" or not Path(file).is_file():
-        return False
-    return bool(material_files(Path(file), read_text(Path(file), "an OBJ file")))
+        return ""
+    return _libraries(read_text(Path(file), "an OBJ file"), Path(file), folder)
 
 
 def obj_statements(mesh: ControlMesh) -> list[str]:

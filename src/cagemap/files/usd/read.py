@@ -5,6 +5,7 @@ References, variants and layers are resolved by USD itself.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import re
 from collections.abc import Mapping, Sequence
@@ -83,8 +84,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         if prims and left_out:
             text = "%s: left out what is no mesh: %s; convert it to meshes to keep it"
             logger.warning(text, file, first_few(left_out))
-        final = [prim for prim in prims if _is_final(prim)]
-        if hidden := [str(prim.GetPath()) for prim in prims if final and not _is_final(prim)]:
+        are_final = list(map(_is_final, prims))
+        final = list(itertools.compress(prims, are_final))
+        if hidden := [str(prim.GetPath()) for prim, kept in zip(prims, are_final, strict=True) if final and not kept]:
             text = "%s: left out invisible meshes and previews: %s; make them visible, of purpose default, to keep them"
             logger.warning(text, file, first_few(hidden))
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
