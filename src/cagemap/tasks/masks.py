@@ -246,11 +246,11 @@ def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None
 def _own_values(base: Path, control: ControlMesh, rows: FileRows | None, carried: Attributes) -> Attributes:
     """The target's own values by carried name; a file's only table has the names' order."""
     given = read_attributes(base, control, rows)
-    table = given.get(JOINT_WEIGHTS) if len(given) > 1 else next(iter(given.values()), None)
     if all(name in given for name in carried):
         return given
     if len(given) == len(carried) == 1:
         return dict(zip(carried, given.values(), strict=True))
+    table = given.get(JOINT_WEIGHTS) if len(given) > 1 else next(iter(given.values()), None)
     if table is not None and table.ndim == 2 and table.shape[1] == len(carried):
         return dict(zip(carried, table.T, strict=True))
     missing = [name for name in carried if name not in given]

@@ -7,7 +7,6 @@ import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -105,19 +104,19 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path, document: Do
     return write_numbered(folder / f"{path.stem}_texture{suffix}", data)
 
 
+def _sealed(name: str, data: bytes) -> bytes:
+    """The content of a file of this name if cagemap wrote it."""
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / name
+        written.write_bytes(data)
+        seal(written)
+        return written.read_bytes()
+
+
 def write_numbered(file: Path, data: bytes) -> Path:
     """Write a file; its name gets a number if a file of that name has another content. Returns the path."""
-
-    @cache
-    def sealed() -> bytes:  # the content of the file if it was written before
-        with tempfile.TemporaryDirectory() as folder:
-            written = Path(folder) / file.name
-            written.write_bytes(data)
-            seal(written)
-            return written.read_bytes()
-
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
-    free = next(path for path in files if not path.exists() or path.read_bytes() in (data, sealed()))
+    free = next(path for path in files if not path.exists() or path.read_bytes() in (data, _sealed(file.name, data)))
     if not free.exists():
         write_whole(free, data)
     return free

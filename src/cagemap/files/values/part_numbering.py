@@ -104,9 +104,8 @@ class FileRows:
                 f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's "
                 "own values."
             )
-        filled = np.zeros(shape, dtype=values.dtype)
-        if below is not None:  # whole numbers over fractions become floats
-            filled = np.array(below, dtype=np.result_type(values, below))
+        # Whole numbers over fractions become floats.
+        filled = np.zeros(shape, values.dtype) if below is None else np.array(below, np.result_type(values, below))
         if kind == 0:
             return self._spread(filled, values)
         filled[self.faces if kind == 1 else self.corners] = values

@@ -38,7 +38,7 @@ class Sign:
 
 # In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
 SIGNS: dict[str, Sign] = {
-    # Cost of the target on the source, divided by its cost on the source's mirror image.
+    # Cost of the fit to the source, divided by the cost of a fit to the source's mirror image.
     "mirrored": Sign(
         1.2,
         "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
@@ -73,6 +73,8 @@ JUMPING = "the map jumps between parts that only touch"
 
 MIRROR_X = np.array([-1.0, 1.0, 1.0])
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
+# Name of the map that was found, where landmarks leave another one open.
+AS_GIVEN = "as the landmarks are given"
 # Reason shown for a result file without signs.
 NOT_JUDGED = "it was matched by an older version of cagemap: match again"
 
@@ -182,7 +184,7 @@ def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> 
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
             answers = (
-                Placement(best.map_positions, best.cost, name="as the landmarks are given"),
+                Placement(best.map_positions, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name="with a limb turned otherwise about its axis"),
             )
             apart = np.linalg.norm(best.positions - other.positions, axis=1)

@@ -18,7 +18,7 @@ from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import FEWEST_LANDMARKS, start_map
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.confidence import TWO, Confidence, cost_signs
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_signs
 from cagemap.maps.hypotheses.limbs import mutually_nearest
 from cagemap.maps.hypotheses.search import search
 from cagemap.maps.landmarks.outliers import (
@@ -315,7 +315,7 @@ def check_mirrored(
     pairs = tuple(map(tuple, exchange.tolist()))
     exchanged = "with left and right of the landmarks exchanged"
     answers = (
-        Placement(given.map_positions, given.cost, name="as the landmarks are given"),
+        Placement(given.map_positions, given.cost, name=AS_GIVEN),
         Placement(best.map_positions, best.cost, name=exchanged, exchange=pairs),
     )
     return Confidence(TWO, answers, cost_signs(answers)), check
