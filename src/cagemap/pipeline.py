@@ -309,7 +309,7 @@ def match_next(
     source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
         The next frame, in units and axes of the last one. Its connectivity may be another.
     landmarks : Landmarks or (p, 2) array, optional
-        Of the target and this frame: constraints of the fit.
+        Between the target and this frame; constraints of the fit.
     config : MatchConfig
         Of method "elastic".
     progress : callable

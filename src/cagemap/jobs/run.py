@@ -341,7 +341,7 @@ def _output_sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]
 
 
 def _replacing(root: Path, task: Task, note: dict[str, Any]) -> Task:
-    """The task, told to replace files without a mark (tables) if they are as the noted run left them."""
+    """The task with permission to replace its tables, which have no mark, if no file changed since the noted run."""
     hashes = note.get("hashes", {})
     known = {root / path: value for path, value in hashes.items() if (root / path).is_file()}
     others = {root / path for path in (*task.outputs, *note.get("outputs", ()))} - known.keys()

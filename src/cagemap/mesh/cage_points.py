@@ -129,7 +129,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
 
 
 def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, what: str) -> str:
-    """Sentence on points, each with a name, at vertices that a mesh does not have; '' without such points."""
+    """Error message that lists the named points at vertices that the mesh does not have; '' if there are none."""
     outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
     if not len(outside):
         return ""
@@ -141,7 +141,7 @@ def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, w
 
 
 def repeated_fault(names: Sequence[str], what: str) -> str:
-    """Sentence on names that occur again; '' if all differ."""
+    """Error message that lists the names that are repeated; '' if all differ."""
     again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
     return f"expected every {what} once, got these again: {first_few(again)}. Rename them." if again else ""
 

@@ -175,7 +175,7 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
 
 
 def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
-    """The connected ones of disjoint parts."""
+    """Those of disjoint parts that are connected."""
     of_corner = _part_of_corners(mesh, parts) + 1
     # One node for every pair of a vertex and a part around it.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)

@@ -114,7 +114,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
-    """``file_copies`` once vertices (k,) are joined; ``vertex_of`` (n,) are new numbers, -1 of removed vertices."""
+    """``file_copies`` of a mesh whose vertices (k,) were joined; ``vertex_of`` (n,): new numbers, -1 if removed."""
     file_numbers = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
     pairs = np.column_stack([vertex_of[joined], file_numbers])
     earlier = renumbered_copies(mesh.file_copies, vertex_of)
@@ -197,7 +197,10 @@ def coincident_vertices(
 
 
 def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> float | None:
-    """Smallest of `TOLERANCES` that leaves fewest pieces and joins no edge of a face; None if none helps."""
+    """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None if none reduces their number.
+
+    Tolerances that would join different positions of one face are not considered.
+    """
     following = mesh.face_indices[mesh.next_corners]
     best, fewest = None, count_pieces(mesh, np.arange(mesh.n_vertices))
     for tolerance in TOLERANCES:

@@ -64,7 +64,7 @@ def offsets_of(sizes: Sequence[int] | NDArray[np.integer]) -> IndexArray:
 
 
 def places_of(numbers: NDArray[np.integer], count: int) -> IndexArray:
-    """(count,) place of every number below ``count`` in an array without repeats; -1 for missing ones."""
+    """(count,) index of every number below ``count`` in an array without repeats; -1 for missing numbers."""
     places = np.full(count, -1, dtype=np.int64)
     places[numbers] = np.arange(len(numbers))
     return places

@@ -207,7 +207,7 @@ def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
 
 
 def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[Rows, Rows]:
-    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T."""
+    """Functions that give rows of the spectral embeddings of two levels, Phi~1 and Phi~2 C12^T."""
     k1, k2 = functional_map.shape
     target = spectral_rows(pair.target, levels[0], k1)
     return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)

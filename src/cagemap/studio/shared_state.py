@@ -60,7 +60,7 @@ class SharedState:
             self._say(kind, text)
 
     def answer_error(self, error: Message | None) -> None:
-        """Take an error off the status line after an action, unless the action met another one."""
+        """Remove an error from the status line after an action that caused no new error."""
         with self._lock:
             if error is not None and self._state.error is error:
                 self._change(answered_error=error)

@@ -54,7 +54,8 @@ def bake_normal_map(
     space : "tangent" or "object"
         Tangent space is MikkTSpace's, of both refined surfaces.
     green : "up" or "down"
-        Tangent space: whether green grows with v (OpenGL, Blender) or against it (DirectX), in both images.
+        In tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both
+        images.
     dtype, options
         As in `bake_texture`.
 

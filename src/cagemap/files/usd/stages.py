@@ -1,4 +1,4 @@
-"""USD files as stages: opened once, their damage named, the layers and images that they refer to.
+"""Opening of USD files, errors of damaged ones, and the layers and images that they refer to.
 
 USD is an extra, ``cagemap[usd]``, imported when a USD file is read or written.
 """

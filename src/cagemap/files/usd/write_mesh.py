@@ -67,10 +67,10 @@ def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> Non
 
 
 def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[str, Any] | None = None) -> None:
-    """Write materials as subsets with bindings, and groups as plain subsets.
+    """Write materials as face subsets with material bindings, and groups as face subsets.
 
-    ``materials``: materials of the stage by name, of which one on all faces needs no subset; default: new ones with the
-        mesh's colours.
+    ``materials``: materials of the stage by name; one on all faces is bound to the mesh, without a subset. Default: new
+        materials with the mesh's colours.
     """
     pxr = usd_modules()
     named = named_faces(mesh)
@@ -102,7 +102,7 @@ def _colored_material(stage: Any, path: str, color: FloatArray) -> Any:
 
 
 def row_kinds(mesh: ControlMesh) -> dict[int, str]:
-    """Interpolation by number of rows; vertices have priority if numbers are equal."""
+    """USD interpolation of an array by its number of rows; if vertices are as many as faces or corners, per vertex."""
     return {len(mesh.face_indices): CORNERS, mesh.n_faces: "uniform", mesh.n_vertices: "vertex"}
 
 
@@ -154,7 +154,7 @@ def write_weights(prim: Any, table: FloatArray) -> None:
 
 
 def write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
-    """Define blend shapes below a mesh, with the offsets that are not 0."""
+    """Define blend shapes as children of a mesh prim; offsets of 0 are left out."""
     pxr = usd_modules()
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     taken = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
