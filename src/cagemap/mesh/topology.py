@@ -28,7 +28,6 @@ class Topology:
 
     Corners of a face are consecutive. ``edges`` is the edge from a corner to the ``following`` one of its face;
     ``forward`` is True where the half-edge has that edge's direction, as one of the two of an inner edge has.
-    ``known_ranks`` are the `ranks` where a subdivision step gives them.
     """
 
     n_vertices: int
@@ -40,7 +39,6 @@ class Topology:
     faces: IntArray
     following: IntArray
     previous: IntArray
-    known_ranks: IntArray | None = None
 
     @property
     def n_corners(self) -> int:
@@ -102,8 +100,6 @@ class Topology:
 
         Separate fans of faces may touch in a boundary vertex; the corners of all but one then have rank -1.
         """
-        if self.known_ranks is not None:
-            return self.known_ranks
         ranks = np.full(self.n_corners, -1, dtype=np.int32)
         twin = self.edge_corners[self.edges, self.forward.astype(np.int64)]
         numbers = np.arange(self.n_corners, dtype=np.int32)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, eye_array
 
 from cagemap.errors import ParameterError
@@ -18,12 +17,12 @@ from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, Cat
 from cagemap.mesh.topology import BoolArray, Topology, topology_of
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, mask_of, places_of
 from cagemap.subdivision.matrices import (
-    RowFiller,
-    put_boundary_rows,
-    put_inner_rows,
+    Entries,
+    boundary_entries,
+    inner_entries,
+    matrix_of,
     rings_of,
     subdivision_matrix,
-    vertex_row_lengths,
 )
 from cagemap.subdivision.refinement import Refinement, state_of
 from cagemap.subdivision.sharpness import MeshState, Sharpness, next_state
@@ -31,8 +30,6 @@ from cagemap.subdivision.topology import corner_neighbours
 from cagemap.surface.triangles import normalize_rows
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
-# Rows, columns and weights of matrix entries.
-Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 
 def limit_matrix(refinement: Refinement, level: int) -> csr_array:
@@ -105,11 +102,10 @@ def _features(topology: Topology, sharpness: Sharpness) -> tuple[BoolArray, Bool
 def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_array:
     """(n, n) weights of limit positions; rows that are not wanted are undefined."""
     topology, sharpness = state.topology, state.sharpness
+    shape = topology.n_vertices, topology.n_vertices
     own_weights, *each = scheme.limit_weights(topology.valences)
-    rows = RowFiller(vertex_row_lengths(topology, state.corner, len(each)))
-    put_inner_rows(rows, topology, own_weights, *zip(rings_of(topology, scheme), each, strict=True))
-    put_boundary_rows(rows, topology, state.corner, CREASE_LIMIT)
-    smooth_limits = rows.matrix(topology.n_vertices)
+    inner = inner_entries(topology, own_weights, *zip(rings_of(topology, scheme), each, strict=True))
+    smooth_limits = matrix_of([*inner, *boundary_entries(topology, state.corner, CREASE_LIMIT)], shape)
     if sharpness is None:
         return smooth_limits
     semi, dart, crease, corner = _features(topology, sharpness)
@@ -126,7 +122,7 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
         finer = (_limits(child, scheme, chosen)[np.flatnonzero(chosen)] @ matrix).tocoo()
         entries.append((np.flatnonzero(semi & wanted)[finer.coords[0]], numbers[finer.coords[1]], finer.data))
     smooth = ~(semi | dart | crease | corner)
-    result = diags_array(smooth.astype(np.float64)) @ smooth_limits + matrix_of(entries, topology.n_vertices)
+    result = diags_array(smooth.astype(np.float64)) @ smooth_limits + matrix_of(entries, shape)
     result = csr_array(result + _dart_rows(topology, sharpness, scheme, dart & wanted)[0])
     result.eliminate_zeros()
     result.sort_indices()
@@ -208,7 +204,7 @@ def _dart_rows(
     topology: Topology, sharpness: Sharpness, scheme: SmoothScheme, dart: BoolArray
 ) -> tuple[csr_array, csr_array, csr_array]:
     """(n, n) weights of limit position and of two tangents at darts (ends of an infinite crease)."""
-    infinite = (sharpness.edges >= INFINITE_SHARPNESS)[topology.edges]
+    infinite, shape = (sharpness.edges >= INFINITE_SHARPNESS)[topology.edges], (topology.n_vertices,) * 2
     first = np.zeros(topology.n_vertices, dtype=np.int32)
     leading = infinite & dart[topology.vertices]
     first[topology.vertices[leading]] = topology.ranks[leading]
@@ -225,7 +221,7 @@ def _dart_rows(
         columns = np.hstack([darts, *(ring[corners] for ring in rings)])
         for kind, weights in zip(entries, _dart_weights(scheme, valence), strict=True):
             kind.append((np.repeat(darts, columns.shape[1]), columns.ravel(), np.tile(weights, len(darts))))
-    position, first_tangent, second = (matrix_of(kind, topology.n_vertices) for kind in entries)
+    position, first_tangent, second = (matrix_of(kind, shape) for kind in entries)
     return position, first_tangent, second
 
 
@@ -266,18 +262,13 @@ def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
 
 # Boundary formulas below are derived for the rules used here: published formulas (also OpenSubdiv's) belong to other
 # boundary rules and are up to 10 degrees off.
-def matrix_of(entries: list[Entries], n: int) -> csr_array:
-    """(n, n) sparse matrix of all entries."""
-    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
-    return csr_array((weights, (rows, columns)), shape=(n, n))
-
-
 def ring_tangents(
     topology: Topology, scheme: SmoothScheme, corner: BoolArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Two tangents (n, 3) of every vertex without creases; at the boundary the first one is along it."""
     sides = zip(_inner_tangents(topology, scheme), _boundary_tangents(topology, scheme, corner), strict=True)
-    first, second = (matrix_of([*inner, *boundary], topology.n_vertices) @ positions for inner, boundary in sides)
+    shape = topology.n_vertices, topology.n_vertices
+    first, second = (matrix_of([*inner, *boundary], shape) @ positions for inner, boundary in sides)
     return first, second
 
 

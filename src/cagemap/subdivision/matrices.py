@@ -2,85 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, diags_array, vstack
+from scipy.sparse import csr_array, diags_array, vstack
 
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, IntArray, Topology
-from cagemap.numerics.arrays import FloatArray
-from cagemap.subdivision.sharpness import MeshState, sharpen_matrix
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.subdivision.sharpness import MeshState, Sharpness, vertex_rules
+
+# Rows, columns and weights of matrix entries.
+Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
 
 
-class RowFiller:
-    """Fill a CSR matrix with rows of known lengths; first entries are the vertices' own weights."""
-
-    def __init__(self, lengths: NDArray[np.integer]) -> None:
-        self.indptr = np.zeros(len(lengths) + 1, dtype=np.int32)
-        np.cumsum(lengths, out=self.indptr[1:])
-        self.indices = np.empty(self.indptr[-1], dtype=np.int32)
-        self.data = np.empty(self.indptr[-1], dtype=np.float64)
-
-    def put(
-        self, rows: NDArray[np.integer] | slice, offset: IntArray | int, columns: IntArray, weights: object
-    ) -> None:
-        """Set entry number ``offset`` of each of ``rows``."""
-        at = self.indptr[:-1][rows] + offset
-        self.indices[at] = columns
-        self.data[at] = weights
-
-    def matrix(self, n_columns: int) -> csr_array:
-        """The matrix, with repeated entries of a row summed (at valence 2 inside, and for n-gons)."""
-        matrix = csr_array((self.data, self.indices, self.indptr), shape=(len(self.indptr) - 1, n_columns))
-        matrix.sum_duplicates()
-        return matrix
+def matrix_of(entries: Sequence[Entries], shape: tuple[int, int]) -> csr_array:
+    """Sparse matrix of all entries; repeated ones are summed (at valence 2 inside, and for n-gons)."""
+    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+    return csr_array((weights, (rows.astype(np.int32), columns.astype(np.int32))), shape=shape)
 
 
-def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> None:
-    """Fill rows of boundary vertices: ``weights`` (own, each boundary neighbour), or 1 at corners."""
-    crease = topology.boundary & ~corner
-    curve = topology.boundary_corners
+def boundary_entries(topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> list[Entries]:
+    """Entries of boundary vertices: ``weights`` (own, each boundary neighbour), or 1 at corners."""
+    crease, curve = topology.boundary & ~corner, topology.boundary_corners
     starts, ends = topology.vertices[curve], topology.vertices[topology.following[curve]]
-    numbers = np.arange(topology.n_vertices, dtype=np.int32)
-    rows.put(numbers[crease], 0, numbers[crease], weights[0])
-    rows.put(numbers[corner], 0, numbers[corner], 1.0)
-    rows.put(starts[crease[starts]], 1, ends[crease[starts]], weights[1])
-    rows.put(ends[crease[ends]], 2, starts[crease[ends]], weights[1])
+    own = np.flatnonzero(crease | corner).astype(np.int32)
+    return [
+        (own, own, np.where(corner[own], 1.0, weights[0])),
+        *(
+            (vertices[crease[vertices]], neighbours[crease[vertices]], np.full(crease[vertices].sum(), weights[1]))
+            for vertices, neighbours in ((starts, ends), (ends, starts))
+        ),
+    ]
 
 
-def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
-    """Fill rows of inner vertices: own weight (n,), then vertex (c,) and weight (n,) of every ring."""
-    smooth = ~topology.boundary
-    numbers = np.flatnonzero(smooth).astype(np.int32)
-    rows.put(numbers, 0, numbers, own[numbers])
-    around = np.flatnonzero(smooth[topology.vertices]) if not smooth.all() else slice(None)
+def inner_entries(topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> list[Entries]:
+    """Entries of inner vertices: own weight (n,), then vertex (c,) and weight (n,) of every ring."""
+    numbers = np.flatnonzero(~topology.boundary).astype(np.int32)
+    around = np.flatnonzero(~topology.boundary[topology.vertices])
     centres = topology.vertices[around]
-    first = 1 + len(rings) * topology.ranks[around]
-    for place, (columns, weights) in enumerate(rings):
-        rows.put(centres, first + place, columns[around], weights[centres])
+    return [(numbers, numbers, own[numbers]), *((centres, ring[around], weights[centres]) for ring, weights in rings)]
 
 
-def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other_weight: float, n_others: int) -> None:
-    """Fill rows of edge points: the two ends, then ``n_others`` other vertices of each adjacent face."""
+def _edge_entries(topology: Topology, end_weight: float, other_weight: float, n_others: int) -> list[Entries]:
+    """Entries of edge points: the two ends, and ``n_others`` other vertices of each adjacent face."""
     forward, backward = topology.edge_corners.T
     interior = backward >= 0
     numbers = np.arange(topology.n_vertices, topology.n_vertices + topology.n_edges, dtype=np.int32)
     weight = np.where(interior, end_weight, 0.5)
-    rows.put(numbers, 0, topology.vertices[forward], weight)
-    rows.put(numbers, 1, topology.vertices[topology.following[forward]], weight)
-    place = 2
+    entries: list[Entries] = [
+        (numbers, topology.vertices[corner], weight) for corner in (forward, topology.following[forward])
+    ]
     for corner in (forward[interior], backward[interior]):
         for _ in range(n_others):
             corner = topology.previous[corner]
-            rows.put(numbers[interior], place, topology.vertices[corner], other_weight)
-            place += 1
-
-
-def vertex_row_lengths(topology: Topology, corner: BoolArray, n_rings: int) -> IntArray:
-    """(n,) number of entries in every vertex's row: itself and its rings, or its boundary neighbours."""
-    lengths = np.where(topology.boundary, 3, 1 + n_rings * topology.valences)
-    lengths[corner] = 1
-    return lengths
+            entries.append((numbers[interior], topology.vertices[corner], np.full(len(corner), other_weight)))
+    return entries
 
 
 def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
@@ -91,19 +70,17 @@ def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
 
 def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
     """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
-    rings = rings_of(topology, scheme)
+    n, rings, n_points = topology.n_vertices, rings_of(topology, scheme), topology.n_vertices + topology.n_edges
     own_weights, *each = scheme.vertex_weights(topology.valences)
-    n_face_points = 0 if isinstance(scheme, Loop) else topology.n_faces
-    edge_lengths = np.where(~topology.outer_edges, 2 + 2 * len(rings), 2)
-    lengths = vertex_row_lengths(topology, corner, len(rings)), edge_lengths, np.full(n_face_points, 4)
-    rows = RowFiller(np.concatenate(lengths))
-    put_inner_rows(rows, topology, own_weights, *zip(rings, each, strict=True))
-    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
-    _put_edge_rows(rows, topology, *scheme.edge_weights(), n_others=len(rings))
-    if n_face_points:
-        start = rows.indptr[topology.n_vertices + topology.n_edges]
-        rows.indices[start:], rows.data[start:] = topology.vertices, 0.25
-    return rows.matrix(topology.n_vertices)
+    entries: list[Entries] = [
+        *inner_entries(topology, own_weights, *zip(rings, each, strict=True)),
+        *boundary_entries(topology, corner, CREASE_VERTEX),
+        *_edge_entries(topology, *scheme.edge_weights(), n_others=len(rings)),
+    ]
+    if isinstance(scheme, Loop):
+        return matrix_of(entries, (n_points, n))
+    entries.append((n_points + topology.faces, topology.vertices, np.full(topology.n_corners, 0.25)))
+    return matrix_of(entries, (n_points + topology.n_faces, n))
 
 
 def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
@@ -118,13 +95,11 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
     face_points = diags_array(1 / sizes) @ (of_face.T @ starts)
 
     own_weights, neighbour, face = scheme.polygon_vertex_weights(topology.valences)
-    boundary = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
-    put_boundary_rows(boundary, topology, corner, CREASE_VERTEX)
     vertex_points = (
         diags_array(np.where(smooth, own_weights, 0.0))
         + diags_array(np.where(smooth, neighbour, 0.0)) @ (starts.T @ ends)
         + diags_array(np.where(smooth, face, 0.0)) @ (starts.T @ of_face) @ face_points
-        + boundary.matrix(topology.n_vertices)
+        + matrix_of(boundary_entries(topology, corner, CREASE_VERTEX), (topology.n_vertices,) * 2)
     )
     interior = ~topology.outer_edges
     forward = topology.edge_corners[:, 0]
@@ -148,14 +123,13 @@ def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
     """Matrix of one linear step: vertices stay, edges get midpoints, faces the mean of their corners."""
     n, e = topology.n_vertices, topology.n_edges
     forward = np.flatnonzero(topology.forward)
-    edges = np.repeat(topology.edges[forward], 2)
-    ends = np.stack([topology.vertices[forward], topology.vertices[topology.following[forward]]], axis=1).ravel()
-    entries = [(np.arange(n), np.arange(n), np.ones(n)), (n + edges, ends, np.full(len(edges), 0.5))]
+    numbers, edges = np.arange(n, dtype=np.int32), n + topology.edges[forward]
+    half = np.full(len(forward), 0.5)
+    entries: list[Entries] = [(numbers, numbers, np.ones(n))]
+    entries += [(edges, topology.vertices[corner], half) for corner in (forward, topology.following[forward])]
     if with_faces:
         entries.append((n + e + topology.faces, topology.vertices, 1.0 / np.bincount(topology.faces)[topology.faces]))
-    rows, columns, values = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
-    places = rows.astype(np.int32), columns.astype(np.int32)
-    return csr_array(coo_array((values, places), shape=(n + e + (topology.n_faces if with_faces else 0), n)))
+    return matrix_of(entries, (n + e + (topology.n_faces if with_faces else 0), n))
 
 
 def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
@@ -168,3 +142,35 @@ def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
     else:
         matrix = polygon_matrix(topology, scheme, state.corner)
     return matrix if state.sharpness is None else sharpen_matrix(matrix, topology, state.sharpness, state.follows)
+
+
+def sharpen_matrix(
+    matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
+) -> csr_array:
+    """Add creases and corners to the matrix S (n_fine, n) of one step; S has the boundary's already."""
+    n = topology.n_vertices
+    ends, vertices = topology.edge_ends, np.arange(n)
+    smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
+    # An edge of sharpness s < 1 is blended, s sharp and 1 - s smooth, unless both its halves are still creases.
+    hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
+    hard[topology.outer_edges] = 0.0  # boundary edges have their midpoint already
+    # A boundary row of the matrix is kept where the boundary is the vertex's only crease.
+    unchanged = topology.boundary & (crease == 1)
+    smooth_part = np.ones(matrix.shape[0])
+    smooth_part[:n] = np.where(unchanged, 1.0, smooth)
+    smooth_part[n : n + len(ends)] = 1.0 - hard
+    own_weight, neighbour_weight = CREASE_VERTEX
+    crease = np.where(unchanged, 0.0, crease)
+    along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
+    sharp_edges = np.flatnonzero(hard)
+    parts: list[Entries] = [
+        (vertices, vertices, corner + own_weight * (crease + crease_after)),
+        (ends[:, 0], ends[:, 1], neighbour_weight * along[:, 0]),
+        (ends[:, 1], ends[:, 0], neighbour_weight * along[:, 1]),
+        (n + sharp_edges, ends[sharp_edges, 0], hard[sharp_edges] / 2),
+        (n + sharp_edges, ends[sharp_edges, 1], hard[sharp_edges] / 2),
+    ]
+    result = csr_array(diags_array(smooth_part) @ matrix + matrix_of(parts, matrix.shape))
+    result.eliminate_zeros()
+    result.sort_indices()
+    return result

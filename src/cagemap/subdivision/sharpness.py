@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, diags_array
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing, Scheme
+from cagemap.mesh.schemes import INFINITE_SHARPNESS, Creasing, Scheme
 from cagemap.mesh.topology import BoolArray, Topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.subdivision.topology import control_topology, split_topology
@@ -116,43 +115,6 @@ def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
     """Rule of every vertex from its number of sharp edges and its sharpness."""
     rule = np.where(count > 2, CORNER, np.where(count == 2, CREASE, SMOOTH))
     return np.asarray(np.where(sharpness > 0, CORNER, rule), dtype=np.int64)
-
-
-def sharpen_matrix(
-    matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
-) -> csr_array:
-    """Add creases and corners to the matrix S (n_fine, n) of one step; S has the boundary's already."""
-    n = topology.n_vertices
-    ends, vertices = topology.edge_ends, np.arange(n)
-    smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
-    # An edge of sharpness s < 1 is blended, s sharp and 1 - s smooth, unless both its halves are still creases.
-    hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
-    hard[topology.outer_edges] = 0.0  # boundary edges have their midpoint already
-    # A boundary row of the matrix is kept where the boundary is the vertex's only crease.
-    unchanged = topology.boundary & (crease == 1)
-    smooth_part = np.ones(matrix.shape[0])
-    smooth_part[:n] = np.where(unchanged, 1.0, smooth)
-    smooth_part[n : n + len(ends)] = 1.0 - hard
-    own_weight, neighbour_weight = CREASE_VERTEX
-    crease = np.where(unchanged, 0.0, crease)
-    along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
-    sharp_edges = np.flatnonzero(hard)
-    parts = [
-        (vertices, vertices, corner + own_weight * (crease + crease_after)),
-        (ends[:, 0], ends[:, 1], neighbour_weight * along[:, 0]),
-        (ends[:, 1], ends[:, 0], neighbour_weight * along[:, 1]),
-        (n + sharp_edges, ends[sharp_edges, 0], hard[sharp_edges] / 2),
-        (n + sharp_edges, ends[sharp_edges, 1], hard[sharp_edges] / 2),
-    ]
-    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    nonzero = weights != 0
-    added = coo_array(
-        (weights[nonzero], (rows[nonzero].astype(np.int32), columns[nonzero].astype(np.int32))), matrix.shape
-    )
-    result = csr_array(diags_array(smooth_part) @ matrix + added)
-    result.eliminate_zeros()
-    result.sort_indices()
-    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,22 +79,14 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
     outgoing, incoming = 2 * parent.edges + ~parent.forward, (2 * parent.edges + parent.forward)[previous]
     new = np.arange(count, dtype=np.int32) + 2 * parent.n_edges
     new_forward, incoming_forward = np.ones(count, dtype=bool), parent.forward[previous]
-    # Ranks around an edge point count from the corner at the edge's end, the forward side first.
-    per_side = 3 if loop else 2
-    side = np.where(parent.forward, 0, per_side).astype(np.int32)
-    at_end, at_start = side[previous], side + (per_side - 1)
     if loop:
         edges = _with_middle(np.stack([outgoing, new, incoming], axis=1), np.roll(new.reshape(-1, 3), -1, axis=1))
         forward = _with_middle(
             np.stack([parent.forward, new_forward, incoming_forward], axis=1), np.zeros((parent.n_faces, 3), bool)
         )
-        ranks = _with_middle(np.stack([parent.ranks, at_start, at_end], axis=1), (side + 1).reshape(-1, 3))
     else:
-        sizes = np.bincount(parent.faces, minlength=parent.n_faces).astype(np.int32)
-        at_face = np.arange(count, dtype=np.int32) - (np.cumsum(sizes, dtype=np.int32) - sizes)[parent.faces]
         edges = np.stack([outgoing, new, new[previous], incoming], axis=1)
         forward = np.stack([parent.forward, new_forward, ~new_forward, incoming_forward], axis=1)
-        ranks = np.stack([parent.ranks, at_start, at_face, at_end], axis=1)
     return Topology(
         parent.n_vertices + parent.n_edges + (0 if loop else parent.n_faces),
         2 * parent.n_edges + count,
@@ -103,5 +95,4 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
         edges.ravel(),
         forward.ravel(),
         *corner_neighbours(*edges.shape),
-        known_ranks=ranks.ravel(),
     )

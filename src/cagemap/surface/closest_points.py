@@ -15,7 +15,13 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, places_of, read_only
 from cagemap.numerics.threads import in_threads, row_slices
-from cagemap.surface.triangles import CACHED, normalize_rows, triangle_areas, triangle_centres, triangle_normals
+from cagemap.surface.triangles import (
+    CACHED,
+    normalize_rows,
+    triangle_areas,
+    triangle_centres,
+    triangle_normals,
+)
 
 _LEAF_SIZE = 8  # triangles
 _STACK_SIZE = 64  # nodes
@@ -55,12 +61,8 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
             "Repair the mesh."
         )
     order = _leaf_order(positions, triangles)
-    ordered, normals = triangles.take(order, axis=0), np.empty((len(order), 3))
-
-    def fill(part: slice) -> None:
-        normals[part] = normalize_rows(triangle_normals(positions, ordered[part]))
-
-    in_threads(fill, row_slices(len(order), CACHED))
+    ordered = triangles.take(order, axis=0)
+    normals = normalize_rows(triangle_normals(positions, ordered))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
     boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
     _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
@@ -118,20 +120,13 @@ def closest_points(
 def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
     """(t,) triangles in the order of the tree's leaves, along a space-filling curve."""
     leaves = len(triangles) // _LEAF_SIZE
-    extents, means = np.full(max(leaves, 1), np.inf), np.empty((leaves, 3))
-
-    def fill(part: slice) -> None:
-        # Coordinate by coordinate: array operations are slow on short rows.
-        centres = triangle_centres(positions, triangles[part.start * _LEAF_SIZE : part.stop * _LEAF_SIZE])
-        runs = [np.ascontiguousarray(centres[:, d].reshape(-1, _LEAF_SIZE).T) for d in range(3)]
-        extents[part] = np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs))
-        means[part] = np.column_stack([run.mean(axis=0) for run in runs])
-
-    in_threads(fill, row_slices(leaves, CACHED // _LEAF_SIZE))
+    centres = triangle_centres(positions, triangles)
+    runs = np.ascontiguousarray(centres[: leaves * _LEAF_SIZE].reshape(-1, _LEAF_SIZE, 3).transpose(1, 2, 0))
+    extents = np.linalg.norm(runs.max(axis=0) - runs.min(axis=0), axis=0)
     sizes = triangle_areas(positions, triangles)
-    if extents.mean() > _MAX_RUN_EXTENT * np.sqrt(2.0 * sizes).mean():
-        return np.argsort(_morton_codes(triangle_centres(positions, triangles)), kind="stable")
-    first = _LEAF_SIZE * np.argsort(_morton_codes(means), kind="stable")
+    if not leaves or extents.mean() > _MAX_RUN_EXTENT * np.sqrt(2.0 * sizes).mean():
+        return np.argsort(_morton_codes(centres), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(runs.mean(axis=0).T), kind="stable")
     return np.concatenate(
         [(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(leaves * _LEAF_SIZE, len(triangles))]
     )

@@ -10,10 +10,9 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, read_only, real_numbers, whole_numbers
-from cagemap.numerics.threads import in_threads, kept, row_slices
+from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import CACHED
 
 # Largest error of the sum of barycentric coordinates, and largest negative value. Files may be in single precision.
 TOLERANCE = 1e-4
@@ -182,17 +181,8 @@ class SurfacePoints:
                 f"expected a value for each of the {self.surface.n} vertices of the surface that the points lie on, "
                 f"got an array {values.shape}: do they belong to the other surface, or to another level?"
             )
-        interpolated = np.empty((len(self), *values.shape[1:]))
-
-        def fill(part: slice) -> None:
-            corners = self.surface.triangles.take(self.triangle[part], axis=0)
-            weights = self.barycentric[part].reshape(-1, 3, *(1,) * (values.ndim - 1))
-            interpolated[part] = weights[:, 0] * values.take(corners[:, 0], axis=0)
-            for k in (1, 2):
-                interpolated[part] += weights[:, k] * values.take(corners[:, k], axis=0)
-
-        in_threads(fill, row_slices(len(self), CACHED))
-        return interpolated
+        columns = values.reshape(len(values), -1).astype(np.float64, copy=False)
+        return np.asarray(self.matrix() @ columns).reshape(len(self), *values.shape[1:])
 
     def matrix(self) -> sparse.csr_array:
         """(m, n) matrix of `interpolate`; rows sum to 1."""
