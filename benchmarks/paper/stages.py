@@ -19,7 +19,7 @@ from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
 from cagemap.paper.constraints import DescriptorConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.method import PaperConfig, ladder, paper_map, recover_points, search_full, search_level
+from cagemap.paper.method import PaperConfig, finer_level_pairs, paper_map, recover_points, search_full, search_level
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -146,7 +146,7 @@ def closest_map_off(pair: Pair, levels: tuple[int, int], functional_map: np.ndar
     found = LevelMap(first, functional_map, search_full(pair, functional_map, first))
     if levels != (pair.target.finest, pair.source.finest):
         return found  # only the last level is judged
-    for finer in ladder(pair, first):
+    for finer in finer_level_pairs(pair, first):
         found = LevelMap(finer, functional_map, search_level(pair, functional_map, finer, found))
     return replace(found, points=recover_points(pair, found))
 

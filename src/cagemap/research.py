@@ -39,14 +39,22 @@ from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
-from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
-from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
+from cagemap.paper.constraints import (
+    Constraints,
+    DescriptorConfig,
+    Filters,
+    MapWeights,
+    choose_filters,
+    gather_constraints,
+    landmark_descriptors,
+    signature_functions,
+)
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import (
     PaperConfig,
     basis_sizes,
-    ladder,
+    finer_level_pairs,
     paper_map,
     recover_points,
     search_full,
@@ -171,7 +179,7 @@ def functional_map(
         Last levels; default: the finest.
     """
     last = (pair.target.finest, pair.source.finest) if levels is None else levels
-    level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *ladder(pair, (0, 0))]]
+    level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *finer_level_pairs(pair, (0, 0))]]
     matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
     for level_pair in level_pairs[1:]:
         sizes = basis_sizes(pair, level_pair)
@@ -202,7 +210,7 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     matrix = functional_map_from(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
     level_map = LevelMap(start, matrix, search_full(pair, matrix, start))
-    for levels in ladder(pair, start):
+    for levels in finer_level_pairs(pair, start):
         level_map = LevelMap(levels, matrix, search_level(pair, matrix, levels, level_map))
     return recover_points(pair, level_map)
 

@@ -32,7 +32,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
 from cagemap.maps.pair import Pair
-from cagemap.paper.method import ladder, search_levels
+from cagemap.paper.method import finer_level_pairs, search_levels
 from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -161,7 +161,7 @@ def test_levels_are_walked_down_together(pony):
     """Each step moves each side by at most one level, ends at both finest levels, and never backwards."""
     source, target = prepare_surface(pony, 3, BASIS), prepare_surface(shapes.creature(), 2, BasisConfig(count=20))
     nothing = np.zeros(0, dtype=np.int64)
-    steps = [(0, 0), *ladder(Pair.of_vertices(target, source, nothing, nothing), (0, 0))]
+    steps = [(0, 0), *finer_level_pairs(Pair.of_vertices(target, source, nothing, nothing), (0, 0))]
     assert steps[-1] == (2, 3)
     moves = np.diff(steps, axis=0)
     assert moves.min() >= 0

@@ -115,14 +115,6 @@ def fail_at_two(i):
     return i
 
 
-def test_the_asking_thread_takes_items_too():
-    meet = threading.Barrier(2, timeout=60)
-    with thread_limit(2):
-        found = in_threads(lambda _: (meet.wait(), threading.get_ident())[1], range(2))
-    assert threading.get_ident() in found
-    assert len(set(found)) == 2
-
-
 def test_a_pair_prepared_at_once_is_what_each_is_alone():
     meshes, levels = (shapes.creature(), shapes.icosahedron()), (1, 2)
     together = prepare_surfaces(*meshes, levels, CONFIG)

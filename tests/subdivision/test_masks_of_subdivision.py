@@ -23,8 +23,7 @@ from cagemap.subdivision import (
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
 from cagemap.subdivision.refinement import state_of
-from cagemap.subdivision.sharpness import boundary_corners
-from cagemap.subdivision.topology import control_topology
+from cagemap.subdivision.topology import boundary_corners, control_topology
 
 
 def test_quad_masks_are_the_general_rule_written_out() -> None:

@@ -29,8 +29,7 @@ from cagemap.subdivision import (
 )
 from cagemap.subdivision.face_varying import control_layout
 from cagemap.subdivision.limit import limit_tangents
-from cagemap.subdivision.sharpness import control_state
-from cagemap.subdivision.topology import control_topology
+from cagemap.subdivision.topology import control_state, control_topology
 
 from locations import FIXTURES
 

@@ -19,16 +19,15 @@ from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.wrap import wrap
-from cagemap.wrap.config import MendConfig, NetConfig, WrapConfig
-from cagemap.wrap.fit import fit_net
-from cagemap.wrap.mend import mend
+from cagemap.wrap.config import MendConfig, WrapConfig
+from cagemap.wrap.fit import fit_net, mend
 from cagemap.wrap.net import ControlNet, NetTerms, Samples, control_net, face_aspects, folded_faces
 
 
 def samples_of(net: ControlNet, images: SurfacePoints) -> Samples:
     """All of the net's surface follows the map."""
     count = net.refinement.finest.n_vertices
-    return Samples.choose(net, images, np.ones(count), np.zeros(count, dtype=bool), NetConfig())
+    return Samples.choose(net, images, np.ones(count), np.zeros(count, dtype=bool), WrapConfig())
 
 
 def net_of(target: Refinement, point_map: PointMap) -> tuple[ControlNet, Samples]:
@@ -43,8 +42,8 @@ def test_a_round_solves_its_system() -> None:
     point_map = same_vertices(target, refine(dented(torus(12, 8), 0.25), 2))
     net = control_net(target, 0, point_map.target.scale)
     count = target.finest.n_vertices
-    held = np.arange(count) % 7 == 0
-    data = Samples.choose(net, point_map.images, np.linspace(0.0, 1.0, count), held, NetConfig())
+    pinned = np.arange(count) % 7 == 0
+    data = Samples.choose(net, point_map.images, np.linspace(0.0, 1.0, count), pinned, WrapConfig())
     config = WrapConfig(anchor=0.1, fairness=1e-2)
     moving = np.arange(net.graph.n // 2)
     for part in (None, moving):
@@ -54,8 +53,8 @@ def test_a_round_solves_its_system() -> None:
         system = terms.at(positions, found, config.fairness, None)
         right = system.right + config.fairness * net.graph.divergence(net.energy.maps(positions))
         dense, normals = data.rows.toarray(), system.closest.normals
-        away = np.linalg.norm(system.closest.positions - data.images.positions, axis=1) > data.reach
-        free = ~(data.held | away)
+        away = np.linalg.norm(system.closest.positions - data.images.positions, axis=1) > data.max_slide
+        free = ~(data.pinned | away)
         tensors = (free * data.weights)[:, None, None] * normals[:, :, None] * normals[:, None, :]
         tensors += (data.weights * np.where(free, 0.1, 1.0))[:, None, None] * np.eye(3)
         matrix = np.einsum("si,sab,sj->iajb", dense, tensors, dense)

@@ -121,37 +121,12 @@ class ThreadPool(ThreadPoolExecutor):
 
 
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Value]:
-    """Apply a function to all items in threads; results in order. Raises the first item's error at the end.
-
-    Threads, including the caller, take items from one iterator: submitting small items one by one costs too much.
-    """
+    """Apply a function to all items in threads; results in order. Raises the first item's error."""
     threads = min(len(items), core_count())
     if threads <= 1:
         return [work(item) for item in items]
-    waiting = iter(enumerate(items))  # shared: under the interpreter's lock no item is taken twice
-    results: dict[int, Value] = {}
-    failed: dict[int, Exception] = {}
-
-    def share() -> None:
-        for place, item in waiting:
-            try:
-                results[place] = work(item)
-            except Exception as error:
-                failed[place] = error
-
-    with ThreadPool(threads - 1) as pool:
-        shares = [pool.submit(share) for _ in range(threads - 1)]
-        try:
-            share()
-            for ended in shares:
-                ended.result()
-        except BaseException:  # interrupted: leave no items for the threads
-            for _ in waiting:
-                pass
-            raise
-    if failed:
-        raise failed[min(failed)]
-    return [results[place] for place in range(len(items))]
+    with ThreadPool(threads) as pool:
+        return list(pool.map(work, items))
 
 
 if TYPE_CHECKING:

@@ -6,11 +6,13 @@ from cagemap.operators.laplacian import (
     DeGoesButtsDesbrun,
     Laplacian,
     MeanTriangulation,
+    Operators,
+    build_operators,
+    lumped_areas,
     named_laplacian,
     stiffness,
     vertex_areas,
 )
-from cagemap.operators.sec import Operators, build_operators, lumped_areas
 
 __all__ = [
     "LAPLACIANS",

@@ -27,7 +27,7 @@ from cagemap.numerics.kinds import Brief
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.method import FEWEST_FUNCTIONS, ladder, search_levels, start_map
+from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels, start_map
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fit_functional_map, nearest_rows
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -97,7 +97,7 @@ def hfm_map(
         functional_map = start_map(pair, start, (first, first))
     functional_map, displacement = zoomout_all_bands(pair, levels, functional_map, config)
     maps = []
-    for finer in [levels, *ladder(pair, levels)]:
+    for finer in [levels, *finer_level_pairs(pair, levels)]:
         progress(f"point map, levels {finer[0]} and {finer[1]}")
         maps.append(closest_map(pair, finer, functional_map, displacement))
     points = maps[-1].points

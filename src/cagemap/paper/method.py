@@ -81,7 +81,7 @@ def paper_map(
     progress("functional map, level 0")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
     maps = [_first_level(pair, constraints, config, start)]
-    for levels in ladder(pair, maps[0].levels):
+    for levels in finer_level_pairs(pair, maps[0].levels):
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
         maps.append(_next_level(pair, constraints, maps[-1], levels, config))
     progress("point map")
@@ -153,12 +153,12 @@ def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coar
 
     If a side keeps its level, target vertices are their own parents, source vertices' neighbours their children.
     """
-    stays = [fine == before for fine, before in zip(levels, coarse.levels, strict=True)]
-    if stays[0]:
+    unchanged = [fine == before for fine, before in zip(levels, coarse.levels, strict=True)]
+    if unchanged[0]:
         parents = sparse.csr_array(sparse.eye_array(_size(pair.target, levels[0])))
     else:
         parents = strongest_parents(pair.target.hierarchy.matrices[coarse.levels[0]])
-    if stays[1]:
+    if unchanged[1]:
         children = _neighbours(pair.source, levels[1])
     else:
         children = pair.source.hierarchy.matrices[coarse.levels[1]]
@@ -246,7 +246,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
     return first(target, vertices), first(source, source_vertices or vertices)
 
 
-def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
+def finer_level_pairs(pair: Pair, start: LevelPair) -> list[LevelPair]:
     """Pairs of levels from ``start`` (excluded) to the finest, each side at most one level per step.
 
     Both sides are refined together while their sizes are comparable; otherwise only the coarser one.

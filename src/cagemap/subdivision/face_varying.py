@@ -20,8 +20,7 @@ from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, Topology, layout_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of
 from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
-from cagemap.subdivision.sharpness import MeshState, Sharpness, control_state, next_state
-from cagemap.subdivision.topology import children, split_topology
+from cagemap.subdivision.topology import MeshState, Sharpness, children, control_state, next_state, split_topology
 from cagemap.surface.triangles import fan_triangles, triangles
 
 # UVs (p, 2) of a level, and the UV of every corner of its faces.

@@ -25,8 +25,7 @@ from cagemap.subdivision.matrices import (
     subdivision_matrix,
 )
 from cagemap.subdivision.refinement import Refinement, state_of
-from cagemap.subdivision.sharpness import MeshState, Sharpness, next_state
-from cagemap.subdivision.topology import corner_neighbours
+from cagemap.subdivision.topology import MeshState, Sharpness, corner_neighbours, next_state
 from cagemap.surface.triangles import normalize_rows
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
@@ -299,18 +298,18 @@ def _boundary_tangents(
     before = np.empty(topology.n_vertices, dtype=np.int32)
     before[after] = vertex
     before = before[vertex]
-    stays = corner[vertex].astype(np.float64)
+    fixed = corner[vertex].astype(np.float64)
     along: list[Entries] = [
         (vertex, after, np.ones(len(vertex))),
-        (vertex, before, stays - 1),
-        (vertex, vertex, -stays),
+        (vertex, before, fixed - 1),
+        (vertex, vertex, -fixed),
     ]
     single = topology.valences[vertex] == 1
     # Single face: a corner's tangents are along its two edges, else the curve's first and second derivatives.
     inwards: list[Entries] = [
         (vertex, before, single.astype(np.float64)),
-        (vertex, vertex, single * (stays - 2)),
-        (vertex, after, single * (1 - stays)),
+        (vertex, vertex, single * (fixed - 2)),
+        (vertex, after, single * (1 - fixed)),
     ]
     corners_at = np.flatnonzero(topology.boundary[topology.vertices])
     for valence in np.unique(topology.valences[vertex[~single]]):

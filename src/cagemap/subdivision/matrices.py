@@ -12,7 +12,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, IntArray, Topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.sharpness import MeshState, Sharpness, vertex_rules
+from cagemap.subdivision.topology import MeshState, Sharpness, vertex_rules
 
 # Rows, columns and weights of matrix entries.
 Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]

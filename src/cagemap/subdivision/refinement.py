@@ -20,8 +20,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, places_of
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.sharpness import MeshState, control_state, next_state
-from cagemap.subdivision.topology import children, control_topology
+from cagemap.subdivision.topology import MeshState, children, control_state, control_topology, next_state
 from cagemap.surface.triangles import triangles as triangles
 
 # Approximate nonzeros of the second S per control corner; each further S has four times as many.

@@ -10,34 +10,6 @@ from cagemap.errors import ParameterError
 
 
 @dataclass(frozen=True)
-class NetConfig:
-    """Numbers of a net's energy, its samples, and parts that the source lacks (docs/lab/elastic.md).
-
-    Areas are shares of the whole, lengths are of sqrt(area).
-    """
-
-    weight_power: float = 0.5  #: exponent of an edge's squared length in its weight: 0 alike, 1 as squared distances
-    smoothing: float = 0.01  #: epsilon of the energy, see `cagemap.deform.config.Stage`
-    levels_below: int = 2  #: samples are vertices this many levels finer: about 16 for each point of the net
-    max_samples: int = 60_000  #: most samples, unless the net's next level has more
-    reach: float = 2.0  #: distance from the image, in edges of the net, beyond which a closest point is on another part
-    normal_weight: float = 0.03  #: weight of normals in closest points, of sqrt(area)
-    accuracy: float = 3e-2  #: relative residual of a round's solution; the terms change more between rounds
-    max_steps: int = 200  #: most conjugate gradient steps of a round
-    min_weight: float = 1e-6  #: a point with a smaller share of its largest possible sample weight is free
-    carrying_rounds: int = 30  #: rounds of the energy alone that place free points before the first fit
-    around: int = 3  #: rings around the points of a local fit that are part of its energy
-    nearest_points: int = 30  #: nearest points whose motion a detached piece follows: some rings of a coarse cage
-    squeezed: float = (
-        0.03  #: area ratio below which a part has no counterpart (source to target); measured 0.01 or less
-    )
-    whole: float = 0.1  #: area ratio above which a part has a counterpart; measured 0.2 or more
-    among: float = 0.01  #: distance within which images of the area behind such a part are on images of the rest
-    min_area: float = 0.002  #: share of the target's area below which such a part is ignored
-    followed: float = 0.5  #: weight below which a vertex has no counterpart, and its distance is no error
-
-
-@dataclass(frozen=True)
 class MendConfig:
     """Mending of faces that fold or grow thin; a face is small where all of its corners are."""
 
@@ -63,7 +35,10 @@ class MendConfig:
 
 @dataclass(frozen=True)
 class WrapConfig:
-    """Configuration of a wrap: how closely the net follows the source."""
+    """Configuration of a wrap: how closely the net follows the source (docs/lab/elastic.md).
+
+    Areas are shares of the whole, lengths are of sqrt(area).
+    """
 
     level: int = 0  #: level whose points are fitted; 0 is the control mesh
     fairness: float = 1e-4  #: weight of the net's energy against squared distances to the source
@@ -72,7 +47,28 @@ class WrapConfig:
     #: 99th percentile of distances, of sqrt(area), above which a second fit with a stronger anchor is tried
     max_distance: float = 0.01
     stronger_anchor: float = 3.0  #: factor on ``anchor`` of the second fit; the closer fit is kept
-    net: NetConfig = NetConfig()  #: numbers of the parts of the method
+    weight_power: float = 0.5  #: exponent of an edge's squared length in its weight: 0 alike, 1 as squared distances
+    smoothing: float = 0.01  #: epsilon of the energy, see `cagemap.deform.config.Stage`
+    levels_below: int = 2  #: samples are vertices this many levels finer: about 16 for each point of the net
+    max_samples: int = 60_000  #: most samples, unless the net's next level has more
+    max_slide: float = (
+        2.0  #: distance from the image, in edges of the net, beyond which a closest point is on another part
+    )
+    normal_weight: float = 0.03  #: weight of normals in closest points, of sqrt(area)
+    accuracy: float = 3e-2  #: relative residual of a round's solution; the terms change more between rounds
+    max_steps: int = 200  #: most conjugate gradient steps of a round
+    min_weight: float = 1e-6  #: a point with a smaller share of its largest possible sample weight is free
+    carrying_rounds: int = 30  #: rounds of the energy alone that place free points before the first fit
+    energy_rings: int = 3  #: rings around the points of a local fit that are part of its energy
+    nearest_points: int = 30  #: nearest points whose motion a detached piece follows: some rings of a coarse cage
+    #: area ratio (source to target) below which a part has no counterpart; measured 0.01 or less
+    squeezed: float = 0.03
+    whole: float = 0.1  #: area ratio above which a part has a counterpart; measured 0.2 or more
+    overlap_distance: float = (
+        0.01  #: distance within which images of the area behind such a part are on images of the rest
+    )
+    min_area: float = 0.002  #: share of the target's area below which such a part is ignored
+    min_follow: float = 0.5  #: weight below which a vertex has no counterpart, and its distance is no error
     mending: MendConfig = MendConfig()
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Fit a control net: control points whose *refined* surface lies on the source.
+"""Fit a control net: control points whose *refined* surface lies on the source; then mend faces that fold or are thin.
 
 The map gives the image P of every point of the target's refined surface. The net starts at the minimum of
 ``||S X - P||^2``. It is then fitted to the source's tangent planes at closest points (`cagemap.wrap.net`), so that it
@@ -10,8 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
@@ -21,8 +24,9 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, nearest_rotations
-from cagemap.wrap.config import NetConfig, WrapConfig
-from cagemap.wrap.net import ControlNet, NetTerms, Samples
+from cagemap.numerics.factorization import factor
+from cagemap.wrap.config import MendConfig, WrapConfig
+from cagemap.wrap.net import ControlNet, NetTerms, Samples, face_aspects, folded_faces
 
 Adjust = Callable[[FloatArray], FloatArray]
 
@@ -48,20 +52,20 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
         config,
         positions,
         moving,
-        rounds=config.net.carrying_rounds,
+        rounds=config.carrying_rounds,
         similar=free,
         stiffness=stiffness,
     )
-    positions = adjust(carry_detached_pieces(net.graph, pieces, positions, config.net))
+    positions = adjust(carry_detached_pieces(net.graph, pieces, positions, config))
     positions = run_rounds(net.graph, energy.differentials, terms, positions, config.rounds, adjust)
-    return adjust(carry_detached_pieces(net.graph, pieces, positions, config.net)) if pieces else positions
+    return adjust(carry_detached_pieces(net.graph, pieces, positions, config)) if pieces else positions
 
 
 def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
     """(k,) points of the net without sample weight: they have no counterpart."""
     weights = samples.rows.T @ samples.weights
     most = samples.rows.T @ np.full(len(samples.weights), samples.weights.max())
-    return np.flatnonzero(weights <= config.net.min_weight * most)
+    return np.flatnonzero(weights <= config.min_weight * most)
 
 
 def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
@@ -84,7 +88,7 @@ def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
 
 
 def carry_detached_pieces(
-    graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatArray, config: NetConfig
+    graph: ElasticGraph, pieces: Sequence[IndexArray], positions: FloatArray, config: WrapConfig
 ) -> FloatArray:
     """(n, 3) positions with every detached piece moved by the similarity of its nearest points."""
     if not pieces:
@@ -112,7 +116,7 @@ def run_rounds(
     if not count:
         return positions
     config = terms.config
-    stage = Stage(count, (config.fairness, config.fairness), config.net.smoothing)
+    stage = Stage(count, (config.fairness, config.fairness), config.smoothing)
     return minimise(graph, differentials, terms.at, positions, stage, adjust)
 
 
@@ -149,7 +153,7 @@ def moved_locally(
     """
     if not len(moving):
         return positions
-    part = net.graph.rings(moving, config.net.around)
+    part = net.graph.rings(moving, config.energy_rings)
     graph = net.graph.part(part, stiffness)
     moves = np.zeros(net.graph.n)
     moves[moving] = 1.0
@@ -160,8 +164,102 @@ def moved_locally(
         maps = admissible(net.energy.maps(positions)[part], graph.normals)
         changed = run_rounds(graph, lambda _: maps, terms, positions[part], rounds)
     else:
-        energy = ElasticEnergy.build(graph, config.net.smoothing, admissible)
+        energy = ElasticEnergy.build(graph, config.smoothing, admissible)
         changed = run_rounds(graph, energy.differentials, terms, positions[part], rounds)
     moved = positions.copy()
     moved[part] = changed
     return moved
+
+
+def mend(
+    net: ControlNet, samples: Samples, config: WrapConfig, positions: FloatArray, adjust: Adjust = keep_positions
+) -> FloatArray:
+    """(n_l, 3) fitted net after mending faces that fold or are much thinner than at rest.
+
+    Bad faces become stiffer and are fitted again. Small faces that still fold are released from the source; larger ones
+    are flattened before the fit.
+    """
+    if not config.rounds:
+        return positions
+    graph, numbers = net.graph, config.mending
+    stiffness, released = np.ones(graph.n), np.zeros(graph.n)
+    small = graph.areas + np.bincount(graph.heads, graph.areas[graph.tails], graph.n) < numbers.small
+    free = free_points(samples, config)
+    detached = np.concatenate([free[:0], *detached_pieces(graph, free)])
+    folded_at_rest, aspects = folded_faces(net, graph.positions), face_aspects(net.mesh, graph.positions)
+    is_small = np.logical_and.reduceat(small[net.mesh.face_indices], net.mesh.face_offsets[:-1])
+    least = np.where(is_small, numbers.small_thin, numbers.thin) * np.maximum(aspects, np.percentile(aspects, 99))
+    many = graph.n > numbers.many
+    rings = numbers.many_rings if many else numbers.rings
+    for mending in range(numbers.rounds):
+        folded = _corners(net, folded_faces(net, positions) & ~folded_at_rest)
+        folded = folded[small[folded] | (stiffness[folded] < numbers.max_fold)]
+        thin = _corners(net, face_aspects(net.mesh, positions) > least)
+        thin = thin[stiffness[thin] < np.where(small[thin], numbers.small_max_thin, numbers.max_thin)]
+        corners = np.setdiff1d(np.union1d(folded, thin), detached)
+        if mending >= numbers.small_rounds:
+            folded, corners = folded[~small[folded]], corners[~small[corners]]
+        if not len(corners):
+            break
+        stiffness[corners] = np.minimum(numbers.stiffening * stiffness[corners], numbers.max_fold)
+        lost = folded[small[folded] & (stiffness[folded] > numbers.max_small_fold)]
+        if len(lost):
+            released[graph.rings(lost, numbers.release_rings)] = 1.0
+            weights = np.where(samples.rows @ released > numbers.share, 0.0, samples.weights)
+            samples = replace(samples, weights=weights)
+            pieces = detached_pieces(graph, free_points(samples, config))
+            if sum(map(len, pieces)) > len(detached):
+                positions, detached = (
+                    adjust(carry_detached_pieces(graph, pieces, positions, config)),
+                    np.concatenate(pieces),
+                )
+        similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
+        moved = partial(moved_locally, net, samples, config, similar=similar, stiffness=stiffness, fixed=many)
+        moving = np.setdiff1d(graph.rings(corners, rings), detached)
+        still_folded = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
+        flat = _lay_flat(graph, positions, np.intersect1d(still_folded, moving))
+        positions = moved(flat, moving, rounds=1)
+        near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
+        # Released points move further: more rounds.
+        positions = adjust(moved(positions, near, rounds=numbers.release_rounds))
+    return _without_folds(net, positions, folded_at_rest, detached, adjust, numbers)
+
+
+def _without_folds(
+    net: ControlNet,
+    positions: FloatArray,
+    folded_at_rest: NDArray[np.bool_],
+    detached: IndexArray,
+    adjust: Adjust,
+    config: MendConfig,
+) -> FloatArray:
+    """(n, 3) net with the fewest folds, after flattening the last folded faces if they are small."""
+    graph, best, fewest = net.graph, positions, net.mesh.n_faces + 1
+    flat = detached[:0]
+    for flattening in range(config.flattenings + 1):
+        folded = folded_faces(net, positions) & ~folded_at_rest
+        if (count := int(np.count_nonzero(folded))) < fewest:
+            best, fewest = positions, count
+        corners = graph.rings(_corners(net, folded), min(flattening, 1))
+        flat = np.setdiff1d(np.union1d(flat, corners), detached)
+        if not count or graph.areas[flat].sum() > config.max_flat:
+            break
+        positions = adjust(_lay_flat(graph, positions, flat))
+    return best
+
+
+def _lay_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> FloatArray:
+    """(n, 3) net with points (m,) at the means of their neighbours: unfolds a patch (Tutte 1963)."""
+    flat = np.setdiff1d(flat, np.concatenate([flat[:0], *whole_pieces(graph, flat)]))
+    if not len(flat):
+        return positions
+    around = np.setdiff1d(graph.rings(flat, 1), flat)
+    rows = replace(graph, weights=np.ones(len(graph.heads))).laplacian[flat]
+    moved = positions.copy()
+    moved[flat] = factor(sparse.csc_array(rows[:, flat])).solve(-(rows[:, around] @ positions[around]))
+    return moved
+
+
+def _corners(net: ControlNet, faces: NDArray[np.bool_]) -> IndexArray:
+    """(k,) points of some faces (m,)."""
+    return np.unique(net.mesh.face_indices[faces[net.mesh.corner_faces]])

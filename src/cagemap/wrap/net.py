@@ -5,10 +5,10 @@ are distances of surface samples from the source:
 
     sum_i w_i ( (n_i . (S X - q)_i)^2 + anchor |(S X - P)_i|^2 )
 
-with closest points q and normals n of the source. For samples that are held at their image, such as those of
-boundaries, the term is ``w_i |(S X - P)_i|^2`` alone. The system couples the three coordinates through the tangent
-planes. It is solved by conjugate gradients from the current positions; the system without planes,
-``S^T w S + fairness L``, is the preconditioner, the same for all coordinates and all rounds.
+with closest points q and normals n of the source. For pinned samples, such as those of boundaries, the term is
+``w_i |(S X - P)_i|^2`` alone. The system couples the three coordinates through the tangent planes. It is solved by
+conjugate gradients from the current positions; the system without planes, ``S^T w S + fairness L``, is the
+preconditioner, the same for all coordinates and all rounds.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from cagemap.subdivision import Refinement, finest_mesh, level_triangles
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, triangle_areas, triangle_normals
-from cagemap.wrap.config import NetConfig, WrapConfig
+from cagemap.wrap.config import WrapConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
     return finest_mesh(replace(refinement, matrices=refinement.matrices[:level], levels=refinement.levels[: level + 1]))
 
 
-def control_net(refinement: Refinement, level: int, scale: float, config: NetConfig = NetConfig()) -> ControlNet:
+def control_net(refinement: Refinement, level: int, scale: float, config: WrapConfig = WrapConfig()) -> ControlNet:
     """Prepare a level of the target for fitting."""
     mesh = level_mesh(refinement, level)
     net = TriangleSurface(scale * mesh.positions, level_triangles(refinement, level), scale)
@@ -111,15 +111,15 @@ class Samples:
 
     rows: sparse.csr_array  # (s, n_l) of S: the samples from the net's points
     images: SurfacePoints  # images by the map
-    reach: FloatArray  # (s,): how far from its image a sample may slide; those farther are held there
+    max_slide: FloatArray  # (s,): how far from its image a sample may slide; those farther are pinned there
     weights: FloatArray  # (s,): areas times follow weights
-    held: NDArray[np.bool_]  # (s,): samples that stay at their image (boundaries), instead of sliding along the surface
+    pinned: NDArray[np.bool_]  # (s,): samples that stay at their image (boundaries), instead of sliding on the surface
 
     @classmethod
     def choose(
-        cls, net: ControlNet, images: SurfacePoints, follow: FloatArray, held: NDArray[np.bool_], config: NetConfig
+        cls, net: ControlNet, images: SurfacePoints, follow: FloatArray, pinned: NDArray[np.bool_], config: WrapConfig
     ) -> Samples:
-        """Sample vertices of a level finer than the net; images, follow and held (n_f,) are of finest vertices."""
+        """Sample vertices of a level finer than the net; images, follow and pinned (n_f,) are of finest vertices."""
         refinement, graph = net.refinement, net.graph
         level = min(net.level + 1, refinement.n_levels)
         while level < min(net.level + config.levels_below, refinement.n_levels):
@@ -134,12 +134,12 @@ class Samples:
         lengths = np.linalg.norm(graph.edges, axis=1)
         around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
         weights = follow[:count] * areas / areas.sum()
-        return cls(rows, images.at(slice(count)), config.reach * (rows @ around), weights, held[:count])
+        return cls(rows, images.at(slice(count)), config.max_slide * (rows @ around), weights, pinned[:count])
 
     def of_part(self, seen: IndexArray, part: IndexArray) -> Samples:
         """The samples ``seen``, as functions of the points ``part`` only."""
         rows = self.rows[seen][:, part]
-        return Samples(rows, self.images.at(seen), self.reach[seen], self.weights[seen], self.held[seen])
+        return Samples(rows, self.images.at(seen), self.max_slide[seen], self.weights[seen], self.pinned[seen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,25 +180,25 @@ class NetTerms:
         """Terms with the source's closest points to positions (n, 3); other arguments are those of `minimise`."""
         samples, images = self.samples, self.samples.images
         guess = images.triangle if before is None else before.closest.triangle
-        weight = self.config.net.normal_weight
+        weight = self.config.normal_weight
         places = samples.rows @ positions
         closest = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=weight, guess=guess)
-        held = samples.held | (np.linalg.norm(closest.positions - images.positions, axis=1) > samples.reach)
-        across = np.where(held, 0.0, samples.weights)
-        along = np.where(held, 1.0, self.config.anchor) * samples.weights
+        pinned = samples.pinned | (np.linalg.norm(closest.positions - images.positions, axis=1) > samples.max_slide)
+        plane_weights = np.where(pinned, 0.0, samples.weights)
+        image_weights = np.where(pinned, 1.0, self.config.anchor) * samples.weights
         heights = np.einsum("sd,sd->s", closest.normals, closest.positions)
-        wanted = (across * heights)[:, None] * closest.normals + along[:, None] * images.positions
-        return SampleTerms(self, closest, across, along, self.transposed @ wanted)
+        wanted = (plane_weights * heights)[:, None] * closest.normals + image_weights[:, None] * images.positions
+        return SampleTerms(self, closest, plane_weights, image_weights, self.transposed @ wanted)
 
 
 @dataclass(frozen=True, eq=False)
 class SampleTerms:
-    """Terms of one round: weights (s,) of distances to planes (``across``) and to images (``along``)."""
+    """Terms of one round, with weights (s,) of distances to tangent planes and to images."""
 
     terms: NetTerms
     closest: SurfacePoints  # of the source, to the samples
-    across: FloatArray
-    along: FloatArray
+    plane_weights: FloatArray
+    image_weights: FloatArray
     right: FloatArray  # (n, 3) right side of the system
 
     def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
@@ -210,7 +210,7 @@ class SampleTerms:
         terms, normals = self.terms, self.closest.normals
         places = terms.samples.rows @ positions
         heights = np.einsum("sd,sd->s", normals, places)
-        wanted = (self.across * heights)[:, None] * normals + self.along[:, None] * places
+        wanted = (self.plane_weights * heights)[:, None] * normals + self.image_weights[:, None] * places
         return np.asarray(terms.transposed @ wanted + terms.config.fairness * (terms.laplacian @ positions))
 
     def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
@@ -229,8 +229,8 @@ class SampleTerms:
         step, _ = linalg.cg(
             linalg.LinearOperator(size, matvec=times, dtype=np.float64),
             (right - self.times(positions))[moving].ravel(),
-            rtol=terms.config.net.accuracy,
-            maxiter=terms.config.net.max_steps,
+            rtol=terms.config.accuracy,
+            maxiter=terms.config.max_steps,
             M=linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
         )
         moved = positions.copy()
@@ -238,7 +238,7 @@ class SampleTerms:
         return moved
 
 
-def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> FloatArray:
+def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:
     """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
@@ -252,7 +252,7 @@ def counterpart_mask(point_map: PointMap, config: NetConfig = NetConfig()) -> Fl
     return mask
 
 
-def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: NetConfig) -> NDArray[np.bool_]:
+def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig) -> NDArray[np.bool_]:
     """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest."""
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
@@ -269,7 +269,7 @@ def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: NetConf
     if target.vertex_areas[behind].sum() < config.min_area:
         return nowhere
     distance, _ = cKDTree(images[whole & ~behind]).query(images[behind])
-    near = np.bincount(part[behind], distance <= config.among, len(areas)) > 0.5 * np.bincount(
+    near = np.bincount(part[behind], distance <= config.overlap_distance, len(areas)) > 0.5 * np.bincount(
         part, minlength=len(areas)
     )
     laid_over = behind & near[part]

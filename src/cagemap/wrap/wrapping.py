@@ -20,8 +20,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.detail import Detail, detail_over, own_transfer
 from cagemap.wrap.config import WrapConfig
-from cagemap.wrap.fit import fit_net, keep_positions
-from cagemap.wrap.mend import mend
+from cagemap.wrap.fit import fit_net, keep_positions, mend
 from cagemap.wrap.net import Samples, control_net, counterpart_mask, face_aspects, folded_faces
 
 # Message for a target without a cage.
@@ -111,12 +110,12 @@ def wrap(
             f"{point_map.target.n}: are target and source exchanged, or of other levels?"
         )
     with ThreadPool(1) as pool:
-        mask_task = pool.submit(counterpart_mask, point_map, config.net)
-        net = control_net(target, config.level, point_map.target.scale, config.net)
+        mask_task = pool.submit(counterpart_mask, point_map, config)
+        net = control_net(target, config.level, point_map.target.scale, config)
         weights = mask_task.result() * _follow(target, follow)
-    samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config.net)
+    samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config)
     adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
-    follows = weights >= config.net.followed
+    follows = weights >= config.min_follow
     if not follows.any():
         raise ParameterError(
             "weights: expected a part of the target that follows the source, got 0 everywhere. Give weights above 0."
@@ -130,8 +129,8 @@ def wrap(
 
     first = fitted(config)
     if first[0].p99 > config.max_distance and config.anchor > 0:
-        held = fitted(replace(config, anchor=config.stronger_anchor * config.anchor))
-        first = min(first, held, key=lambda fit: fit[0].mean)
+        anchored = fitted(replace(config, anchor=config.stronger_anchor * config.anchor))
+        first = min(first, anchored, key=lambda fit: fit[0].mean)
     followed, positions, (triangle, barycentric, distance) = first
     surface = net.surface(positions)
     triangles = point_map.target.triangles
