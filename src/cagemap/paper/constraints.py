@@ -106,12 +106,8 @@ class Constraints:
     def with_descriptors(self, target: FloatArray, source: FloatArray, weight: float = 1.0) -> Constraints:
         """Add pairs of user-defined descriptors.
 
-        Parameters
-        ----------
-        target, source : (k1, q), (k2, q) arrays
-            Coefficients of corresponding functions; every column is scaled to norm ``weight``.
-        weight : float
-            Norm of every descriptor; a landmark kernel has 1.
+        Coefficients (k1, q), (k2, q) of corresponding functions; every column is scaled to norm ``weight``, which is 1
+        for a landmark kernel.
         """
         sides = []
         for data, given in ((self.target, target), (self.source, source)):

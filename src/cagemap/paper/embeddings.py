@@ -76,12 +76,8 @@ def nearest_candidates(
     """(n1,) nearest of every target vertex's candidate source vertices (paper, Fig. 9).
 
     Candidates are the source vertices influenced by the matches (n1_l,) of the vertex's parents: the nonzeros of their
-    columns in ``children`` (n2, n2_l), usually S_2^l. ``parents`` (n1, n1_l) are `strongest_parents`.
-
-    Raises
-    ------
-    ParameterError
-        If a vertex has no candidate at a finite distance.
+    columns in ``children`` (n2, n2_l), usually S_2^l. ``parents`` (n1, n1_l) are `strongest_parents`. ParameterError if
+    a vertex has no candidate at a finite distance.
     """
     match = np.empty(parents.shape[0], dtype=np.int64)
     matched = sparse.csr_array(
@@ -108,14 +104,8 @@ def vertex_to_point(
 ) -> tuple[IndexArray, FloatArray]:
     """Nearest point of the embedded source triangles (t2, 3) around every target vertex's match (n1,).
 
-    Returns
-    -------
-    triangle, barycentric : (n1,), (n1, 3) arrays
-
-    Raises
-    ------
-    ParameterError
-        If no triangle around a match is at a finite distance.
+    Returns triangles (n1,) and barycentric coordinates (n1, 3). ParameterError if no triangle around a match is at a
+    finite distance.
     """
     triangle, barycentric = np.empty(len(match), dtype=np.int64), np.empty((len(match), 3))
     order = np.argsort(triangles.ravel(), kind="stable")
@@ -125,9 +115,8 @@ def vertex_to_point(
         first, counts = starts[match[block]], np.diff(starts)[match[block]]
         ends = np.concatenate([[0], np.cumsum(counts)])
         row = np.repeat(np.arange(len(block)), counts)
-        corner = order[
-            np.repeat(first - ends[:-1], counts) + np.arange(ends[-1])
-        ]  # corner of each triangle at the match
+        # Corner of each triangle at the match.
+        corner = order[np.repeat(first - ends[:-1], counts) + np.arange(ends[-1])]
         turned = (corner[:, None] + np.arange(3)) % 3
         vertices, local = np.unique(np.take_along_axis(triangles[corner // 3], turned, 1), return_inverse=True)
         embedded = source(vertices)[local.reshape(-1, 3)]

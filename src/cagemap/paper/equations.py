@@ -27,11 +27,7 @@ def solve_functional_map(
 
     A ``known`` leading block C_l (a, b) is kept (eq. 14); the three other blocks are solved for together. If operators
     have no entries between low and high functions, the system separates into eq. 16 and one for the high rows.
-
-    Raises
-    ------
-    ParameterError
-        If the known block is larger than C.
+    ParameterError if the known block is larger than C.
     """
     target, source = constraints.target, constraints.source
     k1, k2 = constraints.shape

@@ -75,12 +75,8 @@ def hfm_map(
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of the search levels and all finer ones, and the finest point map T12.
 
-    The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions.
-
-    Raises
-    ------
-    ParameterError
-        If the surfaces have too few basis functions.
+    The options are those of `cagemap.paper.method.paper_map`; a start is a map of the first functions. ParameterError
+    if the surfaces have too few basis functions.
     """
     progress("functional map")
     levels = search_levels(pair.target, pair.source, config.search_vertices, config.source_search_vertices)

@@ -62,21 +62,9 @@ def paper_map(
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Vertex-to-point maps of all levels, and the point map of the finest ones.
 
-    Parameters
-    ----------
-    pair : Pair
-    config : PaperConfig
-    progress : callable
-    constraints : Constraints, optional
-        Used instead of `gather_constraints`.
-    start : map, optional
-        Used instead of the solution of eq. 13: a functional map, a source vertex for every target vertex of a level, or
-        a point map. If its size is not that of level 0, its leading block is used and extended by eqs. 14-16.
-
-    Raises
-    ------
-    ParameterError
-        If level 0 has too few basis functions, or the start is no map.
+    ``constraints`` replace those of `gather_constraints`. ``start`` replaces the solution of eq. 13: a functional map,
+    a source vertex for every target vertex of a level, or a point map. If its size is not that of level 0, its leading
+    block is used and extended by eqs. 14-16. ParameterError if level 0 has too few functions, or the start is no map.
     """
     progress("functional map, level 0")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
@@ -184,12 +172,8 @@ def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int
 def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
     """Functional map to start from: as given, or fitted to a point or vertex map.
 
-    A vertex map is fitted with ``sizes`` basis functions; other maps may have any size.
-
-    Raises
-    ------
-    ParameterError
-        If the start is no map of the pair.
+    A vertex map is fitted with ``sizes`` basis functions; other maps may have any size. ParameterError if the start is
+    no map of the pair.
     """
     given = check_map(pair, start)
     if isinstance(given, PointMap) or given.ndim == 2:

@@ -66,7 +66,7 @@ def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
         raise ParameterError(
             f"{refinement.control.name}: has hole faces, so that only level 0 can be a net. Give level 0."
         )
-    return finest_mesh(replace(refinement, matrices=refinement.matrices[:level], levels=refinement.levels[: level + 1]))
+    return finest_mesh(refinement.up_to(level))
 
 
 def control_net(refinement: Refinement, level: int, scale: float, config: WrapConfig = WrapConfig()) -> ControlNet:
@@ -258,10 +258,7 @@ def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapCon
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():
         return nowhere
-    part, piece = (
-        label_patches(target.triangles, whole),
-        label_patches(target.triangles, np.ones(target.n, dtype=np.bool_)),
-    )
+    part, piece = (label_patches(target.triangles, mask) for mask in (whole, np.ones(target.n, dtype=np.bool_)))
     areas = np.bincount(part, np.where(whole, target.vertex_areas, 0.0))
     largest = np.zeros(int(piece.max()) + 1)
     np.maximum.at(largest, piece, areas[part])

@@ -78,23 +78,11 @@ def wrap(
 ) -> Wrapped:
     """Put the target's cage into the source's shape.
 
-    Parameters
-    ----------
-    target : Refinement
-        Refinement up to the level of the map.
-    point_map : PointMap
-        Point map of the finest level.
-    config : WrapConfig
-    follow : (n_0,) or (n_f,) float64, optional
-        Weight with which every control vertex, or finest vertex, follows the source, from 0 to 1; with weight 0 it
-        moves with its surroundings. Parts without a counterpart are detected in any case.
-    symmetry : (n_l,) int64, optional
-        Mirror image of every point of the net; keeps the net symmetric.
-
-    Raises
-    ------
-    ParameterError
-        If the map does not fit the levels, the net is as fine as the surface, or ``follow`` has another length.
+    ``target`` is refined up to the level of the map, the point map is of the finest level. ``follow`` (n_0,) or (n_f,)
+    is the weight with which every control vertex, or finest vertex, follows the source, from 0 to 1; with weight 0 it
+    moves with its surroundings. Parts without a counterpart are detected in any case. ``symmetry`` (n_l,) is the mirror
+    image of every point of the net; it keeps the net symmetric. ParameterError if the map does not fit the levels, the
+    net is as fine as the surface, or ``follow`` has another length.
     """
     finest = target.n_levels
     if target.is_plain:
