@@ -8,10 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from examples import shapes
+from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics import factorization
+from cagemap.numerics.products import _multiply_rows, multiply
 from cagemap.operators import build_operators
 from cagemap.spectral import band_pairs, eigenpairs, exact_basis
 from cagemap.spectral.config import SOLVER
@@ -197,3 +199,18 @@ def test_refusals(creature):
         exact_basis(creature, 0, 155)
     with pytest.raises(ParameterError, match="range"):
         band_pairs(creature.stiffness[1], creature.mass[1], 5, 5)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("columns", [1, 7, 300])
+def test_product_kernel_agrees_with_its_slow_twin(dtype, columns):
+    """300 columns are enough work for several threads."""
+    rng = np.random.default_rng(23)
+    matrix = sparse.random_array((900, 700), density=0.02, rng=rng, format="csr")
+    block = rng.standard_normal((700, columns)).astype(dtype)
+    product = multiply(matrix, block)
+    assert product.dtype == dtype
+    np.testing.assert_allclose(product, matrix @ block, rtol=0, atol=1e-12 if dtype == np.float64 else 1e-4)
+    slow = np.empty((900, columns))
+    _multiply_rows.py_func(matrix.indptr, matrix.indices, matrix.data, block[:, :1], 0, 900, slow[:, :1])
+    np.testing.assert_allclose(slow[:, 0], matrix @ block[:, 0], rtol=0, atol=1e-12 if dtype == np.float64 else 1e-4)

@@ -1,1 +1,1 @@
-"""Arrays, threads, sparse factorisations and argument checks, used by all other packages."""
+"""Arrays, threads, sparse factorisations and products, and argument checks, used by all other packages."""

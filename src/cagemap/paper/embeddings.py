@@ -13,6 +13,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
@@ -35,7 +36,7 @@ def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArr
     values = np.ascontiguousarray(values if mixing is None else values @ mixing)
     if level == base:
         return lambda vertices: values[vertices].astype(np.float32)
-    return lambda vertices: (surface.hierarchy.rows(vertices, level, base) @ values).astype(np.float32)
+    return lambda vertices: multiply(surface.hierarchy.rows(vertices, level, base), values).astype(np.float32)
 
 
 def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:

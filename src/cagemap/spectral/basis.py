@@ -11,6 +11,7 @@ from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers
+from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
 from cagemap.spectral.config import SOLVER, BasisConfig
@@ -101,7 +102,7 @@ class HierarchicalBasis:
         values = np.zeros((self.refinement.levels[0].n_vertices, 0))
         for finer in range(level + 1):
             if finer > 0:
-                values = self.refinement.matrices[finer - 1] @ values
+                values = multiply(self.refinement.matrices[finer - 1], values)
             if finer <= self.last_level:
                 values = np.hstack([values, self.bands[finer]])
         return values
@@ -110,7 +111,7 @@ class HierarchicalBasis:
         """Rows (q, k~_level) of Phi~^level at vertices (q,), in time linear in q; ParameterError for missing ones."""
         self._check_level(level)
         bands = [(coarser, band) for coarser, band in enumerate(self.bands[: level + 1]) if band.shape[1]]
-        rows = [self.refinement.rows(vertices, level, coarser) @ band for coarser, band in bands]
+        rows = [multiply(self.refinement.rows(vertices, level, coarser), band) for coarser, band in bands]
         return np.hstack([np.zeros((len(vertices), 0)), *rows])
 
     def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
@@ -144,7 +145,7 @@ class HierarchicalBasis:
         needed = int(self.band_levels[:size].max())
         if level < needed:
             columns, level = self.refinement.prolong(columns, level, needed), needed
-        dual = self.operators.mass[level] @ columns
+        dual = multiply(self.operators.mass[level], columns)
         moments = products_with_bands(self.bands[: needed + 1], self.refinement, dual, level)[:size]
         coefficients = linalg.cho_solve(linalg.cho_factor(self.gram[:size, :size]), moments)
         return coefficients.reshape(size, *functions.shape[1:])
@@ -230,7 +231,7 @@ def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisCon
     vectors = _orthonormal(pairs.vectors, mass)
     if not basis.count:
         return vectors, np.arange(count)
-    overlap = products_with_bands(basis.bands, basis.refinement, mass @ vectors, level)
+    overlap = products_with_bands(basis.bands, basis.refinement, multiply(mass, vectors), level)
     rotation, positions = new_directions(pairs.values, overlap, basis.gram, basis.count - first)
     return np.ascontiguousarray(vectors @ rotation), first + positions
 
@@ -238,7 +239,7 @@ def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisCon
 def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: IndexArray) -> HierarchicalBasis:
     """Append the band of the next level; the Gram matrix becomes [[G, E], [E^T, I]] (eqs. 8, 9)."""
     mass, stiffness = basis.operators.mass[level], basis.operators.stiffness[level]
-    dual, energy = mass @ band, stiffness @ band
+    dual, energy = multiply(mass, band), multiply(stiffness, band)
     values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, energy, dual, lumped_areas(mass))
     cross = products_with_bands(basis.bands, basis.refinement, dual, level)
@@ -290,5 +291,5 @@ def new_directions(
 def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
     """M-orthonormalise eigenvectors in double precision; they may be in single."""
     band = np.array(vectors, dtype=np.float64)
-    factor = linalg.cholesky(band.T @ (mass @ band))
+    factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)

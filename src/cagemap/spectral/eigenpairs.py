@@ -14,6 +14,7 @@ from scipy import linalg, sparse
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.factorization import Factorization, Precision, factor
+from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, row_slices
 from cagemap.operators import Operators
 from cagemap.spectral.config import SOLVER
@@ -220,7 +221,7 @@ def orthonormal_block(
     width = block.shape[1]
     total = np.eye(width)
     for _ in range(2):
-        mass_block = mass @ block
+        mass_block = multiply(mass, block)
         gram = block.T @ mass_block
         values, vectors = linalg.eigh(0.5 * (gram + gram.T))
         weak = values <= SOLVER.dependent * max(values[-1], np.finfo(float).tiny)
@@ -233,10 +234,10 @@ def orthonormal_block(
             for _ in range(2):
                 kept = block[:, ~weak]
                 fresh -= against @ (mass_against.T @ fresh)
-                fresh -= kept @ ((mass @ kept).T @ fresh)
-                fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, mass @ fresh))
+                fresh -= kept @ (multiply(mass, kept).T @ fresh)
+                fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, multiply(mass, fresh)))
             block[:, weak] = fresh
-            mass_block = mass @ block
+            mass_block = multiply(mass, block)
         elif values[0] > SOLVER.well_conditioned * values[-1]:
             break
     return block, mass_block, total

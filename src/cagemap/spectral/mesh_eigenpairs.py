@@ -12,6 +12,7 @@ from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.config import SOLVER
@@ -84,7 +85,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
         _orthonormalise(vectors, areas)
         for part in parts:
-            values[part] = np.einsum("ij,ij->j", vectors[:, part], weights @ vectors[:, part])
+            values[part] = np.einsum("ij,ij->j", vectors[:, part], multiply(weights, vectors[:, part]))
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
     )
@@ -104,7 +105,7 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
 
 def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
     """The largest of `residual_norms`."""
-    return float(residual_norms(values, weights @ vectors, areas[:, None] * vectors, areas).max())
+    return float(residual_norms(values, multiply(weights, vectors), areas[:, None] * vectors, areas).max())
 
 
 @kinds_checked
