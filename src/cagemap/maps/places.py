@@ -189,9 +189,9 @@ def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> Index
     is_edge = (tails < coarse.n_vertices) & (heads >= coarse.n_vertices) & (heads < past)
     middle, end = np.divmod(np.unique(heads[is_edge] * coarse.n_vertices + tails[is_edge]), coarse.n_vertices)
     keys = pair_keys(end.reshape(-1, 2), coarse.n_vertices)  # every edge's vertex is connected with its two ends
-    order, asked = np.argsort(keys), pair_keys(ends, coarse.n_vertices)
-    place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)
-    known = (keys[order][place] == asked) & (ends >= 0).all(axis=1)
+    order, wanted = np.argsort(keys), pair_keys(ends, coarse.n_vertices)
+    place = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
+    known = (keys[order][place] == wanted) & (ends >= 0).all(axis=1)
     return np.where(known, middle[::2][order][place], -1)
 
 

@@ -57,10 +57,6 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     A target vertex belongs to the landmark nearest to it along edges. Masked area, and pieces of the mesh without a
     landmark, are left out.
 
-    Parameters
-    ----------
-    result : MatchResult
-
     Raises
     ------
     ParameterError
