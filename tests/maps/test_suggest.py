@@ -12,7 +12,8 @@ from cagemap.cli import main
 from cagemap.errors import ParameterError
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.result.folder import write_result
-from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+from cagemap.maps.landmarks.suggest import suggested_vertices
+from cagemap.maps.pair import nearest_free_vertices
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks
@@ -47,7 +48,7 @@ def test_doubt_counts_and_known_landmarks_do_not_come_again() -> None:
 
 def test_partners_are_near_and_different() -> None:
     places = line()
-    assert free_partners(places, places[[4, 4, 9]], np.array([4])).tolist() in ([5, 3, 9], [3, 5, 9])
+    assert nearest_free_vertices(places, places[[4, 4, 9]], np.array([4])).tolist() in ([5, 3, 9], [3, 5, 9])
 
 
 def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

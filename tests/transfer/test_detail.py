@@ -93,6 +93,8 @@ def test_a_height_field_over_a_plane_gives_its_heights_and_its_slopes(flat: Leve
     assert np.einsum("kd,kd->k", normals.reshape(-1, 3), expected).min() > 0.999
     down = bake_detail_normals(transfer, wavy, size=SIZE, green="down", dtype=np.float32, options=PLAIN)
     np.testing.assert_allclose(2.0 * down - 1.0, normals * (1, -1, 1), atol=1e-6)
+    with pytest.raises(ParameterError, match="up or down"):
+        bake_detail_normals(transfer, wavy, size=SIZE, green="left", options=PLAIN)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("space", ["tangent", "object"])

@@ -51,7 +51,7 @@ def test_identity_is_exact_where_triangles_are_smaller_than_texels(size: int) ->
     level = plane(64, 64)
     texture = noise(size, size, 3, "uint8")
     transfer = prepare_transfer(level, level, identity_map(level))
-    assert bake_module.make_canvas(transfer, size, BakeOptions()).supersample > 1
+    assert bake_module.make_layout(transfer, size, BakeOptions()).supersample > 1
     np.testing.assert_array_equal(bake_texture(transfer, texture, size=size), texture)
 
 

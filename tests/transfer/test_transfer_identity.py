@@ -13,7 +13,7 @@ from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
-from cagemap.transfer.baking import make_canvas
+from cagemap.transfer.baking import make_layout
 from cagemap.transfer.blend_shapes import _centre_images, carry_shape, prepare_shapes
 from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, triangle_frames, whole_triangles
 from cagemap.transfer.texels import rasterize_band
@@ -28,7 +28,7 @@ SIZE = 96
 def covered(level: Level, size: int) -> np.ndarray:
     """(size, size) texels whose centre lies in the layout."""
     transfer = prepare_transfer(level, level, identity_map(level))
-    layout = replace(make_canvas(transfer, size, BakeOptions(supersample=1)).layout, gutter=0.0)
+    layout = replace(make_layout(transfer, size, BakeOptions(supersample=1)), gutter=0.0)
     return np.concatenate([rasterize_band(layout, band) for band in range(len(layout.band_triangles))]) >= 0
 
 
@@ -138,7 +138,7 @@ def test_what_rounding_puts_outside_does_not_cross_a_seam() -> None:
     shifted = level.with_uvs(level.uvs + np.array([(0.5 + 2e-7) / 90, 0.0]), level.uv_indices)
     surface = TexturedSurface.from_level(shifted)
     transfer = prepare_transfer(shifted, shifted, identity_map(shifted))
-    layout = make_canvas(transfer, 90, BakeOptions(supersample=1)).layout
+    layout = make_layout(transfer, 90, BakeOptions(supersample=1))
     cells = np.concatenate([rasterize_band(layout, band) for band in range(len(layout.band_triangles))])
     texels = np.flatnonzero(cells.ravel() >= 0)
     own = cells.ravel()[texels]

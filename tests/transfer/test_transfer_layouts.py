@@ -139,14 +139,14 @@ def test_no_seam_shows_at_any_mip_level() -> None:
     level = refine(unwrap(torus(6, 4), padding=1 / 32), 3).finest  # 16 texels between islands: 2 at the last level
     transfer = prepare_transfer(level, level, identity_map(level))
     surface, size = transfer.target, 512
-    canvas = bake_module.make_canvas(transfer, size, BakeOptions())
+    layout = bake_module.make_layout(transfer, size, BakeOptions())
 
     def shade(samples: TexelSamples) -> np.ndarray:
         corners = surface.positions[surface.triangles[samples.triangle]]
         return np.asarray(samples.mean(np.einsum("sc,scd->sd", samples.barycentric, corners)))
 
     ones = np.ones((len(surface.triangles), 2), dtype=np.int32)
-    image = bake_module.run_bake(transfer, canvas, ones, shade, 3, np.float32, BakeOptions())
+    image = bake_module.run_bake(transfer, layout, ones, shade, 3, np.float32, BakeOptions())
     corner_uvs = surface.corner_uvs()
     triangle, opposite = np.nonzero(triangle_neighbors(surface.layout()[1]) < 0)
     first, second = (opposite + 1) % 3, (opposite + 2) % 3

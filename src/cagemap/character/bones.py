@@ -107,10 +107,6 @@ def humanoid_joints(rig: Rig) -> dict[str, int]:
     The naming convention that names the most joints is used. Joints whose parents contradict the bones' parents are
     left out.
 
-    Parameters
-    ----------
-    rig : Rig
-
     Returns
     -------
     dict of str to int

@@ -63,7 +63,7 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
     target_in_pose = target if reference is None else replace(target, bind=reference)
     turn, scale = fit_rotation_and_scale(source, target_in_pose, pairs)
     bind_poses = _BindPose.of(source), _BindPose.of(target_in_pose)
-    scales = _TranslationScales.of(source, target, scale)
+    scales = _translation_scales(source, target, pairs, scale)
     tracks = []
     for track in source_tracks:
         if track.joint in pairs:
@@ -72,7 +72,7 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
             if track.channel == "rotation":
                 values = _convert_rotations(track, joints, bind_poses, turn)
             elif track.channel == "translation":
-                values = _convert_translations(track, joints, bind_poses, turn, scales.at(*joints))
+                values = _convert_translations(track, joints, bind_poses, turn, scales[track.joint])
             else:
                 values = _convert_scales(track, joints, bind_poses, turn)
             tracks.append(replace(track, joint=joints[1], values=values))
@@ -173,41 +173,25 @@ def _quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.concatenate([vector, scalars[0] * scalars[1] - (vectors[0] * vectors[1]).sum(-1, keepdims=True)], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class _TranslationScales:
-    """Factors of translations between rigs: ratios of bone lengths, from parent to joint."""
-
-    bone_lengths: tuple[FloatArray, FloatArray] = field(repr=False)
-    min_length: float
-    rig_ratio: float
-    leg_ratio: float
-    hip_chain: frozenset[int]
-
-    @classmethod
-    def of(cls, source: Rig, target: Rig, rig_ratio: float) -> _TranslationScales:
-        bones = humanoid_joints(source), humanoid_joints(target)
-        leg_lengths = [_leg_length(rig, joints) for rig, joints in zip((source, target), bones, strict=True)]
-        joint, hip_chain = bones[0].get("hips", -1), set(np.flatnonzero(source.parents < 0).tolist())
-        while joint >= 0:
-            hip_chain.add(joint)
-            joint = int(source.parents[joint])
-        bone_lengths = tuple(
-            np.linalg.norm(
-                rig.heads - rig.heads[np.where(rig.parents < 0, np.arange(len(rig.names)), rig.parents)], axis=1
-            )
-            for rig in (source, target)
-        )
-        min_length = MIN_BONE_LENGTH * float(np.ptp(source.heads, axis=0).max())
-        leg_ratio = leg_lengths[1] / leg_lengths[0] if min(leg_lengths) > 0 else rig_ratio
-        return cls((bone_lengths[0], bone_lengths[1]), min_length, rig_ratio, leg_ratio, frozenset(hip_chain))
-
-    def at(self, source_joint: int, target_joint: int) -> float:
-        """Factor of the translations of one joint."""
-        if source_joint in self.hip_chain:
-            return self.leg_ratio
-        if self.bone_lengths[0][source_joint] <= self.min_length:
-            return self.rig_ratio
-        return float(self.bone_lengths[1][target_joint] / self.bone_lengths[0][source_joint])
+def _translation_scales(source: Rig, target: Rig, pairs: Mapping[int, int], rig_ratio: float) -> FloatArray:
+    """(j,) factors of the translations of the source's joints: ratios of bone lengths, from parent to joint."""
+    bones = humanoid_joints(source), humanoid_joints(target)
+    legs = [_leg_length(rig, joints) for rig, joints in zip((source, target), bones, strict=True)]
+    lengths = [
+        np.linalg.norm(rig.heads - rig.heads[np.where(rig.parents < 0, np.arange(len(rig.names)), rig.parents)], axis=1)
+        for rig in (source, target)
+    ]
+    min_length = MIN_BONE_LENGTH * float(np.ptp(source.heads, axis=0).max())
+    scales = np.full(len(source.names), rig_ratio)
+    for joint, paired in pairs.items():
+        if lengths[0][joint] > min_length:
+            scales[joint] = lengths[1][paired] / lengths[0][joint]
+    joint, hip_chain = bones[0].get("hips", -1), np.flatnonzero(source.parents < 0).tolist()
+    while joint >= 0:
+        hip_chain.append(joint)
+        joint = int(source.parents[joint])
+    scales[hip_chain] = legs[1] / legs[0] if min(legs) > 0 else rig_ratio
+    return scales
 
 
 def _leg_length(rig: Rig, bones: Mapping[str, int]) -> float:

@@ -50,14 +50,14 @@ class Coincidence:
     ) -> Coincidence | None:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area."""
         gaps = []
-        for asked, shape in ((_cage, _unsmoothed), (_finest, _finest)):
-            gap = _gap(asked(target), asked(source), masks.target, config)
+        for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
+            gap = _gap(measured(target), measured(source), masks.target, config)
             if gap is not None:
-                gaps.append((gap, shape))
+                gaps.append((gap, mapped))
         if not gaps:
             return None
-        gap, shape = min(gaps, key=lambda one: one[0])
-        return cls(shape(target), shape(source), gap, config.reach)
+        gap, mapped = min(gaps, key=lambda one: one[0])
+        return cls(mapped(target), mapped(source), gap, config.reach)
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
         """Closest source points that face the same way as the target's vertices, moved by shifts (n1, 3)."""

@@ -15,6 +15,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.subdivision import Refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import row_lengths
 
 # Least mean of a mask; below it nothing is left to match.
 LEAST = 1e-4
@@ -167,14 +168,19 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
     outside = np.flatnonzero(mask <= 0.0)
     if width == 0.0 or not len(outside):
         return mask
-    ends = surface.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    lengths = np.linalg.norm(surface.positions[ends[:, 0]] - surface.positions[ends[:, 1]], axis=1)
-    # Duplicate entries would be summed: each direction of an edge is stored once.
-    first, last = ends.T
-    edges = sparse.coo_array((np.maximum(lengths, 1e-12), (first, last)), shape=(surface.n, surface.n)).tocsr()
-    edges = edges.maximum(edges.T)
-    inside = dijkstra(edges, directed=False, indices=outside, min_only=True, limit=width)
+    inside, _ = distances_along_edges(surface, outside, width)
     return mask * np.minimum(inside / width, 1.0)
+
+
+def distances_along_edges(
+    surface: TriangleSurface, seeds: IndexArray, limit: float = np.inf
+) -> tuple[FloatArray, IndexArray]:
+    """(n,) distances along edges from the nearest of several vertices, and that vertex; -9999 beyond the limit."""
+    heads, tails = surface.triangles.ravel(), np.roll(surface.triangles, -1, axis=1).ravel()
+    lengths = np.maximum(row_lengths(surface.positions[heads] - surface.positions[tails]), 1e-12)
+    edges = sparse.csr_array((lengths, (heads, tails)), shape=(surface.n, surface.n))
+    paths = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True, limit=limit)
+    return np.asarray(paths[0]), np.asarray(paths[2], dtype=np.int64)
 
 
 def _checked(values: FloatArray, count: int, place: str) -> FloatArray:

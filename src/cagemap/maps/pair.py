@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.maps.places import CurvePair, curve_pairs, locate
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.spectral.surface import Progress as Progress
@@ -139,22 +139,28 @@ def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = 
         return vertices
     common = min(surface.basis.last_level, levels.coarsest_level(NEAR_VERTICES))
     common = common if finest is None else min(common, finest)
-    between = np.flatnonzero(levels.on_level(common, vertices) < 0)
-    tree = cKDTree(surface.triangles(common).positions)
-    count = min(len(points) + 1, tree.n)
-    _, nearest = tree.query(points.positions[between], k=count)
-    taken = set(vertices.tolist())
-    nearest = levels.on_finest(common)[np.asarray(nearest).reshape(len(between), count)]
-    for place, near in zip(between, nearest, strict=True):
-        free = next((int(vertex) for vertex in near if int(vertex) not in taken), None)
-        if free is None:
-            raise ParameterError(
-                f"landmarks: expected at most {tree.n} on a level of as many vertices, got {len(points)}. "
-                "Give fewer, or refine once more."
-            )
-        vertices[place] = free
-        taken.add(free)
+    on_common = levels.on_level(common, vertices)
+    between, positions = np.flatnonzero(on_common < 0), surface.triangles(common).positions
+    if len(points) > len(positions):
+        raise ParameterError(
+            f"landmarks: expected at most {len(positions)} on a level of as many vertices, got {len(points)}. "
+            "Give fewer, or refine once more."
+        )
+    free = nearest_free_vertices(positions, points.positions[between], on_common[on_common >= 0])
+    vertices[between] = levels.on_finest(common)[free]
     return vertices
+
+
+def nearest_free_vertices(positions: FloatArray, places: FloatArray, taken: IndexArray) -> IndexArray:
+    """(q,) distinct vertices nearest to places (q, 3), one after the other, none of them taken."""
+    tree, used = cKDTree(positions), set(taken.tolist())
+    chosen = []
+    for place in places:
+        _, order = tree.query(place, k=min(tree.n, len(used) + 1))
+        free = next(int(vertex) for vertex in np.atleast_1d(order) if int(vertex) not in used)
+        used.add(free)
+        chosen.append(free)
+    return np.array(chosen, dtype=np.int64)
 
 
 def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexArray:

@@ -184,22 +184,15 @@ def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> Index
     assert finer.faces is not None
     faces_have_vertices = finer.faces.shape[1] == 4
     past = finer.n_vertices - (coarse.n_faces if faces_have_vertices else 0)
-    wanted = np.zeros(finer.n_vertices, dtype=bool)
-    wanted[ends[ends >= 0]] = True
     tails, heads = finer.faces.ravel(), np.roll(finer.faces, -1, axis=1).ravel()
     tails, heads = np.concatenate([tails, heads]), np.concatenate([heads, tails])
-    is_edge = wanted[tails] & (tails < coarse.n_vertices) & (heads >= coarse.n_vertices) & (heads < past)
-    touching = np.unique(heads[is_edge] * coarse.n_vertices + tails[is_edge])
-    middle, end = np.divmod(touching, coarse.n_vertices)
-    both = np.flatnonzero(middle[1:] == middle[:-1])
-    keys = end[both] * coarse.n_vertices + end[both + 1]  # ascending within a pair
-    order = np.argsort(keys)
-    asked = pair_keys(ends, coarse.n_vertices)
-    if not len(keys):
-        return np.full(len(ends), -1, dtype=np.int64)
-    place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)
-    known = (keys[order][place] == asked) & (ends >= 0).all(axis=1)
-    return np.where(known, middle[both][order][place], -1)
+    is_edge = (tails < coarse.n_vertices) & (heads >= coarse.n_vertices) & (heads < past)
+    middle, end = np.divmod(np.unique(heads[is_edge] * coarse.n_vertices + tails[is_edge]), coarse.n_vertices)
+    keys = pair_keys(end.reshape(-1, 2), coarse.n_vertices)  # every edge's vertex is connected with its two ends
+    order, wanted = np.argsort(keys), pair_keys(ends, coarse.n_vertices)
+    place = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
+    known = (keys[order][place] == wanted) & (ends >= 0).all(axis=1)
+    return np.where(known, middle[::2][order][place], -1)
 
 
 def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:

@@ -262,11 +262,8 @@ def measure_quality(
     the target.
     """
     target, images = point_map.target, point_map.images
-    image, normals, areas = images.positions, _source_normals(images), target.areas
-    counted = np.ones(target.n)
-    if masks.any:
-        counted = masks.joint(point_map)
-        areas = areas * counted[target.triangles].mean(axis=1)
+    image, normals, counted = images.positions, _source_normals(images), masks.joint(point_map)
+    areas = target.areas * counted[target.triangles].mean(axis=1)
 
     flipped, stretch = np.empty(len(areas), dtype=np.bool_), np.empty((2, len(areas)))
     largest, smallest = stretch
@@ -283,15 +280,14 @@ def measure_quality(
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
-    asked_about = [
+    distributions = [
         (values, areas, [float(p) for p in PERCENTILES[name]])
         for name, values in (("area_ratio", largest * smallest), ("aspect_ratio", aspect))
     ]
-    area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), asked_about)
+    area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), distributions)
     errors = np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks)
     flipped_area = float(areas[flipped].sum() / areas.sum())
-    vertex_areas = target.vertex_areas * counted
-    vertex_areas = vertex_areas / vertex_areas.sum() if masks.any else vertex_areas
+    vertex_areas = target.vertex_areas * counted / (target.vertex_areas @ counted)
     names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(errors)))
     return QualityFigures(
         landmark_errors=errors,

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
 
 from cagemap.errors import ParameterError
+from cagemap.maps.masks import distances_along_edges
 from cagemap.maps.quality import flipped_triangles, stretches, weighted_percentiles
 from cagemap.maps.result import MatchResult
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums
 
 
@@ -59,10 +57,6 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     A target vertex belongs to the landmark nearest to it along edges. Masked area, and pieces of the mesh without a
     landmark, are left out.
 
-    Parameters
-    ----------
-    result : MatchResult
-
     Raises
     ------
     ParameterError
@@ -73,7 +67,7 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
         raise ParameterError("region_figures: expected a result with landmarks, which name the regions; it has none")
     target, (largest, smallest) = result.point_map.target, _stretches(result)
     places = landmarks.target_points.nearest_vertices
-    nearest = _nearest_along_edges(target, np.unique(places))
+    _, nearest = distances_along_edges(target, np.unique(places))
     areas = target.areas * result.masks.joint(result.point_map)[target.triangles].mean(axis=1)
     folded = flipped_triangles(result.point_map.images, target.triangles)
     ratio, aspect = 1.0 / np.maximum(largest * smallest, 1e-12), largest / np.maximum(smallest, 1e-9)
@@ -98,13 +92,3 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
 def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:
     point_map = result.point_map
     return stretches(point_map.target.positions, point_map.images.positions, point_map.target.triangles)
-
-
-def _nearest_along_edges(surface: TriangleSurface, seeds: IndexArray) -> IndexArray:
-    """(n,) seed vertex nearest to every vertex along edges, -9999 if none is connected."""
-    triangles = surface.triangles
-    heads, tails = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
-    lengths = np.linalg.norm(surface.positions[heads] - surface.positions[tails], axis=1)
-    edges = sparse.csr_array((lengths, (heads, tails)), shape=(surface.n, surface.n))
-    paths = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True)
-    return np.asarray(paths[2], dtype=np.int64)

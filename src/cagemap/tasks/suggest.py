@@ -12,7 +12,8 @@ from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, read_files
-from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+from cagemap.maps.landmarks.suggest import suggested_vertices
+from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 
@@ -53,7 +54,7 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     trust = result.trust[:vertices]
     chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count)
     places = source.positions[: result.source.control.n_vertices]
-    partners = free_partners(places, images[chosen], partnered)
+    partners = nearest_free_vertices(places, images[chosen], partnered)
     taken = set(result.landmark_names)
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
     more = Landmarks.of_points(

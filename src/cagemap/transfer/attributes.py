@@ -12,7 +12,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.surface.triangles import triangle_areas
-from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, locate_centers
 from cagemap.transfer.texture import Pixels
 
@@ -120,9 +120,9 @@ def bake_face_colors(
     source = transfer.source
     _, label_of_face = np.unique(table, axis=0, return_inverse=True)
     parents = source.face_parents[source.triangle_faces]
-    canvas = make_canvas(transfer, size, options)
+    layout = make_layout(transfer, size, options)
     mixed = _mixed_triangles(transfer, label_of_face.ravel()[parents])
-    counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // canvas.supersample)), 1).astype(np.int32)
+    counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // layout.supersample)), 1).astype(np.int32)
 
     def shade(samples: TexelSamples) -> FloatArray:
         return samples.mean(table[parents[samples.triangle]])
@@ -131,7 +131,7 @@ def bake_face_colors(
         return encode_srgb(linear) * unit(kept) if kept.kind == "u" else linear
 
     samples_per_axis = np.column_stack([counts, counts])
-    return run_bake(transfer, canvas, samples_per_axis, shade, table.shape[1], kept, options, encode=encode)
+    return run_bake(transfer, layout, samples_per_axis, shade, table.shape[1], kept, options, encode=encode)
 
 
 def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:

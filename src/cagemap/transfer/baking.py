@@ -194,36 +194,19 @@ def bake_texture(
     options = options or BakeOptions()
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
-    canvas = make_canvas(transfer, size, options)
-    lookups = plan_lookups(
-        transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, kind=options.filter
-    )
+    layout = make_layout(transfer, size, options)
+    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
     scale = unit(kept) / unit(laid.dtype)
 
     def shade(samples: TexelSamples) -> FloatArray:
         values = lookups.mips.look_up(samples)
         return values if scale == 1.0 else values * scale
 
-    return run_bake(transfer, canvas, lookups.counts, shade, laid.channels, kept, options, lookups.crisp)
+    return run_bake(transfer, layout, lookups.counts, shade, laid.channels, kept, options, lookups.crisp)
 
 
-@dataclass(frozen=True)
-class Canvas:
-    """The image to bake: its size, and the target's layout rasterised ``supersample`` times finer."""
-
-    height: int
-    width: int
-    supersample: int
-    layout: Layout
-
-    @property
-    def corners(self) -> FloatArray:
-        """(t1, 3, 2) corners of the target's triangles in raster samples."""
-        return self.layout.corners
-
-
-def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
-    """Place the target's UV triangles of one tile on the raster of an image."""
+def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Layout:
+    """The target's UV triangles of one tile, on a raster ``supersample`` times finer than the image."""
     target = transfer.target
     sides: Any = (size, size) if np.ndim(size) == 0 else size
     try:
@@ -245,15 +228,15 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     if not 1 <= supersample <= 16:
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {supersample}")
     band_rows = max(1, _BAND_TEXELS // (width * supersample * supersample)) * supersample
-    layout = lay_out(
+    return lay_out(
         corner_uvs,
         neighbors,
         height * supersample,
         width * supersample,
         band_rows=band_rows,
         gutter=GUTTER_RADIUS * supersample,
+        supersample=supersample,
     )
-    return Canvas(height, width, supersample, layout)
 
 
 def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
@@ -278,7 +261,7 @@ def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int)
 
 def run_bake(
     transfer: Transfer,
-    canvas: Canvas,
+    layout: Layout,
     samples_per_axis: NDArray[np.int32],
     shade: Shade,
     channels: int,
@@ -296,29 +279,30 @@ def run_bake(
     ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
     ``encode``: means (k, channels) of k texels -> stored values in the range of ``dtype``; default: the means.
     """
-    image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
-    covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
+    finer = layout.supersample
+    image = np.zeros((layout.height // finer, layout.width // finer, channels), dtype=dtype)
+    covered = np.zeros(image.shape[:2], dtype=np.bool_)
     threads = options.threads or core_count()
-    rows = canvas.layout.band_rows // canvas.supersample
+    rows = layout.band_rows // finer
 
     def bake_band(band: int) -> None:
-        cells = rasterize_band(canvas.layout, band)
-        if crisp is not None and canvas.supersample % 2 == 1:
-            _keep_centres(cells, canvas.supersample, crisp)
-        part = slice(band * rows, band * rows + cells.shape[0] // canvas.supersample)
+        cells = rasterize_band(layout, band)
+        if crisp is not None and finer % 2 == 1:
+            _keep_centres(cells, finer, crisp)
+        part = slice(band * rows, band * rows + cells.shape[0] // finer)
         texels = np.flatnonzero(cells.ravel() >= 0)
         if len(texels) == 0:
             return
-        top = band * canvas.layout.band_rows
+        top = band * layout.band_rows
         triangles = cells.ravel()[texels]
-        values = _shade_cells(transfer, canvas, samples_per_axis, shade, triangles, texels, top)
-        if canvas.supersample > 1:
-            texels, values = _average_cells(texels, values, cells.shape, canvas.supersample)
+        values = _shade_cells(transfer, layout, samples_per_axis, shade, triangles, texels, top)
+        if finer > 1:
+            texels, values = _average_cells(texels, values, cells.shape, finer)
         image[part].reshape(-1, channels)[texels] = to_dtype(encode(values), image.dtype)
         covered[part].reshape(-1)[texels] = True
 
     with ThreadPool(threads) as pool:
-        for _ in pool.map(bake_band, range(len(canvas.layout.band_triangles))):
+        for _ in pool.map(bake_band, range(len(layout.band_triangles))):
             pass
     dilate(image, covered, distance=options.dilation, threads=threads)
     return image
@@ -326,7 +310,7 @@ def run_bake(
 
 def _shade_cells(
     transfer: Transfer,
-    canvas: Canvas,
+    layout: Layout,
     samples_per_axis: NDArray[np.int32],
     shade: Shade,
     triangle: NDArray[np.int32],
@@ -336,15 +320,15 @@ def _shade_cells(
     """(k, c) values of raster cells, given by their flat index in a band that starts at row ``top``."""
     along = samples_per_axis[triangle]
     most = int((along[:, 0] * along[:, 1]).max())
-    rows = max(1, _SAMPLE_BUDGET // (canvas.layout.width * most))
-    starts = np.arange(0, cells[-1] + 1, rows * canvas.layout.width)
+    rows = max(1, _SAMPLE_BUDGET // (layout.width * most))
+    starts = np.arange(0, cells[-1] + 1, rows * layout.width)
     values = []
     for begin, end in pairwise(np.append(np.searchsorted(cells, starts), len(cells))):
         if begin == end:
             continue
         part = slice(begin, end)
         samples = locate_samples(
-            transfer.mapped, canvas.corners, cells[part], canvas.layout.width, top, triangle[part], samples_per_axis
+            transfer.mapped, layout.corners, cells[part], layout.width, top, triangle[part], samples_per_axis
         )
         values.append(shade(samples))
     return np.concatenate(values) if len(values) > 1 else values[0]

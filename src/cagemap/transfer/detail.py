@@ -26,9 +26,8 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows, triangle_areas
 from cagemap.transfer.baking import (
     BakeOptions,
-    Canvas,
     Transfer,
-    make_canvas,
+    make_layout,
     prepare_transfer,
     run_bake,
     to_dtype,
@@ -39,15 +38,15 @@ from cagemap.transfer.exact_corners import SurfaceTargets, corner_samples, make_
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
-from cagemap.transfer.texels import texel_coordinates
+from cagemap.transfer.texels import Layout, texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import (
     Green,
     Space,
     VectorPullback,
     bake_vectors,
-    check_space,
     displacement_order,
+    green_flip,
     normal_encoder,
 )
 
@@ -152,11 +151,10 @@ def bake_detail_normals(
         smooth = normalize_rows(hits.foot.interpolate(detail.surface.vertex_normals))
         return normalize_rows(weights[:, None] * smooth + (1.0 - weights[:, None]) * hits.normals)
 
-    check_space(space)
-    canvas = make_canvas(transfer, size, options)
-    encode = normal_encoder(green, space, kept)
-    counts = _plan(transfer, detail, canvas)
-    return bake_vectors(transfer, canvas, counts, normals_at, encode, space, [0, 1, 2], kept, options)
+    encode = normal_encoder(green_flip(green, space), kept)
+    layout = make_layout(transfer, size, options)
+    counts = _plan(transfer, detail, layout)
+    return bake_vectors(transfer, layout, counts, normals_at, encode, space, kept, options)
 
 
 def bake_detail_vectors(
@@ -191,16 +189,15 @@ def bake_detail_vectors(
         hits, weights = _weighted_hits(transfer, detail, samples)
         return np.asarray(weights[:, None] * (hits.foot.positions - hits.points))
 
-    check_space(space)
-    canvas = make_canvas(transfer, size, options)
-    counts, order = _plan(transfer, detail, canvas), displacement_order(space)
-    single = np.dtype(np.float32)
-    vectors = bake_vectors(transfer, canvas, counts, offsets_at, np.asarray, space, order, single, options)
+    order, single = displacement_order(space), np.dtype(np.float32)
+    layout = make_layout(transfer, size, options)
+    counts = _plan(transfer, detail, layout)
+    vectors = bake_vectors(transfer, layout, counts, offsets_at, lambda means: means[:, order], space, single, options)
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
     hits, weights = _weighted_hits(transfer, detail, samples)
     pull_back = VectorPullback.of(transfer, space)
     axes = np.broadcast_to(np.eye(3)[:, None], (3, len(uvs), 3))
-    coordinates = np.stack([pull_back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, np.argsort(order)]
+    coordinates = np.stack([pull_back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, order]
     offsets = weights[:, None] * (hits.foot.positions - hits.points)
     slides = weights >= _FULL_WEIGHT
     targets = SurfaceTargets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
@@ -234,8 +231,8 @@ def bake_detail_heights(
         hits, weights = _weighted_hits(transfer, detail, samples)
         return encode(samples.mean((weights * hits.heights)[:, None]))
 
-    canvas = make_canvas(transfer, size, options)
-    pixels = run_bake(transfer, canvas, _plan(transfer, detail, canvas), shade, 1, kept, options)
+    layout = make_layout(transfer, size, options)
+    pixels = run_bake(transfer, layout, _plan(transfer, detail, layout), shade, 1, kept, options)
     return Displacement(pixels, middle, scale)
 
 
@@ -273,8 +270,8 @@ def bake_detail_values(
         foot = _normal_hits(transfer, detail, samples).foot
         return np.asarray(samples.mean(foot.interpolate(table)) * unit(kept))
 
-    canvas = make_canvas(transfer, size, options)
-    return run_bake(transfer, canvas, _plan(transfer, detail, canvas), shade, table.shape[1], kept, options)
+    layout = make_layout(transfer, size, options)
+    return run_bake(transfer, layout, _plan(transfer, detail, layout), shade, table.shape[1], kept, options)
 
 
 def bake_detail_texture(
@@ -325,10 +322,10 @@ def bake_detail_texture(
     corners = laid.corner_texels().reshape(-1, 2)
     in_texels = triangle_areas(corners, np.arange(len(corners)).reshape(-1, 3))
     texel = float(np.sqrt(np.median(detail.surface.areas / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
-    canvas = make_canvas(transfer, size, options)
+    layout = make_layout(transfer, size, options)
     single_samples = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
-    counts = single_samples if nearest else _plan_lengths(transfer, texel, canvas)
-    return run_bake(transfer, canvas, counts, shade, laid.channels, kept, options)
+    counts = single_samples if nearest else _plan_lengths(transfer, texel, layout)
+    return run_bake(transfer, layout, counts, shade, laid.channels, kept, options)
 
 
 def _length_encoder(
@@ -360,14 +357,14 @@ def _weighted_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) ->
     return hits, hits.near * np.einsum("sc,sc->s", samples.barycentric, detail.follow[corners])
 
 
-def _plan(transfer: Transfer, detail: Detail, canvas: Canvas) -> NDArray[np.int32]:
+def _plan(transfer: Transfer, detail: Detail, layout: Layout) -> NDArray[np.int32]:
     """(t1, 2) samples in a texel: one for every detail edge that it spans."""
     surface = detail.surface
     # A typical edge of the detail, in the source's file units: triangles of area a have edges of about sqrt(2 a).
-    return _plan_lengths(transfer, float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale, canvas)
+    return _plan_lengths(transfer, float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale, layout)
 
 
-def _plan_lengths(transfer: Transfer, length: float, canvas: Canvas) -> NDArray[np.int32]:
+def _plan_lengths(transfer: Transfer, length: float, layout: Layout) -> NDArray[np.int32]:
     """(t1, 2) samples in a texel: one for every ``length``, in the source's file units, that it spans."""
     source = transfer.source
     corners = source.positions[source.triangles]
@@ -377,4 +374,4 @@ def _plan_lengths(transfer: Transfer, length: float, canvas: Canvas) -> NDArray[
     up = np.sqrt(np.maximum(np.einsum("td,td->t", second_edge, second_edge) - along**2, 0.0))
     flat = np.zeros((len(corners), 3, 2))
     flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1] = side, along, up
-    return plan_samples(transfer.mapped, canvas.corners, flat / max(length, 1e-300))
+    return plan_samples(transfer.mapped, layout.corners, flat / max(length, 1e-300))

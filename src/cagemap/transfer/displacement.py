@@ -18,7 +18,7 @@ from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import triangle_areas
-from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, Texture, channel_range, each_tile, lay_texture
@@ -99,10 +99,8 @@ def bake_displacement(
     factors = factors * (scale / out_scale) if out_scale else factors
     constant = bool(np.all(factors == factors[0]))
 
-    canvas = make_canvas(transfer, size, options)
-    lookups = plan_lookups(
-        transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, kind=options.filter
-    )
+    layout = make_layout(transfer, size, options)
+    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
 
     def shade(samples: TexelSamples) -> FloatArray:
         values = lookups.mips.look_up(samples) / unit(laid.dtype)
@@ -110,12 +108,12 @@ def bake_displacement(
             factor = factors[0]
         else:
             corners = transfer.target.triangles[samples.target_triangle]
-            factor = (factors[corners] * target_barycentric(canvas.corners, samples)).sum(axis=1)[:, None]
+            factor = (factors[corners] * target_barycentric(layout.corners, samples)).sum(axis=1)[:, None]
         if np.all(factor == 1.0):
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
-    pixels = run_bake(transfer, canvas, lookups.counts, shade, 1, kept, options, lookups.crisp)
+    pixels = run_bake(transfer, layout, lookups.counts, shade, 1, kept, options, lookups.crisp)
     return Displacement(pixels, middle, out_scale)
 
 

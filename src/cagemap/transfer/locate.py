@@ -9,6 +9,7 @@ triangle holds all three corners, the walk begins in it: from another one it may
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -27,9 +28,11 @@ _LONGEST_WALK = 512
 _EXTENSION = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class MappedSurface:
-    """Target triangles, images of their corners under T12, and the source's triangles with their adjacency."""
+class MappedSurface(NamedTuple):
+    """Target triangles, images of their corners under T12, and the source's triangles with their adjacency.
+
+    A tuple, because Numba takes it whole.
+    """
 
     target_triangles: IndexArray  # (t1, 3)
     start_triangles: IndexArray  # (n1,) source triangle of every target vertex
@@ -155,23 +158,8 @@ def locate_samples(
     first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
     triangle = np.empty(first[-1], dtype=np.int64)
     barycentric = np.empty((first[-1], 3))
-    _locate(
-        surface.target_triangles,
-        surface.start_triangles,
-        surface.whole,
-        surface.mapped,
-        surface.frames,
-        surface.neighbors,
-        layout_corners,
-        cells,
-        width,
-        top,
-        target_triangle,
-        samples_per_axis,
-        first,
-        triangle,
-        barycentric,
-    )
+    found = first, triangle, barycentric
+    _locate(surface, layout_corners, cells, width, top, target_triangle, samples_per_axis, *found)
     return TexelSamples(target_triangle, cells, width, top, first, triangle, barycentric)
 
 
@@ -259,27 +247,14 @@ def _walk_all(frames, neighbors, starts, points, found, inside):  # type: ignore
 
 @numba.njit(cache=True, nogil=True)
 def _locate(  # type: ignore[no-untyped-def]
-    target_triangles,
-    start_triangles,
-    whole,
-    mapped,
-    frames,
-    neighbors,
-    layout_corners,
-    cells,
-    width,
-    top,
-    target_triangle,
-    samples_per_axis,
-    first,
-    found,
-    barycentric,
+    surface, layout_corners, cells, width, top, target_triangle, samples_per_axis, first, found, barycentric
 ):
     """Walk to every sample; see :func:`locate_samples`.
 
     A walk begins in the source triangle that holds all corners. Without one, it begins at the last sample's end within
     a row of one target triangle, and at the nearest corner's image otherwise.
     """
+    target_triangles, start_triangles, whole, mapped, frames, neighbors = surface
     found_t = np.int64(-1)
     for texel in range(len(cells)):
         row = cells[texel] // width

@@ -43,7 +43,6 @@ def plan_lookups(
     mapped: MappedSurface,
     source: TexturedSurface,
     layout: Layout,
-    supersample: int,
     laid: Texture,
     *,
     exact: bool = False,
@@ -52,7 +51,6 @@ def plan_lookups(
     """Choose mip levels and samples with which a raster of the target's layout reads a texture.
 
     ``layout``: the target's, in raster cells.
-    ``supersample``: raster cells along a texel's side.
     ``exact``: see `MipMaps.build`.
     ``kind``: "smooth", "linear" or "nearest": interpolation of a texture that is not minified; "nearest" also when it
         is.
@@ -67,7 +65,7 @@ def plan_lookups(
     levels[covering] = mip_levels(spans[covering])
     reached = np.concatenate([centers[covering], mapped.start_triangles[mapped.target_triangles[covering]].ravel()])
     tiles = np.unique(laid.triangle_tiles[reached]).tolist() if kind == "smooth" or levels.any() else []
-    crisp = np.asarray((spans * supersample <= UNSCALED).all(axis=1))
+    crisp = np.asarray((spans * layout.supersample <= UNSCALED).all(axis=1))
     mips = MipMaps.build(laid, levels, source_coverage(source, laid, tiles), exact=exact, smooth=kind == "smooth")
     return Lookups(mips, samples_for(spans / 2.0 ** levels[:, None]), crisp)
 

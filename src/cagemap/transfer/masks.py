@@ -11,7 +11,7 @@ from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
-from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, to_dtype, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, to_dtype, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.texture import Pixels, as_pixels, lay_texture, look_up
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -67,19 +67,19 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
     (height, width, 1) float32
     """
     options = options or BakeOptions()
-    canvas = make_canvas(transfer, size, options)
+    layout = make_layout(transfer, size, options)
     target, source = transfer.target, transfer.source
     target_mask = transfer.masks.of_target(len(target.positions))
     source_mask = transfer.masks.of_source(len(source.positions))
 
     def shade(samples: TexelSamples) -> FloatArray:
-        inside = target_barycentric(canvas.corners, samples)
+        inside = target_barycentric(layout.corners, samples)
         target_weight = np.einsum("kc,kc->k", inside, target_mask[target.triangles[samples.target_triangle]])
         source_weight = np.einsum("sc,sc->s", samples.barycentric, source_mask[source.triangles[samples.triangle]])
         return target_weight[:, None] * samples.mean(source_weight[:, None])
 
     single_samples = np.ones((len(target.triangles), 2), dtype=np.int32)
-    return run_bake(transfer, canvas, single_samples, shade, 1, np.float32, options)
+    return run_bake(transfer, layout, single_samples, shade, 1, np.float32, options)
 
 
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:

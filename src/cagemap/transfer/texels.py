@@ -41,6 +41,7 @@ class Layout:
     width: int
     band_rows: int  # rows in a band; the last may have fewer
     gutter: float  # width of the extension of islands beyond their border, in texels
+    supersample: int  # raster texels along the side of a texel of the image
     # `band_triangles`, `border_triangles`, `border_corners`: triangles that touch the band, and border edges within
     # the gutter of it: an edge is a triangle and its first corner. Ascending.
     band_triangles: tuple[IndexArray, ...]
@@ -61,6 +62,7 @@ def lay_out(
     *,
     band_rows: int,
     gutter: float = GUTTER_RADIUS,
+    supersample: int = 1,
 ) -> Layout:
     """Convert a layout to texel coordinates and sort its triangles and borders into bands.
 
@@ -81,6 +83,7 @@ def lay_out(
         width,
         band_rows,
         gutter,
+        supersample,
         tuple(triangle_bands),
         tuple(triangle[edge] for edge in edge_bands),
         tuple(start[edge] for edge in edge_bands),

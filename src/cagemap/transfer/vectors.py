@@ -18,10 +18,11 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalize_rows, vertex_normals
-from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, run_bake, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, unit
 from cagemap.transfer.displacement import Displacement, require_integer_range, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
+from cagemap.transfer.texels import Layout
 from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
 from cagemap.transfer.textured_surface import TangentFrames, plane_basis, tangent_frames
 
@@ -65,26 +66,31 @@ def bake_normal_map(
         If the image has fewer than three channels, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    if green not in ("up", "down"):
-        raise ParameterError(f"green: expected up or down, got {green!r}")
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     signed = laid.dtype.kind == "f" and any(float(np.nanmin(tile)) < 0 for tile in laid.tiles.values())
-    flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
+    flip = green_flip(green, space)
 
     def decode(values: FloatArray) -> FloatArray:
         values = values / unit(laid.dtype)
         return np.asarray(flip * (values if signed else 2.0 * values - 1.0))
 
-    encode = normal_encoder(green, space, kept, signed=signed)
-    return _bake_texture_vectors(transfer, laid, decode, encode, size, space, [0, 1, 2], kept, options)
+    encode = normal_encoder(flip, kept, signed=signed)
+    return _bake_texture_vectors(transfer, laid, decode, encode, size, space, kept, options)
+
+
+def green_flip(green: Green, space: Space) -> FloatArray:
+    """(3,) signs of the channels of a normal map; refuses unknown kinds of green and spaces."""
+    if green not in ("up", "down"):
+        raise ParameterError(f"green: expected up or down, got {green!r}")
+    _check_space(space)
+    return np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
 
 
 def normal_encoder(
-    green: Green, space: Space, dtype: np.dtype[Any], *, signed: bool = False
+    flip: FloatArray, dtype: np.dtype[Any], *, signed: bool = False
 ) -> Callable[[FloatArray], FloatArray]:
     """Encoder of directions n (k, 3) as colours: (n + 1) / 2, or n itself in signed floats."""
-    flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
 
     def encode(vectors: FloatArray) -> FloatArray:
         vectors = flip * normalize_rows(vectors)
@@ -121,19 +127,19 @@ def bake_vector_displacement(
         raise ParameterError("scale: expected a number other than 0")
     ratio = scale_ratio(transfer)
     factor, out_scale = (1.0, scale * ratio) if kept.kind == "u" else (ratio, scale)
+    order = displacement_order(space)
     clipped: list[int] = []  # texels outside the range of integers, by call of `encode`
 
     def decode(values: FloatArray) -> FloatArray:
-        return np.asarray(values / unit(laid.dtype) - middle)
+        return np.asarray(values / unit(laid.dtype) - middle)[:, order]
 
     def encode(vectors: FloatArray) -> FloatArray:
-        values = np.asarray((factor * vectors + middle) * unit(kept))
+        values = np.asarray((factor * vectors[:, order] + middle) * unit(kept))
         if kept.kind == "u":  # half a level outside is rounding
             clipped.append(int(np.any((values < -0.5) | (values > unit(kept) + 0.5), axis=1).sum()))
         return values
 
-    order = displacement_order(space)
-    pixels = _bake_texture_vectors(transfer, laid, decode, encode, size, space, order, kept, options)
+    pixels = _bake_texture_vectors(transfer, laid, decode, encode, size, space, kept, options)
     if sum(clipped):
         _log.warning(
             "vector displacement: %d texels of rotated vectors lie outside 0 to 1 and are clipped. Write floats "
@@ -144,7 +150,8 @@ def bake_vector_displacement(
 
 
 def displacement_order(space: Space) -> list[int]:
-    """Channels of tangent, bitangent and normal in a vector displacement, or of x, y and z."""
+    """Channels of tangent, bitangent and normal in a vector displacement, or of x, y and z; its own inverse."""
+    _check_space(space)
     return _DISPLACEMENT_ORDER if space == "tangent" else [0, 1, 2]
 
 
@@ -155,31 +162,25 @@ def _bake_texture_vectors(
     encode: Callable[[FloatArray], FloatArray],
     size: int | tuple[int, int],
     space: Space,
-    order: list[int],
     kept: np.dtype[Any],
     options: BakeOptions,
 ) -> Pixels:
     """Bake vectors stored in a texture of the source."""
-    check_space(space)
-    canvas = make_canvas(transfer, size, options)
+    layout = make_layout(transfer, size, options)
     frames = None if space == "object" else tangent_frames(transfer.source)
     # Mean directions are shorter than 1 on rough surfaces: they are not rounded, and normalised once, at the end.
-    lookups = plan_lookups(
-        transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, exact=True, kind=options.filter
-    )
+    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, exact=True, kind=options.filter)
 
     def vectors_at(samples: TexelSamples) -> FloatArray:
-        vectors = decode(lookups.mips.look_up(samples))[:, order]
+        vectors = decode(lookups.mips.look_up(samples))
         if frames is None:
             return vectors
         return np.asarray(np.einsum("sab,sb->sa", frames.at(samples.triangle, samples.barycentric), vectors))
 
-    return bake_vectors(
-        transfer, canvas, lookups.counts, vectors_at, encode, space, order, kept, options, lookups.crisp
-    )
+    return bake_vectors(transfer, layout, lookups.counts, vectors_at, encode, space, kept, options, lookups.crisp)
 
 
-def check_space(space: str) -> None:
+def _check_space(space: str) -> None:
     """Require tangent or object space."""
     if space not in ("tangent", "object"):
         raise ParameterError(f"space: expected tangent or object, got {space!r}")
@@ -187,12 +188,11 @@ def check_space(space: str) -> None:
 
 def bake_vectors(
     transfer: Transfer,
-    canvas: Canvas,
+    layout: Layout,
     counts: NDArray[np.int32],
     vectors_at: Callable[[TexelSamples], FloatArray],
     encode: Callable[[FloatArray], FloatArray],
     space: Space,
-    order: list[int],
     kept: np.dtype[Any],
     options: BakeOptions,
     crisp: NDArray[np.bool_] | None = None,
@@ -201,21 +201,19 @@ def bake_vectors(
 
     ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them.
     ``vectors_at``: samples, each a texel of its own -> (s, 3) vectors of the source in object space.
-    ``encode``: mean vectors (k, 3) of k texels, in the channels' order -> their values.
+    ``encode``: mean vectors (k, 3) of k texels: tangent, bitangent and normal, or x, y and z -> their values.
     ``space``: "tangent" or "object", of the target, for the result.
-    ``order``: channels of tangent, bitangent and normal.
     ``crisp``: (t1,), as `run_bake` takes it.
     """
     pull_back = VectorPullback.of(transfer, space)
 
     def shade(samples: TexelSamples) -> FloatArray:
         repeats = np.diff(samples.first)
-        inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
+        inside = np.repeat(target_barycentric(layout.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
-        vectors = pull_back(vectors_at(samples.single()), samples, triangle, inside)
-        return samples.mean(vectors[:, np.argsort(order)])
+        return samples.mean(pull_back(vectors_at(samples.single()), samples, triangle, inside))
 
-    return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp, encode)
+    return run_bake(transfer, layout, counts, shade, 3, kept, options, crisp, encode)
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,8 +143,8 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
     if suspected:
         progress("map without doubtful landmarks")
         costs = coarse_map_cost(problem), coarse_map_cost(problem.without(suspected))
-        slip = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
-        if costs[0] < max(slip[evidence] for evidence in suspected.values()) * costs[1]:
+        min_cost_ratios = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
+        if costs[0] < max(min_cost_ratios[evidence] for evidence in suspected.values()) * costs[1]:
             return {}, [kept_note(suspected, names, NO_BETTER)]
     return suspected, []
 
@@ -183,15 +183,15 @@ def check_on_map(
 
 def suspected_pairs(problem: Problem) -> dict[int, str] | None:
     """Indices of suspected pairs with the evidence; None if too many pairs contradict each other."""
-    every, config = np.arange(len(problem.landmarks)), problem.prepared.elastic.landmarks
+    all_pairs, config = np.arange(len(problem.landmarks)), problem.prepared.elastic.landmarks
     distances = problem.landmark_distances
-    if typical_misfit(*distances, every, config) > config.max_typical_misfit:
+    if typical_misfit(*distances, all_pairs, config) > config.max_typical_misfit:
         return None
-    wrong = misplaced_pairs(*distances, config).tolist()
-    if len(wrong) > config.max_suspects * len(every):
+    misplaced = misplaced_pairs(*distances, config).tolist()
+    if len(misplaced) > config.max_suspects * len(all_pairs):
         return None
-    if wrong:
-        return dict.fromkeys(wrong, DISTANCES)
+    if misplaced:
+        return dict.fromkeys(misplaced, DISTANCES)
     return dict.fromkeys(exchanged_sides(distances, *_marks(problem), config) or (), SIDES)
 
 

@@ -78,14 +78,14 @@ def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig
     Outliers are removed and the others are judged again, while `fewest_judged` are left.
     """
     trusted, wrong = np.arange(len(target)), list[int]()
-    most, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
-    while len(trusted) > config.fewest_judged and len(wrong) <= most:
+    max_suspected, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
+    while len(trusted) > config.fewest_judged and len(wrong) <= max_suspected:
         exchanged = best_exchanges(target, source, trusted, at_once, config)
         if not exchanged:
             break
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
-    while len(trusted) >= config.fewest_judged and len(wrong) <= most:
+    while len(trusted) >= config.fewest_judged and len(wrong) <= max_suspected:
         misplaced = worst_placed_pairs(target, source, trusted, at_once, config)
         if not misplaced:
             break
@@ -222,15 +222,15 @@ def exchanged_sides(
     apart = np.minimum(*(side[:, :p] for side in distances)) > config.min_side_distance
     gain = exchange_gains(*distances, np.arange(p), config) - config.min_side_gain
     gains = np.triu(np.where(apart, gain, 0.0), 1).ravel()
-    asked = np.argsort(-gains)[: max(1, MOST_TERMS // p**2)]
-    near, best, most = 1.0 / (distances[0][:, :p] + config.added_distance), None, config.min_side_rise
+    candidates = np.argsort(-gains)[: max(1, MOST_TERMS // p**2)]
+    near, best, min_rise = 1.0 / (distances[0][:, :p] + config.added_distance), None, config.min_side_rise
     np.fill_diagonal(near, 0.0)
-    for place in asked[gains[asked] > 0.0]:
+    for place in candidates[gains[candidates] > 0.0]:
         both = int(place) // p, int(place) % p
         given = agreement_around(both, target, source, near, config.min_orientation)
         exchanged = agreement_around(both, target, _exchange_places(source, both), near, config.min_orientation)
-        if given < config.max_side_agreement and exchanged > config.min_side_agreement and exchanged - given > most:
-            best, most = both, exchanged - given
+        if given < config.max_side_agreement and exchanged > config.min_side_agreement and exchanged - given > min_rise:
+            best, min_rise = both, exchanged - given
     return best
 
 

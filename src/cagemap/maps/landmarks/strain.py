@@ -115,12 +115,12 @@ def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkCon
     None as well if there are too few landmarks. The others are measured again without it, because a wrong landmark
     strains its neighbours.
     """
-    every = np.arange(len(places))
-    if len(every) < config.fewest_strained:
+    all_landmarks = np.arange(len(places))
+    if len(all_landmarks) < config.fewest_strained:
         return None
-    moved = np.linalg.norm(energy.released(places, every), axis=1)
+    moved = np.linalg.norm(energy.released(places, all_landmarks), axis=1)
     worst = int(np.argmax(moved))
-    moved_next = np.linalg.norm(energy.released(places, every[every != worst]), axis=1)
+    moved_next = np.linalg.norm(energy.released(places, all_landmarks[all_landmarks != worst]), axis=1)
     return (
         worst if moved[worst] >= max(config.min_strain, config.min_strain_of_next * float(moved_next.max())) else None
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -46,15 +45,3 @@ def suggested_vertices(
         chosen.append(int(np.argmax(score)))
         gap = np.minimum(gap, near(chosen[-1]))
     return np.array(chosen, dtype=np.int64)
-
-
-def free_partners(places: FloatArray, wanted: FloatArray, taken: IndexArray) -> IndexArray:
-    """(c,) distinct control vertices of the source nearest to places (c, 3), none of them taken."""
-    tree, used = cKDTree(places), set(taken.tolist())
-    partners = []
-    for place in wanted:
-        _, order = tree.query(place, k=min(len(places), len(used) + 1))
-        free = next(int(vertex) for vertex in np.atleast_1d(order) if int(vertex) not in used)
-        used.add(free)
-        partners.append(free)
-    return np.array(partners, dtype=np.int64)
