@@ -197,7 +197,7 @@ def _match_elastic(
 
     def show(coarse: Placement) -> None:
         if preview is not None:
-            preview(map_of_places(problem, coarse.extrapolate_to(prepared.rest.graph, prepared.elastic.graph)))
+            preview(map_of_places(problem, coarse.extrapolate_to(prepared.energy.graph, prepared.elastic.graph)))
 
     with one_blas_thread(), _timed(timings, "map"):
         coincident = coincident_map(problem)

@@ -1,5 +1,8 @@
 """Data terms: point-to-plane distances to closest points, target to source and source to target.
 
+A term is ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant: blocks B (n, 3, 3), right side B y (n, 3), and the
+area weight (n,) of every vertex in it.
+
 Closest points also pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something:
 the inside of a mouth with the chin. Two tests detect them, and their terms get no weight: such a part of the target
 receives none of the source's area, and the round trip from such a point of the source to the target and back does not
@@ -44,21 +47,10 @@ class SourceSamples:
         return cls(source.positions[chosen], planes, shares, outer)
 
 
-@dataclass(frozen=True, eq=False)
-class DataTerm:
-    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, with its closest points."""
-
-    blocks: FloatArray  # (n, 3, 3): B_i
-    right: FloatArray  # (n, 3): B_i y_i
-    weights: FloatArray  # (n,): area weight of every vertex in the term
-    triangles: IndexArray  # (m,): triangle of every closest point, a guess for the next search
-    closest: FloatArray  # (m, 3): the closest points
-
-
 def target_to_source(
     areas: FloatArray, nearest: SurfacePoints, normals: FloatArray, masks: Masks = WHOLE, *, beyond: bool = False
-) -> DataTerm:
-    """Point-to-plane term of the deformed vertices, to the tangent planes at their nearest points of the source.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Point-to-plane term of the deformed vertices, to tangent planes of the source; and its closest points (n, 3).
 
     Normals (n, 3) are of the deformed target. Beyond the source's boundary a vertex has a term only if ``beyond``:
     needed without source-to-target terms, where a target could move off the source.
@@ -71,7 +63,7 @@ def target_to_source(
     if not beyond:
         weights *= ~nearest.at_boundary
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, nearest.triangle, closest)
+    return blocks, np.einsum("nab,nb->na", blocks, closest), weights, closest
 
 
 def source_to_target(
@@ -86,8 +78,8 @@ def source_to_target(
     guess: IndexArray | None = None,
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
-) -> DataTerm:
-    """Point-to-plane term of source vertices, to the deformed target.
+) -> tuple[FloatArray, FloatArray, FloatArray, IndexArray]:
+    """Point-to-plane term of source vertices, to the deformed target; and the triangles (m,) of their closest points.
 
     ``closest`` (n, 3) are the source's points closest to the target's vertices, at the ends of round trips; the guess
     (m,) has triangles of an earlier search.
@@ -115,7 +107,7 @@ def source_to_target(
     gathered = gather @ np.hstack([samples.outer, residual[:, None] * planes, np.ones((len(points), 1))])
     blocks = gathered[:, :9].reshape(-1, 3, 3)
     right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
-    return DataTerm(blocks, right, gathered[:, 12], triangles, own_closest)
+    return blocks, right, gathered[:, 12], triangles
 
 
 def source_to_clusters(
@@ -127,7 +119,7 @@ def source_to_clusters(
     normal_weight: float,
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
-) -> DataTerm:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Term of source samples, each for the coarse vertex nearest in position and normal.
 
     Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
@@ -145,7 +137,7 @@ def source_to_clusters(
     right = np.einsum("mab,mb->ma", towards, points)
     terms = np.hstack([towards.reshape(-1, 9), right, np.ones((len(points), 1))])
     summed = grouped_sums(nearest, shares[:, None] * terms, len(positions))
-    return DataTerm(summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12], nearest, positions[nearest])
+    return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12]
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:

@@ -33,8 +33,8 @@ def start_map(problem: Problem, shape: CoarseShape) -> FloatArray:
     """(k, 3) places on the source of a coarse shape's vertices, by ZoomOut from the constrained points' coordinates."""
     prepared = problem.prepared
     vertices, constrained = shape.vertices, shape.constrained_vertices
-    levels, areas = prepared.levels, shape.rest.graph.areas
-    areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
+    levels, areas = prepared.levels, shape.energy.graph.areas
+    areas = areas * shape.masks.of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
     candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), constrained[1])
     of_curves = curve_vertices(problem)
@@ -83,11 +83,11 @@ def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement
     prepared = problem.prepared
     config, surface = prepared.start, prepared.source_surface
     level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
-    vertices = evenly_spaced_vertices(surface.n, config.places)
+    vertices = evenly_spaced_vertices(surface.n, config.samples)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
     target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
-    source, areas = basis_rows(prepared.source, level, vertices), shape.rest.graph.areas
+    source, areas = basis_rows(prepared.source, level, vertices), shape.energy.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:
@@ -117,7 +117,7 @@ def fit_from_two_starts(
     limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
     points, the start is the only one.
     """
-    elastic = problem.prepared.elastic
+    prepared, elastic = problem.prepared, problem.prepared.elastic
     shapes = shape, shape.with_stage(elastic.stiff_coarse)
 
     def both_stages(positions: FloatArray | None) -> list[Placement]:
@@ -132,8 +132,8 @@ def fit_from_two_starts(
         soft, stiff = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
     fine = refine_placements(problem, stiff)
-    rotation = largest_limb_rotation(problem.prepared.rest, fine[0].positions, elastic.search.limb_area)
-    distance = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
+    rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, elastic.search.limb_area)
+    distance = mean_distance(soft[0].positions, soft[1].positions, shape.energy.graph.areas)
     agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
     return fine, [] if agree else list(soft)
 
@@ -158,7 +158,7 @@ def refine_cheapest(
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
     kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: most or config.max_refined]
     fine = sort_by_cost([*refine_placements(problem, kept), *fine])
-    mixed = best_parts(prepared.rest.graph, fine, config)
+    mixed = best_parts(prepared.energy.graph, fine, config)
     if mixed is None:
         return fine
     return sort_by_cost([*fine, evaluate_placement(prepared, fine_fit(problem, mixed))])
