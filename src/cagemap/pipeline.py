@@ -17,7 +17,7 @@ from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers, turned_limb_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search, search_both_ways
+from cagemap.maps.hypotheses.search import distinct_answers, search, search_from_source
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
@@ -205,7 +205,8 @@ def _match_elastic(
             point_map, confidence = coincident
             placements = confidence.answers
         elif len(landmarks) < FEWEST_LANDMARKS:
-            placements = distinct_answers(prepared, search_both_ways(problem, progress, show=show))
+            found = search(problem, progress, show=show)
+            placements = distinct_answers(prepared, search_from_source(problem, found, progress))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
             confidence = answer_confidence(problem, point_map, placements)

@@ -193,18 +193,18 @@ def search(
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
 
-def search_both_ways(
-    problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
+def search_from_source(
+    problem: Problem, placements: list[Placement], progress: Progress = no_progress
 ) -> list[Placement]:
-    """Placements of `search`; for some pairs also of the reverse problem, which deforms the source onto the target.
+    """Placements of `search`; for some pairs with those of the reverse problem, which deforms the source.
 
     If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
     placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
     more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
     it costs less and is farther than ``max_start_distance`` from the best placement, on average.
     """
-    prepared, placements = problem.prepared, search(problem, progress, show=show)
-    config, best, areas = prepared.elastic.search, placements[0], prepared.energy.graph.areas
+    prepared, best = problem.prepared, placements[0]
+    config, areas = prepared.elastic.search, prepared.energy.graph.areas
     is_part = prepared.mesh.is_open != prepared.source_surface.is_open
     if not is_part and best.cost <= config.max_one_way_cost:
         return placements
