@@ -23,7 +23,6 @@ from cagemap.maps.landmarks.check import (
     check_changes,
     check_mirrored,
     check_on_map,
-    confirmed_pairs,
     landmark_outliers,
 )
 from cagemap.maps.pair import Pair, Progress, point_pairs
@@ -214,15 +213,10 @@ def _match_elastic(
             outliers, notes = dict[int, str](), list[str]()
             if config.check_landmarks:
                 outliers, notes = landmark_outliers(problem, landmarks.names, progress)
-            while True:  # until the map confirms no outlier
-                trusted = problem.without(outliers)
-                placements = search(trusted, progress)
-                progress("closest points")
-                point_map = map_of_places(trusted, placements[0].map_positions)
-                confirmed = confirmed_pairs(problem, point_map, outliers)
-                if not confirmed:
-                    break
-                outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
+            trusted = problem.without(outliers)
+            placements = search(trusted, progress)
+            progress("closest points")
+            point_map = map_of_places(trusted, placements[0].map_positions)
             if config.check_landmarks:
                 progress("test landmarks on the map")
                 check = check_on_map(problem, landmarks.names, point_map, outliers, notes)

@@ -233,7 +233,7 @@ class LandmarkConfig:
     # What a fit says of suspected pairs
     slip_by_distances: float = 1.14  #: pairs are wrong if they raise the cost by this factor; correct ones reach 1.09
     slip_by_sides: float = 1.05  #: the same for pairs suspected by orientation; exchanged ears have 1.04 to 1.19
-    max_confirmed_miss: float = 0.03  #: a left-out pair that the map misses by less is taken back
+    max_confirmed_miss: float = 0.03  #: a suspected pair that the map before an update misses by less is kept
     # Orientation of landmark triples
     #: rise of the agreement around two exchanged pairs when they are exchanged back; 0.3 or more
     min_side_rise: float = 0.2

@@ -149,12 +149,6 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
     return suspected, []
 
 
-def confirmed_pairs(problem: Problem, point_map: PointMap, left_out: Collection[int]) -> set[int]:
-    """Indices of pairs that were left out of a map and that the map confirms."""
-    confirmed = problem.prepared.elastic.landmarks.max_confirmed_miss
-    return {i for i in left_out if landmark_miss(problem, point_map, i)[0] < confirmed}
-
-
 def check_on_map(
     problem: Problem, names: Sequence[str], point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
 ) -> LandmarkCheck:
