@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube
 
-from cagemap.deform.config import DataConfig, SearchConfig
+from cagemap.deform.config import SearchConfig
 from cagemap.deform.data import SourceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
@@ -151,7 +151,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
     problem = Problem.of_landmarks(prepared, Landmarks.none())
-    sheet, shape = prepared.source_surface, problem.coarse_shape_with(stage=CONFIG.tip_stage)
+    sheet, shape = prepared.source_surface, problem.coarse_shape_with(stage=prepared.elastic.stiff_coarse)
     start = shape.energy.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
@@ -162,7 +162,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
         return float((ended.positions[feet, 1] - ground).mean())
 
     assert above_ground(None) > 0.2
-    assert above_ground(SourceSamples.choose(sheet, CONFIG.tip_samples)) < 0.05
+    assert above_ground(prepared.source_samples) < 0.05
 
 
 def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> None:
@@ -172,19 +172,15 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     ball = TriangleSurface.from_faces(round_, finest.faces)
     graph = cluster_graph(mesh_graph(ball, finest.faces), 100, np.zeros(0, dtype=np.int64))[0]
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
-    around = SourceSamples.choose(ball, CONFIG.tip_samples)
+    around = SourceSamples.choose(ball, 4000)
     places = graph.positions, outward
-    blocks, right, weights = source_to_clusters(around, *places, closest=graph.positions, normal_weight=0.03)
+    blocks, right, weights = source_to_clusters(around, *places, normal_weight=0.03)
     forces = right - np.einsum("kab,kb->ka", blocks, graph.positions)
     radial = np.einsum("ka,ka->k", forces, outward)
     assert (radial < 1e-4 * weights).all()
     np.testing.assert_allclose(weights.sum(), 1.0, atol=0.05)
-    away = graph.positions + np.array(
-        [DataConfig.cluster_trip, 0.0, 0.0]
-    )  # nothing that a point near by would lie at the end of
-    assert source_to_clusters(around, *places, closest=away, normal_weight=0.03)[2].sum() < 0.35
     inside = replace(around, planes=-around.planes)
-    assert source_to_clusters(inside, *places, closest=graph.positions, normal_weight=0.03)[2].max() == 0.0
+    assert source_to_clusters(inside, *places, normal_weight=0.03)[2].max() == 0.0
 
 
 @pytest.mark.slow

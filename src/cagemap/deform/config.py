@@ -100,9 +100,6 @@ class DataConfig:
     inside_trip: float = 0.006
     #: round trip of a quarter of the weight outside the target, in sqrt(alpha): it may not have arrived yet
     outside_trips: float = 6.0
-    cluster_trip: float = 0.4  #: round trip of a quarter of the weight for clusters: legs may be that much longer
-    #: share of a cluster's term that pulls towards the source sample, the rest towards its plane
-    towards_point: float = 0.3
     #: largest distance from an open surface that is counted; beyond its boundary there is no misfit
     uncovered: float = 0.02
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
@@ -162,11 +159,8 @@ class SearchConfig:
     max_tip_distance: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
     min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
-    #: coarse stage in which tips of limbs are constraints; as stiff as the one for bodies in one pose
-    tip_stage: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    tip_samples: int = 4000  #: source samples of that stage
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
-    #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_both_ways`)
+    #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_from_source`)
     max_one_way_cost: float = 2e-4
 
 

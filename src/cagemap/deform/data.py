@@ -115,27 +115,22 @@ def source_to_clusters(
     positions: FloatArray,
     normals: FloatArray,
     *,
-    closest: FloatArray,
     normal_weight: float,
     masks: Masks = WHOLE,
-    config: DataConfig = DataConfig(),
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Term of source samples, each for the coarse vertex nearest in position and normal.
+    """Point-to-plane term of source samples, each for the coarse vertex nearest in position and normal.
 
     Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
-    ICP, Rusinkiewicz 2019). A share of the term is point-to-point, since few points at a leg's end have normals along
-    the leg.
+    ICP, Rusinkiewicz 2019).
     """
     points, planes = samples.points, samples.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
     nearest = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
     between, facing = normalize_rows(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
-    shares = samples.areas * np.clip(facing, 0.0, 1.0) * robust_weights(closest[nearest] - points, config.cluster_trip)
-    shares *= masks.of_target(len(positions))[nearest]
-    share = config.towards_point
-    towards = (1.0 - share) * between[:, :, None] * between[:, None, :] + share * np.eye(3)
-    right = np.einsum("mab,mb->ma", towards, points)
-    terms = np.hstack([towards.reshape(-1, 9), right, np.ones((len(points), 1))])
+    shares = samples.areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
+    planes_between = between[:, :, None] * between[:, None, :]
+    right = np.einsum("mab,mb->ma", planes_between, points)
+    terms = np.hstack([planes_between.reshape(-1, 9), right, np.ones((len(points), 1))])
     summed = grouped_sums(nearest, shares[:, None] * terms, len(positions))
     return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12]
 
@@ -168,10 +163,9 @@ def received_weights(
 def round_trip_weights(
     trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
 ) -> FloatArray:
-    """(m,) weights of source points by their round trips; lower inside the target, which cannot grow inwards."""
-    return robust_weights(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
+    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
 
-
-def robust_weights(trips: FloatArray, scale: FloatArray | float) -> FloatArray:
-    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of trips d (m, 3) by their scales s (Geman and McClure 1985)."""
+    The scale s is smaller inside the target, which cannot grow inwards.
+    """
+    scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
     return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

@@ -39,10 +39,10 @@ def cluster_terms(prepared: PreparedPair, shape: CoarseShape, samples: SourceSam
         guess = None if before is None else before.guesses[0]
         normals = deformed_normals(graph.normals, differentials.result()[0])
         nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
-        blocks, right, _, closest = target_to_source(graph.areas, nearest, normals, masks, beyond=True)
+        blocks, right, _, _ = target_to_source(graph.areas, nearest, normals, masks, beyond=True)
         if samples is not None:
             source_blocks, source_right, _ = source_to_clusters(
-                samples, positions, normals, closest=closest, normal_weight=weight, masks=masks, config=config.data
+                samples, positions, normals, normal_weight=weight, masks=masks
             )
             blocks, right = blocks + source_blocks, right + source_right
         shape.constraints.add(blocks, right, positions, config)
