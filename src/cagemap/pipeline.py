@@ -17,13 +17,12 @@ from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers, turned_limb_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search, search_both_ways
+from cagemap.maps.hypotheses.search import distinct_answers, search, search_from_source
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
     check_mirrored,
     check_on_map,
-    confirmed_pairs,
     landmark_outliers,
 )
 from cagemap.maps.pair import Pair, Progress, point_pairs
@@ -197,7 +196,7 @@ def _match_elastic(
 
     def show(coarse: Placement) -> None:
         if preview is not None:
-            preview(map_of_places(problem, coarse.extrapolate_to(prepared.rest.graph, prepared.elastic.graph)))
+            preview(map_of_places(problem, coarse.extrapolate_to(prepared.energy.graph, prepared.elastic.graph)))
 
     with one_blas_thread(), _timed(timings, "map"):
         coincident = coincident_map(problem)
@@ -205,7 +204,8 @@ def _match_elastic(
             point_map, confidence = coincident
             placements = confidence.answers
         elif len(landmarks) < FEWEST_LANDMARKS:
-            placements = distinct_answers(prepared, search_both_ways(problem, progress, show=show))
+            found = search(problem, progress, show=show)
+            placements = distinct_answers(prepared, search_from_source(problem, found, progress))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
             confidence = answer_confidence(problem, point_map, placements)
@@ -213,15 +213,10 @@ def _match_elastic(
             outliers, notes = dict[int, str](), list[str]()
             if config.check_landmarks:
                 outliers, notes = landmark_outliers(problem, landmarks.names, progress)
-            while True:  # until the map confirms no outlier
-                trusted = problem.without(outliers)
-                placements = search(trusted, progress)
-                progress("closest points")
-                point_map = map_of_places(trusted, placements[0].map_positions)
-                confirmed = confirmed_pairs(problem, point_map, outliers)
-                if not confirmed:
-                    break
-                outliers = {pair: why for pair, why in outliers.items() if pair not in confirmed}
+            trusted = problem.without(outliers)
+            placements = search(trusted, progress)
+            progress("closest points")
+            point_map = map_of_places(trusted, placements[0].map_positions)
             if config.check_landmarks:
                 progress("test landmarks on the map")
                 check = check_on_map(problem, landmarks.names, point_map, outliers, notes)

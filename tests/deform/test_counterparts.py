@@ -11,7 +11,6 @@ from cagemap.deform.config import DataConfig, ElasticConfig, Stage
 from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import received_weights, round_trip_weights
 from cagemap.deform.graph import ElasticGraph, mesh_graph
-from cagemap.deform.problem import RestShape
 from cagemap.maps.projection.project import facing_points
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.subdivision import refine
@@ -70,7 +69,8 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
     def error(config: ElasticConfig) -> float:
         stage = Stage(8, (2e-4, 1e-5), 1e-4, momentum=0.8)
         found = minimised(
-            RestShape.build(pocketed, pocket, stage.smoothing),
+            pocketed,
+            pocket,
             mesh,
             pocketed.positions,
             PlacementConstraints(CagePoints.of_vertices(landmarks), smooth.positions[landmarks]),

@@ -41,5 +41,5 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     stage = Stage(3, (1.0, 1e-2), 1e-2)
     small = problem.coarse_shape_with(stage=stage, count=100)
     assert small.stage is stage
-    assert 90 < small.rest.graph.n < 110 < problem.coarse_shape.rest.graph.n
-    assert problem.coarse_shape_with(stage=stage).rest.graph.n == problem.coarse_shape.rest.graph.n
+    assert 90 < small.energy.graph.n < 110 < problem.coarse_shape.energy.graph.n
+    assert problem.coarse_shape_with(stage=stage).energy.graph.n == problem.coarse_shape.energy.graph.n

@@ -71,11 +71,11 @@ def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
 def test_what_is_not_trusted_follows_its_surroundings(prepared: PreparedPair) -> None:
     n, rng = prepared.mesh.n, np.random.default_rng(5)
     same = np.tile([1.0, -2.0, 3.0], (n, 1))
-    np.testing.assert_allclose(smooth_shifts(prepared.rest.graph, same, rng.uniform(size=n), 0.02), same, atol=1e-6)
+    np.testing.assert_allclose(smooth_shifts(prepared.energy.graph, same, rng.uniform(size=n), 0.02), same, atol=1e-6)
     wild, trust = same.copy(), np.ones(n)
     wild[7], trust[7] = 100.0, 0.0
-    np.testing.assert_allclose(smooth_shifts(prepared.rest.graph, wild, trust, 0.02)[7], same[7], atol=1e-2)
-    assert np.abs(smooth_shifts(prepared.rest.graph, wild, np.ones(n), 0.02)[7] - same[7]).max() > 1.0
+    np.testing.assert_allclose(smooth_shifts(prepared.energy.graph, wild, trust, 0.02)[7], same[7], atol=1e-2)
+    assert np.abs(smooth_shifts(prepared.energy.graph, wild, np.ones(n), 0.02)[7] - same[7]).max() > 1.0
 
 
 def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None:
@@ -88,11 +88,11 @@ def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None
     back = pair.reverse_pair
     assert (back.target, back.source) == (pair.source, pair.target)
     assert back.levels == pair.levels[::-1]
-    assert back.mesh.n == back.rest.graph.n == source.triangles(back.levels[0]).n
+    assert back.mesh.n == back.energy.graph.n == source.triangles(back.levels[0]).n
     assert back.source_surface.n >= back.mesh.n
     assert back.masks.target is None
     np.testing.assert_array_equal(back.masks.source, masks.target)
-    np.testing.assert_array_equal(back.rest.masks.source, masks.target[: back.source_surface.n])
+    np.testing.assert_array_equal(back.level_masks.source, masks.target[: back.source_surface.n])
     vertices = np.arange(4)
     on = pair.source.finest_triangles
     line = SurfaceCurve(PointPairs.of_vertices(on, on, vertices, vertices).target, False)

@@ -74,8 +74,7 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(
 
     monkeypatch.setattr(multi_start, "fine_fit", lambda problem, start: getattr(start, "positions", start))
     monkeypatch.setattr(multi_start, "evaluate_placement", with_cost)
-    rest = SimpleNamespace(graph=graph)
-    prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())
+    prepared = SimpleNamespace(energy=SimpleNamespace(graph=graph), elastic=ElasticConfig())
     problem: Any = SimpleNamespace(prepared=prepared)
     coarse, hopeless = Placement(front, 1.0, graph=graph), Placement(behind, 9.0, graph=graph)
     found = multi_start.refine_cheapest(problem, [coarse], fine=[with_cost(prepared, behind)])

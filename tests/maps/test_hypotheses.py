@@ -125,7 +125,7 @@ def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_s
     whole = cost_floor(prepare_pair(surface, surface))
     part = np.where(np.arange(len(surface.vertices)) % 4 == 0, 1.0, 0.0)
     prepared = prepare_pair(surface, surface, MatchConfig(masks=Masks(part)))
-    areas = prepared.rest.graph.areas
+    areas = prepared.energy.graph.areas
     assert cost_floor(prepared) == pytest.approx(whole * areas[part[: len(areas)] > 0].sum())
     back = prepare_pair(surface, surface, MatchConfig(masks=Masks(None, part)))
     assert 0.1 * whole < cost_floor(back) < 0.5 * whole

@@ -31,15 +31,15 @@ def found(
     """What `search` finds where limbs lead to the truth and landmarks beside it; whether rotations were tried."""
     vertices, asked = np.array([0, 40, 80]), list[bool]()
     problem = Problem.of_landmarks(prepared, Landmarks(("a", "b", "c"), vertices, vertices))
-    places = prepared.rest.graph.positions
+    places = prepared.energy.graph.positions
     beside = evaluate_placement(prepared, places + np.array([0.05, 0.0, 0.0]))
 
     def fit_small_graph(problem: Problem, with_rotations: bool, show: object) -> tuple[list[object], list[object]]:
         asked.append(with_rotations)
         return [], []
 
-    monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], [] if agree else [beside]))
-    monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, soft: fine)
+    monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], None if agree else beside))
+    monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, first: fine)
     monkeypatch.setattr(search, "fit_small_graph", fit_small_graph)
     monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
@@ -51,7 +51,7 @@ def test_other_starts_compete_with_landmarks_whose_fits_disagree(
     prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     placements, asked = found(prepared, monkeypatch, agree=False)
-    np.testing.assert_array_equal(placements[0].positions, prepared.rest.graph.positions)
+    np.testing.assert_array_equal(placements[0].positions, prepared.energy.graph.positions)
     assert len(placements) == 2
     assert asked == [False]  # landmarks need no rotations
 

@@ -91,19 +91,19 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     low, left = (surface.positions[:, k] > 0 for k in (2, 0))
     masks = Masks(low.astype(float), left.astype(float))
     nearest = SurfacePoints.nearest(surface, moved, surface.vertex_normals, normal_weight=0.03)
-    plain = target_to_source(graph.areas, nearest, surface.vertex_normals)
-    pull = target_to_source(graph.areas, nearest, surface.vertex_normals, masks)
+    _, _, plain, _ = target_to_source(graph.areas, nearest, surface.vertex_normals)
+    _, _, weights, closest = target_to_source(graph.areas, nearest, surface.vertex_normals, masks)
     ends = low * masks.source  # every vertex of the ball lies over itself
-    np.testing.assert_allclose(pull.weights, plain.weights * ends, atol=1e-9)
+    np.testing.assert_allclose(weights, plain * ends, atol=1e-9)
     pullers = SourceSamples.choose(surface, surface.n, masks)
     places = surface, pullers, moved, surface.vertex_normals
-    back = source_to_target(*places, closest=pull.closest, alpha=1e-3, normal_weight=0.03, masks=masks)
+    _, _, back, _ = source_to_target(*places, closest=closest, alpha=1e-3, normal_weight=0.03, masks=masks)
     # Around the mask's border a puller's foot has corners on both sides.
     for side in (low, left):
         ring = np.zeros(surface.n, dtype=bool)
         ring[surface.triangles[np.any(side[surface.triangles], axis=1)]] = True
-        assert np.all(back.weights[~ring] == 0)
-    assert back.weights[low & left].sum() > 0.2
+        assert np.all(back[~ring] == 0)
+    assert back[low & left].sum() > 0.2
 
 
 def test_figures_are_those_of_what_counts() -> None:

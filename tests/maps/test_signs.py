@@ -187,7 +187,7 @@ def test_parts_of_one_result_keep_their_shared_area() -> None:
     lower = part.target.vertices[:, 2] < 0
     half = replace(part, shared=SharedArea.of_vertices(surfaces, (lower.astype(np.float64), np.ones(m))))
     merged = merge_results([part, half], {})
-    # The part that was not asked counts whole, the other one as far as it did.
+    # The part that was not asked weights whole, the other one as far as it did.
     assert merged.shared.target_share == pytest.approx((1 + half.shared.target_share) / 2)
     assert merged.shared.target.sum() == n + lower.sum()
     assert merged.shared.source_share == pytest.approx(1.0)
@@ -198,17 +198,17 @@ def test_parts_of_one_result_keep_their_shared_area() -> None:
 
 def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prepared: PreparedPair) -> None:
     wrong, lower = across(surface)
-    counts = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
-    assert not jump_lengths(prepared, wrong, counts).any()
-    assert median_distortion(wrong, counts) == pytest.approx(1.0, abs=1e-6)
+    weights = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
+    assert not jump_lengths(prepared, wrong, weights).any()
+    assert median_distortion(wrong, weights) == pytest.approx(1.0, abs=1e-6)
     nothing = SharedArea(np.zeros(wrong.target.n), np.ones(wrong.source.n), 0.0, 1.0)
     assert not nothing.within(WHOLE).any  # a map that shares nothing is judged as a whole
 
 
 def test_what_is_masked_does_not_jump(surface: Surface) -> None:
     wrong, lower = across(surface)
-    counts = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
-    assert not jump_lengths(prepare_pair(surface, surface, MatchConfig(masks=Masks(target=counts))), wrong).any()
+    weights = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
+    assert not jump_lengths(prepare_pair(surface, surface, MatchConfig(masks=Masks(target=weights))), wrong).any()
 
 
 def test_a_map_of_one_point_stays_within_its_memory() -> None:

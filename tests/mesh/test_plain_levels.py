@@ -194,12 +194,12 @@ def test_a_prepared_plain_pair_has_masks_of_its_levels(scan: Surface) -> None:
     assert pair.mesh.n < mesh.n_vertices
     level = surface.hierarchy.levels[pair.levels[0]]
     np.testing.assert_allclose(pair.mesh.positions, surface.scale * level.positions, atol=1e-12)
-    np.testing.assert_array_equal(pair.rest.masks.target, masks.target[pair.vertices])
+    np.testing.assert_array_equal(pair.level_masks.target, masks.target[pair.vertices])
     back = prepare_pair(cage, surface, MatchConfig(masks=masks.reversed(), elastic=ElasticConfig(source_vertices=3000)))
     for one in (back, pair.reverse_pair.reverse_pair, back.reverse_pair):
         assert one.masks.any
-    np.testing.assert_array_equal(back.rest.masks.source, masks.target[pair.vertices])
-    np.testing.assert_array_equal(back.reverse_pair.rest.masks.target, masks.target[pair.vertices])
+    np.testing.assert_array_equal(back.level_masks.source, masks.target[pair.vertices])
+    np.testing.assert_array_equal(back.reverse_pair.level_masks.target, masks.target[pair.vertices])
 
 
 def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place(scan: Surface) -> None:

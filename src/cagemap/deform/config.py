@@ -78,7 +78,6 @@ class GraphConfig:
     """The elastic graph of a mesh, its clusters, and differentials that fold or flatten a surface."""
 
     min_weight: float = 1e-2  #: least weight of an edge, as a share of the median; cotangents may be negative
-    normal_length: float = 1.0  #: distance of opposite normals when vertices are clustered, in cluster sizes
     min_cell: float = 0.3  #: a piece of a cell with a smaller share of the mean cell's area joins a neighbour
     joining_rounds: int = 4  #: rounds of joining; in the first, two tiny pieces may join each other
     neighbours: int = 6  #: coarse vertices whose affine extrapolations are blended at a finer vertex
@@ -101,12 +100,8 @@ class DataConfig:
     inside_trip: float = 0.006
     #: round trip of a quarter of the weight outside the target, in sqrt(alpha): it may not have arrived yet
     outside_trips: float = 6.0
-    cluster_trip: float = 0.4  #: round trip of a quarter of the weight for clusters: legs may be that much longer
-    #: share of a cluster's term that pulls towards the source sample, the rest towards its plane
-    towards_point: float = 0.3
     #: largest distance from an open surface that is counted; beyond its boundary there is no misfit
     uncovered: float = 0.02
-    anchor_normal_weight: float = 0.01  #: length of a unit normal when landmarks are moved to a coarser mesh
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
     min_curve_points: int = 6  #: coarse vertices that a curve needs to bend
     shared_gap: float = 0.03  #: a place that a fit leaves farther from the other surface has no counterpart there
@@ -128,12 +123,15 @@ class SearchConfig:
     max_limb_rotation: float = 0.48  #: or if a limb is rotated by more, in radians
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
-    max_refined: int = 3  #: coarse placements that are refined
-    max_cost: float = 1.5  #: a coarse placement that costs more times the cheapest one is not refined
+    max_refined: int = 3  #: coarse placements that are refined from one start, and candidates of the fine stage
+    #: a coarse placement that costs more times the cheapest one is not refined; neither are limb assignments that cost
+    #: more times the files' own alignment: fins are no limbs
+    max_cost: float = 1.5
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
-    #: a refit with constrained tips, or in the source's pose, may cost this many times what it replaces
-    max_refit_cost: float = 1.15
+    #: a placement that costs up to this many times another one is as good: a refit, or a limb rotated otherwise (1.06
+    #: or more)
+    max_equal_cost: float = 1.15
     part_rings: int = 3  #: rings of edges around a part over which its cost fades
     # Starts from limbs and rotations, on a small graph
     small_graph_vertices: int = 400  #: vertices of the graph on which all starts are tried
@@ -142,10 +140,7 @@ class SearchConfig:
     min_answer_distance: float = 0.08  #: placements at a larger mean distance are two answers
     max_coarse: int = 4  #: candidates of the coarse stage if no limbs are assigned
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
-    max_finished: int = 3  #: candidates of the fine stage
     max_finish_cost: float = 2.5  #: a candidate that costs more times the best one is not finished
-    #: limb assignments that cost more times the files' own alignment are dropped; fins are no limbs
-    max_limb_cost: float = 1.5
     mirrored_starts: int = 4  #: starts on the mirror image that are fitted; the nearest ones
     #: factor on the cost of a start rotated about the vertical; files mostly agree on the front
     turned_penalty: float = 1.1
@@ -164,11 +159,8 @@ class SearchConfig:
     max_tip_distance: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
     min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
-    #: coarse stage in which tips of limbs are constraints; as stiff as the one for bodies in one pose
-    tip_stage: Stage = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    tip_samples: int = 4000  #: source samples of that stage
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
-    #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_both_ways`)
+    #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_from_source`)
     max_one_way_cost: float = 2e-4
 
 
@@ -179,12 +171,12 @@ class RefitConfig:
     min_pose_difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
     stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: stage of the rotations: stiffness of the limbs against the placement
     joint_rounds: int = 2  #: rounds in which joints are found
-    joint_smoothing: float = 0.02  #: length over which the gradient of rotations is smoothed
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
     rounds: int = 2  #: times that the target is posed and fitted
     #: `match_next` discards a map that folds a larger share of the area; correct ones have 0.001, without a leg 0.007
     max_folded_frame: float = 0.005
-    smoothing: float = 0.02  #: length over which the shifts towards the inverse are smoothed
+    #: length over which the gradient of rotations, and the shifts towards the inverse, are smoothed
+    smoothing: float = 0.02
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
 
@@ -235,7 +227,7 @@ class LandmarkConfig:
     # What a fit says of suspected pairs
     slip_by_distances: float = 1.14  #: pairs are wrong if they raise the cost by this factor; correct ones reach 1.09
     slip_by_sides: float = 1.05  #: the same for pairs suspected by orientation; exchanged ears have 1.04 to 1.19
-    max_confirmed_miss: float = 0.03  #: a left-out pair that the map misses by less is taken back
+    max_confirmed_miss: float = 0.03  #: a suspected pair that the map before an update misses by less is kept
     # Orientation of landmark triples
     #: rise of the agreement around two exchanged pairs when they are exchanged back; 0.3 or more
     min_side_rise: float = 0.2
@@ -253,8 +245,6 @@ class LandmarkConfig:
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
     #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
     exchange_distance: float = 0.08
-    #: a placement that costs up to this many times the best one is as good; rotated limbs have 1.06 or more
-    max_answer_cost: float = 1.15
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
@@ -305,13 +295,13 @@ class ElasticConfig(Brief):
         Vertices from which on a level of the source is fine enough to fit to.
     coarse, fine : Stage
     stiff_coarse : Stage
-        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`.
+        Instead of `coarse` where a placement is known: refits to tips of limbs and in the source's pose.
     landmark_start : Stage
         Positions from the landmarks alone; differentials are smoothed as in the stage that starts there.
     normal_weight : float
         Closest points count position and this length times the normal.
     fine_normal_weight : float
-        The same for those of the fine stage's vertices.
+        The same for those of the fine stage's vertices, and of landmarks that are moved to a coarser mesh.
     projection_normal_weights : (float, float)
         The same in the last projection, see `facing_points`.
     landmark_weight : float

@@ -1,5 +1,8 @@
 """Data terms: point-to-plane distances to closest points, target to source and source to target.
 
+A term is ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant: blocks B (n, 3, 3), right side B y (n, 3), and the
+area weight (n,) of every vertex in it.
+
 Closest points also pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something:
 the inside of a mouth with the chin. Two tests detect them, and their terms get no weight: such a part of the target
 receives none of the source's area, and the round trip from such a point of the source to the target and back does not
@@ -44,21 +47,10 @@ class SourceSamples:
         return cls(source.positions[chosen], planes, shares, outer)
 
 
-@dataclass(frozen=True, eq=False)
-class DataTerm:
-    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, with its closest points."""
-
-    blocks: FloatArray  # (n, 3, 3): B_i
-    right: FloatArray  # (n, 3): B_i y_i
-    weights: FloatArray  # (n,): area weight of every vertex in the term
-    triangles: IndexArray  # (m,): triangle of every closest point, a guess for the next search
-    closest: FloatArray  # (m, 3): the closest points
-
-
 def target_to_source(
     areas: FloatArray, nearest: SurfacePoints, normals: FloatArray, masks: Masks = WHOLE, *, beyond: bool = False
-) -> DataTerm:
-    """Point-to-plane term of the deformed vertices, to the tangent planes at their nearest points of the source.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Point-to-plane term of the deformed vertices, to tangent planes of the source; and its closest points (n, 3).
 
     Normals (n, 3) are of the deformed target. Beyond the source's boundary a vertex has a term only if ``beyond``:
     needed without source-to-target terms, where a target could move off the source.
@@ -71,7 +63,7 @@ def target_to_source(
     if not beyond:
         weights *= ~nearest.at_boundary
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, nearest.triangle, closest)
+    return blocks, np.einsum("nab,nb->na", blocks, closest), weights, closest
 
 
 def source_to_target(
@@ -86,8 +78,8 @@ def source_to_target(
     guess: IndexArray | None = None,
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
-) -> DataTerm:
-    """Point-to-plane term of source vertices, to the deformed target.
+) -> tuple[FloatArray, FloatArray, FloatArray, IndexArray]:
+    """Point-to-plane term of source vertices, to the deformed target; and the triangles (m,) of their closest points.
 
     ``closest`` (n, 3) are the source's points closest to the target's vertices, at the ends of round trips; the guess
     (m,) has triangles of an earlier search.
@@ -115,7 +107,7 @@ def source_to_target(
     gathered = gather @ np.hstack([samples.outer, residual[:, None] * planes, np.ones((len(points), 1))])
     blocks = gathered[:, :9].reshape(-1, 3, 3)
     right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
-    return DataTerm(blocks, right, gathered[:, 12], triangles, own_closest)
+    return blocks, right, gathered[:, 12], triangles
 
 
 def source_to_clusters(
@@ -123,29 +115,24 @@ def source_to_clusters(
     positions: FloatArray,
     normals: FloatArray,
     *,
-    closest: FloatArray,
     normal_weight: float,
     masks: Masks = WHOLE,
-    config: DataConfig = DataConfig(),
-) -> DataTerm:
-    """Term of source samples, each for the coarse vertex nearest in position and normal.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Point-to-plane term of source samples, each for the coarse vertex nearest in position and normal.
 
     Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
-    ICP, Rusinkiewicz 2019). A share of the term is point-to-point, since few points at a leg's end have normals along
-    the leg.
+    ICP, Rusinkiewicz 2019).
     """
     points, planes = samples.points, samples.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
     nearest = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
     between, facing = normalize_rows(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
-    shares = samples.areas * np.clip(facing, 0.0, 1.0) * robust_weights(closest[nearest] - points, config.cluster_trip)
-    shares *= masks.of_target(len(positions))[nearest]
-    share = config.towards_point
-    towards = (1.0 - share) * between[:, :, None] * between[:, None, :] + share * np.eye(3)
-    right = np.einsum("mab,mb->ma", towards, points)
-    terms = np.hstack([towards.reshape(-1, 9), right, np.ones((len(points), 1))])
+    shares = samples.areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
+    planes_between = between[:, :, None] * between[:, None, :]
+    right = np.einsum("mab,mb->ma", planes_between, points)
+    terms = np.hstack([planes_between.reshape(-1, 9), right, np.ones((len(points), 1))])
     summed = grouped_sums(nearest, shares[:, None] * terms, len(positions))
-    return DataTerm(summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12], nearest, positions[nearest])
+    return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12]
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
@@ -176,10 +163,9 @@ def received_weights(
 def round_trip_weights(
     trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
 ) -> FloatArray:
-    """(m,) weights of source points by their round trips; lower inside the target, which cannot grow inwards."""
-    return robust_weights(trips, np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip))
+    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
 
-
-def robust_weights(trips: FloatArray, scale: FloatArray | float) -> FloatArray:
-    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of trips d (m, 3) by their scales s (Geman and McClure 1985)."""
+    The scale s is smaller inside the target, which cannot grow inwards.
+    """
+    scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
     return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

@@ -15,10 +15,12 @@ from cagemap.deform.config import ElasticConfig
 from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
 from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
+from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Differentials, Terms, minimise
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, RestShape
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.errors import ParameterError
+from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
@@ -26,55 +28,36 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 
-def cluster_terms(
-    rest: RestShape,
-    source: TriangleSurface,
-    constraints: PlacementConstraints,
-    config: ElasticConfig,
-    samples: SourceSamples | None = None,
-) -> Terms:
+def cluster_terms(prepared: PreparedPair, shape: CoarseShape, samples: SourceSamples | None = None) -> Terms:
     """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
+    graph, masks, source, config = shape.energy.graph, shape.masks, prepared.source_surface, prepared.elastic
     weight = config.normal_weight
 
     def terms(
         positions: FloatArray, differentials: Future[Differentials], alpha: float, before: VertexTerms | None
     ) -> VertexTerms:
         guess = None if before is None else before.guesses[0]
-        normals = deformed_normals(rest.graph.normals, differentials.result()[0])
+        normals = deformed_normals(graph.normals, differentials.result()[0])
         nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
-        target_term = target_to_source(rest.graph.areas, nearest, normals, rest.masks, beyond=True)
-        blocks, right = target_term.blocks, target_term.right
+        blocks, right, _, _ = target_to_source(graph.areas, nearest, normals, masks, beyond=True)
         if samples is not None:
-            source_term = source_to_clusters(
-                samples,
-                positions,
-                normals,
-                closest=target_term.closest,
-                normal_weight=weight,
-                masks=rest.masks,
-                config=config.data,
+            source_blocks, source_right, _ = source_to_clusters(
+                samples, positions, normals, normal_weight=weight, masks=masks
             )
-            blocks, right = blocks + source_term.blocks, right + source_term.right
-        constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, guesses=(target_term.triangles, None))
+            blocks, right = blocks + source_blocks, right + source_right
+        shape.constraints.add(blocks, right, positions, config)
+        return VertexTerms(shape.energy, blocks, right, guesses=(nearest.triangle, None))
 
     return terms
 
 
-def mesh_terms(
-    rest: RestShape,
-    source: TriangleSurface,
-    constraints: PlacementConstraints,
-    config: ElasticConfig,
-    samples: SourceSamples,
-) -> Terms:
+def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Terms:
     """Data terms in both directions, and constraints, of a mesh.
 
     Source-to-target terms pull the mesh into fingers, ears and lips.
     """
-    mesh, received = rest.mesh, rest.received
-    assert mesh is not None
-    assert received is not None
+    mesh, source, masks, config = prepared.mesh, prepared.source_surface, prepared.level_masks, prepared.elastic
+    energy, received = prepared.energy, prepared.received_smoother
     of_parts = mesh.is_open or source.is_open
 
     def terms(
@@ -85,24 +68,24 @@ def mesh_terms(
         nearest = SurfacePoints.nearest(
             source, positions, normals, normal_weight=config.fine_normal_weight, guess=guesses[0]
         )
-        target_term = target_to_source(rest.graph.areas, nearest, normals, rest.masks)
-        source_term = source_to_target(
+        blocks, right, _, closest = target_to_source(energy.graph.areas, nearest, normals, masks)
+        source_blocks, source_right, weights, triangles = source_to_target(
             mesh,
-            samples,
+            prepared.source_samples,
             positions,
             normals,
-            closest=target_term.closest,
+            closest=closest,
             alpha=alpha,
             normal_weight=config.normal_weight,
             guess=guesses[1],
-            masks=rest.masks,
+            masks=masks,
             config=config.data,
         )
-        shares = received_weights(received, source_term.weights, config.data, of_parts=of_parts)
-        blocks = shares[:, None, None] * target_term.blocks + source_term.blocks
-        right = shares[:, None] * target_term.right + source_term.right
+        shares = received_weights(received, weights, config.data, of_parts=of_parts)
+        blocks = shares[:, None, None] * blocks + source_blocks
+        right = shares[:, None] * right + source_right
         constraints.add(blocks, right, positions, config)
-        return VertexTerms(rest.energy, blocks, right, (target_term.triangles, source_term.triangles))
+        return VertexTerms(energy, blocks, right, (nearest.triangle, triangles))
 
     return terms
 
@@ -124,36 +107,35 @@ def coarse_fit(
         If the start has not one position for every vertex of the coarse graph.
     """
     shape = problem.coarse_shape if shape is None else shape
-    rest, source, config = shape.rest, problem.prepared.source_surface, problem.prepared.elastic
-    graph, energy = rest.graph, rest.energy
+    prepared, energy, graph = problem.prepared, shape.energy, shape.energy.graph
     expected = graph.positions.shape
     if start is not None and start.shape != expected:
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
-    first = landmark_start(shape, config) if start is None else start
-    terms = cluster_terms(rest, source, shape.constraints, config, samples)
+    first = landmark_start(shape, prepared.elastic) if start is None else start
+    terms = cluster_terms(prepared, shape, samples)
     positions = minimise(graph, energy.differentials, terms, first, shape.stage)
     maps, _ = energy.differentials(positions)
-    costs = vertex_costs(rest, source, positions, maps, config, shape.stage.smoothing)
+    costs = vertex_costs(prepared, graph, shape.masks, positions, maps, shape.stage.smoothing)
     return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
 
 
 def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
     """(n, 3) positions of the target's mesh by the fine stage, from a coarse placement or from positions (n, 3)."""
-    prepared, rest, elastic = problem.prepared, problem.prepared.rest, problem.prepared.elastic
-    terms = mesh_terms(rest, prepared.source_surface, problem.constraints, elastic, prepared.source_samples)
-    first = start.extrapolate_to(rest.graph, elastic.graph) if isinstance(start, Placement) else start
-    return minimise(rest.graph, rest.energy.differentials, terms, first, elastic.fine)
+    prepared, energy, config = problem.prepared, problem.prepared.energy, problem.prepared.elastic
+    first = start.extrapolate_to(energy.graph, config.graph) if isinstance(start, Placement) else start
+    terms = mesh_terms(prepared, problem.constraints)
+    return minimise(energy.graph, energy.differentials, terms, first, config.fine)
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which bends limbs."""
-    graph, constraints = shape.rest.graph, shape.constraints
+    graph, constraints = shape.energy.graph, shape.constraints
     places, constrained = constraints.places, constraints.anchors.corners[:, 0]
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
     constraints.add_points(blocks, right, start, config)
-    return minimise_constant(shape.rest.energy, blocks, right, start, config.landmark_start)
+    return minimise_constant(shape.energy, blocks, right, start, config.landmark_start)
 
 
 def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
@@ -169,33 +151,26 @@ def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, 
 
 def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:
     """Placement of the mesh with its costs: `vertex_costs`, distances of source samples, `stretch_costs` if open."""
-    rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
-    samples = prepared.source_samples
-    maps, smoothing = rest.energy.maps(positions), config.coarse.smoothing
-    costs = vertex_costs(rest, prepared.source_surface, positions, maps, config, smoothing)
+    energy, config, triangles = prepared.energy, prepared.elastic, prepared.mesh.triangles
+    samples, maps = prepared.source_samples, energy.maps(positions)
+    costs = vertex_costs(prepared, energy.graph, prepared.level_masks, positions, maps, config.coarse.smoothing)
     tree = build_tree(positions, triangles)
     at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
     squared = _capped(distance**2, prepared.mesh, config)
     missed = barycentric * (samples.areas * squared)[:, None]
-    costs = costs + np.bincount(triangles[at].ravel(), missed.ravel(), rest.graph.n)
+    costs = costs + np.bincount(triangles[at].ravel(), missed.ravel(), energy.graph.n)
     if prepared.mesh.is_open or prepared.source_surface.is_open:
-        costs = costs + stretch_costs(rest, positions, config)
+        costs = costs + stretch_costs(energy.graph.areas, maps, config)
     return Placement(positions, float(costs.sum()), costs)
 
 
 def vertex_costs(
-    rest: RestShape,
-    source: TriangleSurface,
-    positions: FloatArray,
-    maps: FloatArray,
-    config: ElasticConfig,
-    smoothing: float,
+    prepared: PreparedPair, graph: ElasticGraph, masks: Masks, positions: FloatArray, maps: FloatArray, smoothing: float
 ) -> FloatArray:
     """(n,) cost by vertex: squared distance in position and normal, plus the energy at ``cost_stiffness``."""
-    graph = rest.graph
-    normals = deformed_normals(graph.normals, maps)
+    source, config, normals = prepared.source_surface, prepared.elastic, deformed_normals(graph.normals, maps)
     nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=config.normal_weight)
-    areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(nearest)
+    areas = graph.areas * masks.of_target(graph.n) * masks.at_source(nearest)
     squared = ((nearest.positions - positions) ** 2).sum(axis=1)
     turned = 2.0 - 2.0 * np.einsum("nd,nd->n", nearest.normals, normals)
     data = areas * _capped(squared + config.normal_weight**2 * turned, source, config)
@@ -207,9 +182,7 @@ def _capped(squared: FloatArray, other: TriangleSurface, config: ElasticConfig) 
     return np.minimum(squared, config.data.uncovered**2) if other.is_open else squared
 
 
-def stretch_costs(rest: RestShape, positions: FloatArray, config: ElasticConfig) -> FloatArray:
+def stretch_costs(areas: FloatArray, maps: FloatArray, config: ElasticConfig) -> FloatArray:
     """(n,) variance of log stretches, so that a part does not fit anywhere by stretching."""
-    graph = rest.graph
-    stretches = np.linalg.svd(rest.energy.maps(positions), compute_uv=False)[:, :2]
-    logs = np.log(np.maximum(stretches, config.graph.min_stretch**4))
-    return np.asarray(config.stretch_weight * graph.areas * ((logs - (graph.areas @ logs).mean()) ** 2).mean(axis=1))
+    logs = np.log(np.maximum(np.linalg.svd(maps, compute_uv=False)[:, :2], config.graph.min_stretch**4))
+    return np.asarray(config.stretch_weight * areas * ((logs - (areas @ logs).mean()) ** 2).mean(axis=1))

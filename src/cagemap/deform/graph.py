@@ -233,9 +233,9 @@ def extrapolate(
     ``y_v = sum_k b_k (x_k + A_k (p_v - p_k))``, weights falling to zero at the last neighbour. Exact for affine maps.
     """
     size = np.sqrt(1.0 / coarse.n)
-    tree = cKDTree(np.hstack([coarse.positions, config.normal_length * size * coarse.normals]))
+    tree = cKDTree(np.hstack([coarse.positions, size * coarse.normals]))
     count = min(config.neighbours, coarse.n)
-    queried = tree.query(np.hstack([fine.positions, config.normal_length * size * fine.normals]), k=count)
+    queried = tree.query(np.hstack([fine.positions, size * fine.normals]), k=count)
     distance, nearest = (np.asarray(part).reshape(fine.n, count) for part in queried)
     # The radius is a little larger than the last distance: all neighbours may be equally far.
     blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, EPSILON) ** 2
@@ -251,7 +251,7 @@ def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
     cell = np.zeros(graph.n, dtype=np.int64)
     least, most = config.cell_counts
     for _ in range(config.cell_rounds):
-        features = np.hstack([graph.positions, 0.5 * config.normal_length * width * graph.normals]) / width
+        features = np.hstack([graph.positions, 0.5 * width * graph.normals]) / width
         keys = np.floor(features - features.min(axis=0)).astype(np.int64)
         counts = keys.max(axis=0) + 1
         _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)

@@ -33,8 +33,8 @@ def start_map(problem: Problem, shape: CoarseShape) -> FloatArray:
     """(k, 3) places on the source of a coarse shape's vertices, by ZoomOut from the constrained points' coordinates."""
     prepared = problem.prepared
     vertices, constrained = shape.vertices, shape.constrained_vertices
-    levels, areas = prepared.levels, shape.rest.graph.areas
-    areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
+    levels, areas = prepared.levels, shape.energy.graph.areas
+    areas = areas * shape.masks.of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
     candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), constrained[1])
     of_curves = curve_vertices(problem)
@@ -87,7 +87,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
     target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
-    source, areas = basis_rows(prepared.source, level, vertices), shape.rest.graph.areas
+    source, areas = basis_rows(prepared.source, level, vertices), shape.energy.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:
@@ -108,43 +108,36 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
 
 def fit_from_two_starts(
     problem: Problem, shape: CoarseShape, start: FloatArray | None = None
-) -> tuple[list[Placement], list[Placement]]:
-    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
+) -> tuple[list[Placement], Placement | None]:
+    """Fine placements from two starts, cheapest first; and the first coarse one, None if the two agree.
 
     The starts are ZoomOut from landmark coordinates (`start_map`), or positions ``start`` (k, 3), and the constrained
-    points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse stage. The stiff
-    one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are far apart or a
-    limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
-    points, the start is the only one.
+    points alone (`landmark_start`). Coarse placements disagree if they are far apart or a limb is in another pose;
+    `fit_from_spectral_starts` goes on from the first. With a start and fewer than three constrained points, the start
+    is the only one.
     """
-    elastic = problem.prepared.elastic
-    shapes = shape, shape.with_stage(elastic.stiff_coarse)
-
-    def both_stages(positions: FloatArray | None) -> list[Placement]:
-        """Placements of the soft and of the stiff coarse stage."""
-        return in_threads(lambda clusters: coarse_fit(problem, positions, clusters), shapes)
-
+    prepared, config = problem.prepared, problem.prepared.elastic.search
     if start is not None and len(shape.constrained_vertices[0]) < FEWEST_LANDMARKS:
-        return refine_placements(problem, both_stages(start)), []
+        return refine_placements(problem, [coarse_fit(problem, start, shape)]), None
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        from_points = pool.submit(both_stages, None)
-        first = both_stages(start_map(problem, shape) if start is None else start)
-        soft, stiff = zip(first, from_points.result(), strict=True)
+        pending = pool.submit(coarse_fit, problem, None, shape)
+        first = coarse_fit(problem, start_map(problem, shape) if start is None else start, shape)
+        second = pending.result()
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
-    fine = refine_placements(problem, stiff)
-    rotation = largest_limb_rotation(problem.prepared.rest, fine[0].positions, elastic.search.limb_area)
-    distance = mean_distance(soft[0].positions, soft[1].positions, shape.rest.graph.areas)
-    agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
-    return fine, [] if agree else list(soft)
+    fine = refine_placements(problem, (first, second))
+    rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, config.limb_area)
+    distance = mean_distance(first.positions, second.positions, shape.energy.graph.areas)
+    agree = distance <= config.max_start_distance and rotation <= config.max_limb_rotation
+    return fine, None if agree else first
 
 
 def fit_from_spectral_starts(
-    problem: Problem, shape: CoarseShape, fine: Sequence[Placement], soft: Sequence[Placement]
+    problem: Problem, shape: CoarseShape, fine: Sequence[Placement], first: Placement
 ) -> list[Placement]:
-    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first soft one."""
-    starts = spectral_starts(problem, shape)(soft[0])
-    more = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
-    return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, [*soft, *more], fine=fine)]
+    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first coarse one."""
+    starts = spectral_starts(problem, shape)(first)
+    coarse = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
+    return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, coarse, fine=fine)]
 
 
 def refine_cheapest(
@@ -158,7 +151,7 @@ def refine_cheapest(
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
     kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: most or config.max_refined]
     fine = sort_by_cost([*refine_placements(problem, kept), *fine])
-    mixed = best_parts(prepared.rest.graph, fine, config)
+    mixed = best_parts(prepared.energy.graph, fine, config)
     if mixed is None:
         return fine
     return sort_by_cost([*fine, evaluate_placement(prepared, fine_fit(problem, mixed))])

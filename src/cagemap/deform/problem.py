@@ -25,53 +25,17 @@ from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import vertex_normals
 
 # Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
 Tips = tuple[IndexArray, IndexArray]
 
 
 @dataclass(frozen=True, eq=False)
-class RestShape:
-    """Elastic energy of a rest shape, with everything that depends on the target alone."""
-
-    energy: ElasticEnergy
-    mesh: TriangleSurface | None  # mesh of the graph; None for clusters of a mesh
-    received: Factorization | None  # smoother of received area, see `received_weights`
-    masks: Masks = WHOLE  # weights of the graph's and the source's vertices in data terms
-
-    @classmethod
-    def build(
-        cls,
-        graph: ElasticGraph,
-        mesh: TriangleSurface | None,
-        smoothing: float,
-        config: ElasticConfig = ElasticConfig(),
-        masks: Masks = WHOLE,
-    ) -> RestShape:
-        """Factor the matrices that stay the same in all iterations of a stage."""
-        energy = ElasticEnergy.build(graph, smoothing, partial(bounded_maps, config=config.graph))
-        received = None if mesh is None else graph.smoother(config.data.received_smoothing)
-        return cls(energy, mesh, received, masks)
-
-    @property
-    def graph(self) -> ElasticGraph:
-        """Graph of the energy."""
-        return self.energy.graph
-
-    def moved_to(self, positions: FloatArray, smoothing: float) -> RestShape:
-        """The rest shape moved to positions (n, 3), with its edge weights and areas unchanged."""
-        assert self.mesh is not None
-        normals = vertex_normals(positions, self.mesh.triangles)
-        graph = replace(self.graph, positions=positions, normals=normals)
-        return replace(self, energy=ElasticEnergy.build(graph, smoothing, self.energy.admissible))
-
-
-@dataclass(frozen=True, eq=False)
 class CoarseShape:
     """Clusters of a mesh's vertices, and the coarse stage that moves them."""
 
-    rest: RestShape  # of the k clusters
+    energy: ElasticEnergy  # of the k clusters
+    masks: Masks  # weights of the clusters and of the source's vertices in data terms
     # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
     vertices: IndexArray
     # Constrained vertices are the first clusters, vertices of curves the next ones
@@ -79,11 +43,6 @@ class CoarseShape:
     # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
     constrained_vertices: tuple[IndexArray, IndexArray]
     stage: Stage
-
-    def with_stage(self, stage: Stage) -> CoarseShape:
-        """The clusters with another coarse stage."""
-        energy = ElasticEnergy.build(self.rest.graph, stage.smoothing, self.rest.energy.admissible)
-        return replace(self, rest=replace(self.rest, energy=energy), stage=stage)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,12 +56,12 @@ class PreparedPair:
     elastic : ElasticConfig
     levels : (int, int)
         Searched levels of target and source; the target's is the deformed level.
-    rest : RestShape
-        Rest shape of the target's mesh of that level.
+    energy : ElasticEnergy
+        Of the target's mesh of that level; its graph has the rest shape.
     source_surface : TriangleSurface
         The level of the source that is fitted to.
     masks : Masks
-        Masks of the finest vertices; ``rest`` has those of ``mesh`` and ``source_surface``.
+        Masks of the finest vertices.
     """
 
     target: Surface
@@ -110,7 +69,7 @@ class PreparedPair:
     start: StartConfig
     elastic: ElasticConfig
     levels: tuple[int, int]
-    rest: RestShape
+    energy: ElasticEnergy
     source_surface: TriangleSurface
     masks: Masks = WHOLE
 
@@ -123,33 +82,15 @@ class PreparedPair:
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
-        """Factor the target's rest shape, and build the source's search trees."""
+        """Factor the target's elastic energy, and build the source's search trees."""
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
-        fitted = source.triangles(source.hierarchy.coarsest_level(elastic.source_vertices))
+        fitted = fitted_surface(source, elastic)
         with ThreadPool(1) as pool:
             trees = pool.submit(lambda: (fitted.tree, source.finest_triangles.tree))
-            graph = level_graph(target, levels[0], elastic.graph)
-            pair = cls._of_graph(graph, target, source, start, elastic, levels, masks)
+            energy = bounded_energy(level_graph(target, levels[0], elastic.graph), elastic.fine.smoothing, elastic)
             trees.result()
-        return pair
-
-    @classmethod
-    def _of_graph(
-        cls,
-        graph: ElasticGraph,
-        target: Surface,
-        source: Surface,
-        start: StartConfig,
-        elastic: ElasticConfig,
-        levels: tuple[int, int],
-        masks: Masks,
-    ) -> PreparedPair:
-        """Build the pair with a given graph of the target's level."""
-        mesh, fitted_level = target.triangles(levels[0]), source.hierarchy.coarsest_level(elastic.source_vertices)
-        level_masks = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted_level))
-        rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, level_masks)
-        return cls(target, source, start, elastic, levels, rest, source.triangles(fitted_level), masks)
+        return cls(target, source, start, elastic, levels, energy, fitted, masks)
 
     def require_same(self, start: StartConfig, elastic: ElasticConfig, masks: Masks) -> None:
         """Raise ParameterError unless configs and masks are the pair's own; default configs mean those."""
@@ -174,8 +115,19 @@ class PreparedPair:
     @kept
     def source_samples(self) -> SourceSamples:
         """Vertices of the source that should lie on the target's mesh."""
-        count = int(self.elastic.data.samples * self.rest.graph.n)
-        return SourceSamples.choose(self.source_surface, count, self.rest.masks)
+        count = int(self.elastic.data.samples * self.energy.graph.n)
+        return SourceSamples.choose(self.source_surface, count, self.level_masks)
+
+    @kept
+    def level_masks(self) -> Masks:
+        """Masks of the vertices of `mesh` and ``source_surface``."""
+        fitted_level = self.source.hierarchy.coarsest_level(self.elastic.source_vertices)
+        return self.masks.at(self.vertices, self.source.hierarchy.on_finest(fitted_level))
+
+    @kept
+    def received_smoother(self) -> Factorization:
+        """Smoother of received area on `mesh`, see `received_weights`."""
+        return self.energy.graph.smoother(self.elastic.data.received_smoothing)
 
     @property
     def mesh(self) -> TriangleSurface:
@@ -191,7 +143,7 @@ class PreparedPair:
         """Constraints on `mesh` of the landmarks' curves."""
         constraints = []
         for pair in landmarks.curves:
-            anchors = points_on_level(self.target, self.levels[0], pair.target.points, self.elastic.data)
+            anchors = points_on_level(self.target, self.levels[0], pair.target.points, self.elastic)
             rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
             constraints.append(CurveConstraint(anchors, rest, pair.source.line))
         return tuple(constraints)
@@ -199,7 +151,7 @@ class PreparedPair:
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
         """Elastic graphs of the searched levels of target and source; built on first access."""
-        return self.rest.graph, level_graph(self.source, self.levels[1], self.elastic.graph)
+        return self.energy.graph, level_graph(self.source, self.levels[1], self.elastic.graph)
 
     @kept
     def coincidence(self) -> Coincidence | None:
@@ -209,11 +161,25 @@ class PreparedPair:
     @kept
     def reverse_pair(self) -> PreparedPair:
         """The pair with target and source exchanged, on the same levels; built on first access."""
-        masks, levels = self.masks.reversed(), self.levels[::-1]
-        return self._of_graph(self.graphs[1], self.source, self.target, self.start, self.elastic, levels, masks)
+        elastic = self.elastic
+        energy = bounded_energy(self.graphs[1], elastic.fine.smoothing, elastic)
+        levels, fitted = self.levels[::-1], fitted_surface(self.target, elastic)
+        return PreparedPair(
+            self.source, self.target, self.start, elastic, levels, energy, fitted, self.masks.reversed()
+        )
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"
+
+
+def bounded_energy(graph: ElasticGraph, smoothing: float, config: ElasticConfig) -> ElasticEnergy:
+    """Elastic energy of a graph whose differentials are bounded, see `bounded_maps`."""
+    return ElasticEnergy.build(graph, smoothing, partial(bounded_maps, config=config.graph))
+
+
+def fitted_surface(source: Surface, config: ElasticConfig) -> TriangleSurface:
+    """The level of a source that is fitted to."""
+    return source.triangles(source.hierarchy.coarsest_level(config.source_vertices))
 
 
 def level_graph(surface: Surface, level: int, config: GraphConfig = GraphConfig()) -> ElasticGraph:
@@ -257,17 +223,16 @@ class Problem:
         self, tips: Tips = (NONE, NONE), stage: Stage | None = None, count: int | None = None
     ) -> CoarseShape:
         """About ``count`` clusters with tips of limbs as constraints, besides the landmarks."""
-        prepared, rest, landmarks = self.prepared, self.prepared.rest, self.landmarks
-        config = prepared.elastic
+        prepared, landmarks, config = self.prepared, self.landmarks, self.prepared.elastic
         stage, count = stage or config.coarse, count or config.coarse_vertices
         on_target, on_source = (np.concatenate(both) for both in zip(self.landmark_vertices, tips, strict=True))
         places = prepared.source.triangles(prepared.levels[1]).positions[tips[1]]
         every, curves = constrained_clusters(prepared.curves(landmarks), on_target, count, config.data)
-        coarse, chosen = cluster_graph(rest.graph, count, every, config.graph)
-        clusters = RestShape.build(coarse, None, stage.smoothing, config, rest.masks.for_vertices(chosen))
+        coarse, chosen = cluster_graph(prepared.energy.graph, count, every, config.graph)
+        energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.for_vertices(chosen)
         anchors = CagePoints.of_vertices(np.arange(len(on_target)))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        return CoarseShape(clusters, chosen, constraints, (on_target, on_source), stage)
+        return CoarseShape(energy, masks, chosen, constraints, (on_target, on_source), stage)
 
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
@@ -285,7 +250,7 @@ class Problem:
     def constraints(self) -> PlacementConstraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
         prepared, landmarks = self.prepared, self.landmarks
-        anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
+        anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic)
         return PlacementConstraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept

@@ -20,10 +20,12 @@ from cagemap.deform.energy import ElasticEnergy, minimise_constant, rotations
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import Problem, RestShape
+from cagemap.deform.problem import Problem
+from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
 
 
 def finish_placement(problem: Problem, placed: Placement) -> Placement:
@@ -32,48 +34,50 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     Unchanged under masks: the reverse fit would fit masked area too, and displace its surroundings.
     """
     prepared, posed, config = problem.prepared, placed, problem.prepared.elastic
-    if prepared.rest.masks.any:
+    if prepared.masks.any:
         return placed
-    if pose_difference(prepared.rest, placed.positions) > config.refit.min_pose_difference:
+    if pose_difference(prepared.energy, placed.positions) > config.refit.min_pose_difference:
         posed = evaluate_placement(prepared, fit_in_pose(problem, placed.positions))
     both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
-    cheap = both_ways.cost <= config.search.max_refit_cost * posed.cost
+    cheap = both_ways.cost <= config.search.max_equal_cost * posed.cost
     return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
 
 
 def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
     """(n, 3) positions after refitting the target from the pose of a placement, ``times`` times."""
-    rest, config = problem.prepared.rest, problem.prepared.elastic.refit
+    graph, config = problem.prepared.energy.graph, problem.prepared.elastic.refit
     for _ in range(config.rounds if times is None else times):
-        positions = fit_from_shape(problem, rigid_pose(rest, positions, config))
+        positions = fit_from_shape(problem, rigid_pose(graph, positions, config))
     return positions
 
 
 def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
     """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
-    prepared = problem.prepared
-    rest = prepared.rest.moved_to(shape, prepared.elastic.fine.smoothing)
-    alike = replace(problem, prepared=replace(prepared, rest=rest))
+    prepared, energy = problem.prepared, problem.prepared.energy
+    graph = replace(energy.graph, positions=shape, normals=vertex_normals(shape, prepared.mesh.triangles))
+    moved = ElasticEnergy.build(graph, prepared.elastic.fine.smoothing, energy.admissible)
+    alike = replace(problem, prepared=replace(prepared, energy=moved))
     clusters = alike.coarse_shape_with(stage=prepared.elastic.stiff_coarse)
     return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
 
 
-def pose_difference(rest: RestShape, positions: FloatArray) -> float:
+def pose_difference(energy: ElasticEnergy, positions: FloatArray) -> float:
     """Difference of poses in radians: mean of `rotation_angles`."""
-    return float(rest.graph.areas @ rotation_angles(rest, positions)) / float(rest.graph.areas.sum())
+    areas = energy.graph.areas
+    return float(areas @ rotation_angles(energy, positions)) / float(areas.sum())
 
 
-def largest_limb_rotation(rest: RestShape, positions: FloatArray, share: float) -> float:
+def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatArray, share: float) -> float:
     """Least of `rotation_angles`, in radians, on the most rotated share of the unmasked area."""
-    angles = rotation_angles(rest, positions)
+    angles = rotation_angles(energy, positions)
     order = np.argsort(-angles)
-    covered = np.cumsum((rest.graph.areas * rest.masks.of_target(rest.graph.n))[order])
+    covered = np.cumsum((energy.graph.areas * masks.of_target(energy.graph.n))[order])
     return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
 
 
-def rotation_angles(rest: RestShape, positions: FloatArray) -> FloatArray:
+def rotation_angles(energy: ElasticEnergy, positions: FloatArray) -> FloatArray:
     """(n,) angles in radians between the rotation of every vertex of a placement (n, 3) and their mean."""
-    areas, turns = rest.graph.areas, nearest_rotations(rest.energy.maps(positions))
+    areas, turns = energy.graph.areas, nearest_rotations(energy.maps(positions))
     common = common_rotation(areas, turns)
     cosines = 0.5 * (np.einsum("nab,ab->n", turns, common) - 1.0)
     return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)))
@@ -84,13 +88,13 @@ def common_rotation(areas: FloatArray, rotations: FloatArray) -> FloatArray:
     return nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
 
 
-def rigid_pose(rest: RestShape, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
+def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
     """(n, 3) rest shape moved to positions (n, 3), as rigidly as possible (Sorkine and Alexa 2007) except at joints.
 
     Minimises ``sum_i a_i |x_i - y_i|^2 + alpha sum_ij c_ij w_ij |x_i - x_j - R_ij (p_i - p_j)|^2``, R the rotations of
     smoothed differentials, c small where they turn already: bodies bend at joints.
     """
-    graph, stage, posed = rest.graph, config.stage, positions
+    stage, posed = config.stage, positions
     blocks, right = graph.areas[:, None, None] * np.eye(3), graph.areas[:, None] * positions
     energy = ElasticEnergy.build(graph, stage.smoothing, rotations)
     for _ in range(config.joint_rounds):
@@ -106,7 +110,7 @@ def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: RefitConfig =
     covered = np.bincount(graph.heads, graph.weights * (graph.edges**2).sum(axis=1), graph.n)
     covered = np.maximum(covered, 1e-12 * covered.mean())  # degenerate faces show no rotation
     squared = np.bincount(graph.heads, graph.weights * changes, graph.n) / covered
-    squared = np.maximum(graph.smoother(config.joint_smoothing).solve(graph.areas * squared), 0.0)
+    squared = np.maximum(graph.smoother(config.smoothing).solve(graph.areas * squared), 0.0)
     stiff = 1.0 / (1.0 + squared / max(float(graph.areas @ squared), 1e-12))
     return np.asarray(np.maximum(np.sqrt(stiff[graph.heads] * stiff[graph.tails]), config.min_stiffness))
 
@@ -117,9 +121,9 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     Vertices far from the reverse fit have no inverse; they move with their neighbours.
     """
     prepared, back = problem.prepared, problem.prepared.reverse_pair
-    mesh, graph, config = prepared.mesh, prepared.rest.graph, prepared.elastic.refit
+    mesh, graph, config = prepared.mesh, prepared.energy.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
-    posed = pose_difference(back.rest, start) > config.min_pose_difference
+    posed = pose_difference(back.energy, start) > config.min_pose_difference
     returned = (
         fit_in_pose(problem.reverse_problem, start, times=1) if posed else fine_fit(problem.reverse_problem, start)
     )

@@ -51,7 +51,7 @@ def displacement_response(
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
     prepared, landmarks, constrained = problem.prepared, problem.landmarks, problem.landmark_vertices[0]
-    graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
+    graph, mesh, config = prepared.energy.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)
     every, curves = constrained_clusters(prepared.curves(landmarks), constrained, size, config.data)
     coarse, vertices = cluster_graph(graph, size, every, config.graph)

@@ -160,11 +160,11 @@ class Confidence:
 def answer_confidence(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
     """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map."""
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
-    shared, counts = SharedArea.of_fit(prepared, answers[0].positions), None
+    shared, weights = SharedArea.of_fit(prepared, answers[0].positions), None
     if shared is not None:  # area without a counterpart tells nothing about the map
-        counts = shared.within(prepared.masks).of_target(point_map.target.n)
-    farthest = jump_lengths(prepared, point_map, counts)
-    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(point_map, counts)}
+        weights = shared.within(prepared.masks).of_target(point_map.target.n)
+    farthest = jump_lengths(prepared, point_map, weights)
+    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(point_map, weights)}
     confidence = Confidence.of(answers, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs
         signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
@@ -182,7 +182,7 @@ def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> 
     best = ranked[0]
     for other in ranked[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.landmarks.max_answer_cost * best.cost and share > SIGNS["limb_turned"].bound:
+        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > SIGNS["limb_turned"].bound:
             answers = (
                 Placement(best.map_positions, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name="with a limb turned otherwise about its axis"),
@@ -223,19 +223,19 @@ def describe_signs(signs: Mapping[str, float]) -> list[str]:
     return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
 
 
-def median_distortion(found: PointMap, counts: FloatArray | None = None) -> float:
-    """Median `distortion` of a map, weighted by area and ``counts`` (n1,); 1 for an isometry."""
+def median_distortion(found: PointMap, weights: FloatArray | None = None) -> float:
+    """Median `distortion` of a map, weighted by area and ``weights`` (n1,); 1 for an isometry."""
     target = found.target
     sigma = stretches(target.positions, found.images.positions, target.triangles)
-    areas = target.areas if counts is None else target.areas * counts[target.triangles].mean(axis=1)
+    areas = target.areas if weights is None else target.areas * weights[target.triangles].mean(axis=1)
     return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
 
-def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> FloatArray:
+def jump_lengths(prepared: PreparedPair, found: PointMap, weights: FloatArray | None = None) -> FloatArray:
     """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
 
     A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
-    Only finest vertices with ``counts`` (n1,) above 0 are compared, by default the unmasked ones.
+    Only finest vertices with ``weights`` (n1,) above 0 are compared, by default the unmasked ones.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
@@ -245,8 +245,8 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | N
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
     pairs = np.concatenate([edges, image_pairs(places, normals)])
-    counts = prepared.masks.of_target(found.target.n) if counts is None else counts
-    pairs = pairs[(counts[prepared.vertices] > 0)[pairs].all(axis=1)]
+    weights = prepared.masks.of_target(found.target.n) if weights is None else weights
+    pairs = pairs[(weights[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     on_source = distances_apart(source.station_distances[:, at], pairs)
     beyond = np.maximum(on_target, on_source) - 2 * np.minimum(on_target, on_source)
@@ -257,12 +257,12 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, counts: FloatArray | N
 
 def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
     """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
-    return float(prepared.rest.graph.areas[farthest > 0].sum())
+    return float(prepared.energy.graph.areas[farthest > 0].sum())
 
 
-def jump_warnings(prepared: PreparedPair, found: PointMap, counts: FloatArray | None = None) -> tuple[str, ...]:
+def jump_warnings(prepared: PreparedPair, found: PointMap, weights: FloatArray | None = None) -> tuple[str, ...]:
     """A warning if the map jumps on more area than the bound allows; see `jump_lengths`."""
-    farthest = jump_lengths(prepared, found, counts)
+    farthest = jump_lengths(prepared, found, weights)
     share = jump_share(prepared, farthest)
     if share <= SIGNS["jumps"].bound:
         return ()
@@ -307,7 +307,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     bodies seem mirrored.
     """
     small, source = problem.small_shape, problem.prepared.source_surface
-    graph, constraints = small.rest.graph, small.constraints
+    graph, constraints = small.energy.graph, small.constraints
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * MIRROR_X, source.triangles[:, ::-1])
 

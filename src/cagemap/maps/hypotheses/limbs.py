@@ -14,7 +14,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
-from cagemap.deform.data import SourceSamples
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements
@@ -41,13 +40,13 @@ def find_tips(problem: Problem, least: float | None = None, units: tuple[float, 
     searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
     masks = prepared.masks.at(prepared.vertices, searched)
     meshes = prepared.mesh, prepared.source.triangles(prepared.levels[1])
-    for graph, mesh, counts, given, unit in (
+    for graph, mesh, weights, given, unit in (
         (target, meshes[0], masks.of_target(target.n), landmarks.target.positions, units[0]),
         (source, meshes[1], masks.of_source(source.n), landmarks.source.positions, units[1]),
     ):
         vertices = tip_vertices(graph, least / unit)
         away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
-        kept = (counts[vertices] > 0) & (away > config.min_landmark_distance) & ~mesh.boundary_vertices[vertices]
+        kept = (weights[vertices] > 0) & (away > config.min_landmark_distance) & ~mesh.boundary_vertices[vertices]
         tips.append(vertices[kept])
     return tips[0], tips[1]
 
@@ -71,7 +70,7 @@ def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> t
 def refit_distinct_to_tips(problem: Problem, ranked: Sequence[Placement]) -> list[Placement]:
     """Placements, those that are cheap and different from all better ones refitted by `refit_to_tips`."""
     tips, config = find_tips(problem), problem.prepared.elastic.search
-    distinct = distinct_placements(ranked, problem.prepared.rest.graph.areas, config.min_answer_distance)
+    distinct = distinct_placements(ranked, problem.prepared.energy.graph.areas, config.min_answer_distance)
     max_cost = config.max_cost * min(placed.cost for placed in ranked)
 
     def refit(placed: Placement) -> Placement:
@@ -89,12 +88,11 @@ def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
     if not len(pairs):
         return placed
-    shape = problem.coarse_shape_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), config.tip_stage)
-    samples = SourceSamples.choose(prepared.source_surface, config.tip_samples, prepared.rest.masks)
+    shape = problem.coarse_shape_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), prepared.elastic.stiff_coarse)
     with thread_limit(1):
-        coarse = coarse_fit(problem, placed.positions[shape.vertices], shape, samples)
+        coarse = coarse_fit(problem, placed.positions[shape.vertices], shape, prepared.source_samples)
     refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).with_start_of(placed)
-    return refitted if refitted.cost <= config.max_refit_cost * placed.cost else placed
+    return refitted if refitted.cost <= config.max_equal_cost * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:

@@ -1,7 +1,7 @@
 """Search for the cheapest placement: from landmarks, assigned limbs, the files' positions and rotations.
 
 A start gives positions to fit from. Fits have three sizes: a small graph (400 clusters) for many starts, the coarse
-stage (1500 clusters, soft or stiff) and the fine stage (the mesh). Constraints are landmarks, curves, and tips of limbs
+stage (1500 clusters) and the fine stage (the mesh). Constraints are landmarks, curves, and tips of limbs
 that are assigned to each other. Fits are ranked by cost times penalty; starts that turn the files' axes have one.
 """
 
@@ -20,7 +20,7 @@ from cagemap.deform.multi_start import (
     start_map,
 )
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, Tips
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, Tips, fitted_surface
 from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
@@ -46,11 +46,10 @@ def cost_floor(prepared: PreparedPair) -> float:
 
     Scaled by what the masks leave, as the cost of a fit is.
     """
-    target, rest, unmasked = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
-    surface = target.triangles(target.hierarchy.coarsest_level(prepared.elastic.source_vertices))
-    on_itself = replace(prepared, rest=unmasked, source_surface=surface)
-    counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), prepared.source_samples.areas.sum()
-    return float(min(counts)) * evaluate_placement(on_itself, rest.graph.positions).cost
+    graph, surface = prepared.energy.graph, fitted_surface(prepared.target, prepared.elastic)
+    on_itself = replace(prepared, masks=WHOLE, source_surface=surface)
+    shares = graph.areas @ prepared.level_masks.of_target(graph.n), prepared.source_samples.areas.sum()
+    return float(min(shares)) * evaluate_placement(on_itself, graph.positions).cost
 
 
 def fit_small_graph(
@@ -63,12 +62,12 @@ def fit_small_graph(
     of the starts in the files' axes, then the best of all.
     """
     small, config = problem.small_shape, problem.prepared.elastic.search
-    graph = small.rest.graph
+    graph = small.energy.graph
 
     def fit_start(start: FloatArray, shape: CoarseShape) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
             placed = coarse_fit(problem, start, shape)
-        rotation = axis_rotation(shape.rest.graph.areas, placed.maps)
+        rotation = axis_rotation(shape.energy.graph.areas, placed.maps)
         penalty = rotation_penalty(rotation, config) if with_rotations else 1.0
         return replace(placed, name=rotation_name(rotation), penalty=penalty)
 
@@ -88,7 +87,7 @@ def fit_small_graph(
     limb_fits = limb_fits[: config.max_assigned]
     # A part has a low cost in many places: only the fit of the whole is conclusive.
     least_cost = rigid_fits[0].penalised_cost
-    if limb_fits and not unmoved and limb_fits[0][1].penalised_cost > config.max_limb_cost * least_cost:
+    if limb_fits and not unmoved and limb_fits[0][1].penalised_cost > config.max_cost * least_cost:
         limb_fits = []
     if with_rotations and not limb_fits:
         # Of similar starts the first is kept: the distinct unrotated ones come first.
@@ -113,7 +112,7 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     """Fine placements from fits of the small graph and their spectral starts: the best of each, if they differ."""
     if not small_fits:
         return []
-    graph, starts = problem.coarse_shape.rest.graph, spectral_starts(problem, problem.coarse_shape)
+    graph, starts = problem.coarse_shape.energy.graph, spectral_starts(problem, problem.coarse_shape)
     config = problem.prepared.elastic.search
 
     def fit_coarse(small_fit: Placement) -> list[Placement]:
@@ -131,16 +130,16 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
         most = None if coarse is candidates[0] else 1
         return refine_cheapest(problem, coarse, most)[0].with_start_of(coarse[0])
 
-    return in_threads(fit_fine, cheap[: config.max_finished])
+    return in_threads(fit_fine, cheap[: config.max_refined])
 
 
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
     """Placement of the target from one of the source on the target, whose cost it keeps."""
-    prepared, rest = problem.prepared, problem.prepared.rest
+    prepared, energy = problem.prepared, problem.prepared.energy
     weight = prepared.elastic.refit.normal_weight
     start, _ = inverse_positions(prepared.reverse_pair.mesh, reverse.map_positions, prepared.mesh, weight)
     positions = fine_fit(problem, start)
-    rotation = axis_rotation(rest.graph.areas, rest.energy.maps(positions))
+    rotation = axis_rotation(energy.graph.areas, energy.maps(positions))
     return Placement(positions, reverse.cost, name=rotation_name(rotation), penalty=reverse.penalty)
 
 
@@ -163,27 +162,27 @@ def search(
     then. ``show`` is called with placements of the small graph.
     """
     has_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
-    # Fits with point constraints: the coarse shape, fine placements, and soft coarse ones if its two starts disagree
-    constrained, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
+    # Fits with point constraints: the coarse shape, fine placements, and a coarse one if its two starts disagree
+    constrained, placements = list[tuple[CoarseShape, list[Placement], Placement | None]](), list[Placement]()
     if has_start:
         progress("first alignment")
-        fine, soft = fit_from_two_starts(problem, problem.coarse_shape, start)
-        if not soft:
+        fine, coarse = fit_from_two_starts(problem, problem.coarse_shape, start)
+        if coarse is None:
             return fine
-        constrained.append((problem.coarse_shape, fine, soft))
+        constrained.append((problem.coarse_shape, fine, coarse))
     if start is None:
         progress("possible alignments")
         limb_fits, small_fits = fit_small_graph(problem, not has_start, show)
         progress("rough alignment")
         for tips, small_fit in limb_fits:
             shape = problem.coarse_shape_with(tips)
-            fine, soft = fit_from_two_starts(problem, shape)
-            constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], soft))
+            fine, coarse = fit_from_two_starts(problem, shape)
+            constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], coarse))
         placements = fit_without_tips(problem, small_fits)
     progress("elastic alignment")
     if constrained:
-        (shape, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
-        best = fit_from_spectral_starts(problem, shape, fine, soft) if soft else fine
+        (shape, fine, coarse), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
+        best = fine if coarse is None else fit_from_spectral_starts(problem, shape, fine, coarse)
         placements += [*best[: None if has_start else 1], *(fine[0] for _, fine, _ in others)]
     floor = cost_floor(problem.prepared)
     ranked = rank_placements(placements, floor)
@@ -194,18 +193,18 @@ def search(
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
 
-def search_both_ways(
-    problem: Problem, progress: Progress = no_progress, *, show: Callable[[Placement], None] = lambda _: None
+def search_from_source(
+    problem: Problem, placements: list[Placement], progress: Progress = no_progress
 ) -> list[Placement]:
-    """Placements of `search`; for some pairs also of the reverse problem, which deforms the source onto the target.
+    """Placements of `search`; for some pairs with those of the reverse problem, which deforms the source.
 
     If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
     placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
     more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
     it costs less and is farther than ``max_start_distance`` from the best placement, on average.
     """
-    prepared, placements = problem.prepared, search(problem, progress, show=show)
-    config, best, areas = prepared.elastic.search, placements[0], prepared.rest.graph.areas
+    prepared, best = problem.prepared, placements[0]
+    config, areas = prepared.elastic.search, prepared.energy.graph.areas
     is_part = prepared.mesh.is_open != prepared.source_surface.is_open
     if not is_part and best.cost <= config.max_one_way_cost:
         return placements
@@ -231,7 +230,7 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) ->
 def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) -> tuple[Placement, ...]:
     """Different alignments of the target with the source, in the order of placements, each with its own name."""
     answers, min_distance = dict[str, Placement](), prepared.elastic.search.min_answer_distance
-    for placed in distinct_placements(placements, prepared.rest.graph.areas, min_distance):
+    for placed in distinct_placements(placements, prepared.energy.graph.areas, min_distance):
         name = placed.name
         while name in answers:
             name += ANOTHER_WAY

@@ -149,12 +149,6 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
     return suspected, []
 
 
-def confirmed_pairs(problem: Problem, point_map: PointMap, left_out: Collection[int]) -> set[int]:
-    """Indices of pairs that were left out of a map and that the map confirms."""
-    confirmed = problem.prepared.elastic.landmarks.max_confirmed_miss
-    return {i for i in left_out if landmark_miss(problem, point_map, i)[0] < confirmed}
-
-
 def check_on_map(
     problem: Problem, names: Sequence[str], point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
 ) -> LandmarkCheck:
@@ -164,7 +158,7 @@ def check_on_map(
         return LandmarkCheck(notes=tuple(notes))
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
     images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
-    graph, vertices = problem.prepared.rest.graph, trusted.landmark_vertices[0]
+    graph, vertices = problem.prepared.energy.graph, trusted.landmark_vertices[0]
     energy = reduced_energy(graph, images.positions, images.normals, vertices, config)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)

@@ -136,7 +136,7 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
         for matrix in reversed(refinement.matrices[level:]):
             chosen = sparse.csr_array(chosen @ matrix)
         return refinement.prolong(control_points(chosen, fitted), level, refinement.n_levels)
-    maps, _ = prepared.rest.energy.differentials(fitted)
+    maps, _ = prepared.energy.differentials(fitted)
     rest = prepared.target.finest_triangles.positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
     blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)

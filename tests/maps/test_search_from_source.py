@@ -11,7 +11,7 @@ from examples.shapes import torus
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses import search as search_module
-from cagemap.maps.hypotheses.search import search_both_ways
+from cagemap.maps.hypotheses.search import search_from_source
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import prepare_pair, prepare_surface
 
@@ -36,7 +36,7 @@ def test_the_inverse_of_a_cheaper_reverse_placement_is_taken(
         return [replace(wrong)] if given is problem else [right]
 
     monkeypatch.setattr(search_module, "search", search)
-    first, *others = search_both_ways(problem)
+    first, *others = search_from_source(problem, search(problem))
     assert len(asked) == searches
     if takes_inverse:
         assert np.linalg.norm(first.map_positions - truth, axis=1).max() < 0.02
