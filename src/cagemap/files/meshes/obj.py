@@ -59,9 +59,9 @@ def read_obj(path: str | Path) -> ControlMesh:
 
     Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons; texture coordinates keep
     their own indices. ``usemtl`` gives the faces' materials, with ``Kd`` of the ``.mtl`` as colour (NaN if missing),
-    ``o`` and ``g`` their objects and groups; those of one name are one. A ``v`` line of six or seven numbers has a position and a colour; without
-    such lines ZBrush's polypaint gives colours. ``t`` lines are creases, corners, holes and options (`obj_tags`).
-    Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
+    ``o`` and ``g`` their objects and groups; those of one name are one. A ``v`` line of six or seven numbers has a
+    position and a colour; without such lines ZBrush's polypaint gives colours. ``t`` lines are creases, corners, holes
+    and options (`obj_tags`). Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
     """
     file = Path(path)
     text = read_text(file, "an OBJ file")
