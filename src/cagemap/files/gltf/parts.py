@@ -173,18 +173,33 @@ def _transformed(
         turned = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
     if not np.isfinite(placed).all() or np.abs(placed).max() > 1e100:
         raise FormatError(f"{arrays.control.name}: expected places of a moderate size, got others. Export it again.")
-    normals = None if arrays.normals is None else turned_normals(arrays.normals, blended[..., :3, :3])
+    normals, shape_normals = arrays.normals, arrays.shape_normals
+    if normals is not None:
+        linear = blended[..., :3, :3]
+        shape_normals = {name: turned_offsets(offsets, normals, linear) for name, offsets in shape_normals.items()}
+        normals = turned_normals(normals, linear)
     control = arrays.control.with_positions(placed[:, :3])
     if np.linalg.det(whole[:3, :3]) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
-    return replace(arrays, control=control, shapes=turned, normals=normals)
+    return replace(arrays, control=control, shapes=turned, normals=normals, shape_normals=shape_normals)
 
 
 def turned_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
     """Normals (n, 3) of a surface after its points, as rows, are multiplied by (3, 3) or (n, 3, 3)."""
+    return normalize_rows(_by_cofactors(normals, linear))
+
+
+def turned_offsets(offsets: FloatArray, normals: FloatArray, linear: FloatArray) -> FloatArray:
+    """Offsets (n, 3) of normals (n, 3), scaled as `turned_normals` scales the normals."""
+    lengths = np.linalg.norm(_by_cofactors(normals, linear), axis=1, keepdims=True)
+    return _by_cofactors(offsets, linear) / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _by_cofactors(vectors: FloatArray, linear: FloatArray) -> FloatArray:
     cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
     signs = np.sign(np.linalg.det(linear))[..., None, None]
-    return normalize_rows(np.einsum("na,...ab->nb" if linear.ndim == 2 else "na,nab->nb", normals, signs * cofactors))
+    rows = "na,ab->nb" if linear.ndim == 2 else "na,nab->nb"
+    return np.asarray(np.einsum(rows, vectors, signs * cofactors))
 
 
 def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
@@ -210,6 +225,8 @@ def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -
         None if weights is None else weights[kept],
         {name: shape[kept] for name, shape in arrays.shapes.items()},
         None if arrays.normals is None else arrays.normals[stored],
+        {name: offsets[stored] for name, offsets in arrays.shape_normals.items()},
+        None if arrays.colors is None else arrays.colors[stored],
     )
     return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
 
