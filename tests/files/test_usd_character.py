@@ -308,7 +308,8 @@ def test_colours_and_opacity_of_corners_are_written(tmp_path: Path) -> None:
     mesh = replace(icosahedron(), name="ball", vertex_colors=np.full((12, 3), 0.5))
     colors = np.random.default_rng(3).uniform(size=(len(mesh.face_indices), 4))
     _written(tmp_path / "OUT.usda", Character((Part("ball", mesh, colors=colors),)))
-    prim = UsdGeom.Mesh(Usd.Stage.Open(str(tmp_path / "OUT.usda")).GetPrimAtPath("/Asset/ball"))
+    stage = Usd.Stage.Open(str(tmp_path / "OUT.usda"))
+    prim = UsdGeom.Mesh(stage.GetPrimAtPath("/Asset/ball"))
     for primvar, meant in (
         (prim.GetDisplayColorPrimvar(), colors[:, :3]),
         (prim.GetDisplayOpacityPrimvar(), colors[:, 3]),
