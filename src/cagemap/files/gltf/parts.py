@@ -101,12 +101,12 @@ def _placed(
     stated = document.entry("nodes", node).get("skin")
     weights, changes, whole = None, None, nodes.world[node]
     if stated is not None and joints is not None:
-        skin = skins[document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)]
+        number = document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)
+        skin, of = skins[number], joints.of_skins[number]
         if arrays.joints.shape[1]:
-            weights = _weights(document, arrays, skin, joints, node)
+            weights = _weights(document, arrays, of, joints, node)
             whole = skin.to_world
             changes = np.tile(whole, (len(joints.rig.names), 1, 1))
-            of = joints.joint_of[skin.nodes]
             changes[of] = skin.inverse_bind @ joints.rig.bind[of]
     elif joints is not None and (above := nearest_joint(nodes, joints, node)) >= 0:
         count = arrays.control.n_vertices
@@ -121,12 +121,15 @@ def _placed(
     return _welded(arrays, weights, node)
 
 
-def _weights(document: Document, arrays: VertexArrays, skin: Skin, joints: Joints, node: int) -> sparse.csr_array:
-    """(n, j) weights of the rig's joints; rows sum to 1. Vertices without weights follow the skin's first joint."""
+def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: Joints, node: int) -> sparse.csr_array:
+    """(n, j) weights of the rig's joints; rows sum to 1. Vertices without weights follow the skin's first joint.
+
+    ``of``: joints of the rig, by number in the skin.
+    """
     used = arrays.weights > 0.0
     numbers = np.where(used, arrays.joints, 0)
-    if numbers.max(initial=0) >= len(skin.nodes) or numbers.min(initial=0) < 0:
-        document.refuse(f"nodes {node}", f"expected weights of the {len(skin.nodes)} joints of its skin, got others")
+    if numbers.max(initial=0) >= len(of) or numbers.min(initial=0) < 0:
+        document.refuse(f"nodes {node}", f"expected weights of the {len(of)} joints of its skin, got others")
     values = np.where(used, arrays.weights, 0.0)
     sums = values.sum(axis=1)
     loose = sums <= 0.0
@@ -135,10 +138,10 @@ def _weights(document: Document, arrays: VertexArrays, skin: Skin, joints: Joint
     if loose.any():
         _log.warning(
             "%s: %d vertices of %s have no weights and follow %s",
-            *(document.file, int(loose.sum()), arrays.control.name, joints.rig.names[joints.joint_of[skin.nodes[0]]]),
+            *(document.file, int(loose.sum()), arrays.control.name, joints.rig.names[of[0]]),
         )
     rows = np.repeat(np.arange(len(values)), values.shape[1])
-    columns = joints.joint_of[skin.nodes][numbers.ravel()]
+    columns = of[numbers.ravel()]
     table = sparse.csr_array((values.ravel(), (rows, columns)), shape=(len(values), len(joints.rig.names)))
     table.sum_duplicates()
     table.eliminate_zeros()
